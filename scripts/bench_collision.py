@@ -112,7 +112,7 @@ class Case:
     clear: list[pipeline.CertifiedDesign] = field(default_factory=list)
     work: dict[bool, list[float]] = field(default_factory=lambda: {False: [], True: []})
     progress: list[str] = field(default_factory=list)
-    free_distances: list[continuous_check.Near] = field(default_factory=list)
+    free_distances: list[continuous_check.PairDistance] = field(default_factory=list)
     brute_force: list[PairDistance] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
 
@@ -125,7 +125,7 @@ class Case:
             try:
                 self.free.append(self._designed(seed, None))
                 self.free_distances.append(
-                    continuous_check.along(self.cell, self.free[-1].trajectory.motion)[0]
+                    continuous_check.least_distances(self.cell, self.free[-1].trajectory.motion)[0]
                 )
                 self.clear.append(self._designed(seed, self.cell))
             except ExciteError as error:
@@ -172,10 +172,10 @@ class Case:
         ]
         proven = [near for design in self.clear for near in design.certificate.pair_distances]
         nearest = min(proven, key=lambda near: near.proven - near.pair.margin)
-        worst = min(self.free_distances, key=lambda near: near.found - near.pair.margin)
-        count = sum(near.found < near.pair.margin for near in self.free_distances)
+        worst = min(self.free_distances, key=lambda near: near.observed - near.pair.margin)
+        count = sum(near.observed < near.pair.margin for near in self.free_distances)
         effect = (
-            f"{count} of {len(self.free_distances)}: {1e3 * worst.found:.0f} mm, {worst.names}"
+            f"{count} of {len(self.free_distances)}: {1e3 * worst.observed:.0f} mm, {worst.names}"
             if count
             else "none: NO EFFECT"
         )
@@ -238,8 +238,8 @@ def placed(name: str, source: str, text: str) -> Case:
         (path := Path(folder) / "scene.toml").write_text(text, encoding="utf-8")
         read = scene_file.read(path)
     begun = time.process_time()
-    cell = scene_file.cell(machine, table, read)
-    clearance_builder.clearance(cell)
+    cell = scene_file.build_cell(machine, table, read)
+    clearance_builder.build_constraint(cell)
     return Case(name, machine, table, cell, time.process_time() - begun)
 
 
@@ -370,7 +370,7 @@ def attempt(number: int, seed: int, folder: Path) -> Outcome:
     try:
         read = scene_file.read(path)
         bodies += ["floor", *(shape.name for shape in read.shapes)]
-        cell = scene_file.cell(machine, table, read)
+        cell = scene_file.build_cell(machine, table, read)
         bodies += [body.name for body in cell.bodies]
         judge = DistanceJudge(cell)
         start = pose(rng, judge, table) if from_pose else None

@@ -164,7 +164,7 @@ class TrueRobot:
         tau += inertia * s.ddq + viscous * s.dq + coulomb * np.tanh(s.dq / COULOMB_WIDTH) + offset
         tau += noise * rng.normal(size=tau.shape)
         return Recording(
-            "synthetic", machine.joints, t, s.q, tau=tau, sidecar=Sidecar(), own_times=t
+            "synthetic", machine.joints, t, s.q, tau=tau, sidecar=Sidecar(), row_times=t
         )
 
 

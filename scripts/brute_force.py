@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from excite._types import FloatArray
 from excite.collision.distance_query import Body
-from excite.collision.geometry import Kind
+from excite.collision.geometry import ShapeKind
 from excite.collision.workcell import Cell
 from excite.trajectory.rest_to_rest import Motion
 
@@ -76,7 +76,7 @@ class DistanceJudge:
         for i, j in itertools.combinations(range(len(bodies)), 2):
             a, b = bodies[i], bodies[j]
             hinged = (parents[a.joint] == b.joint or parents[b.joint] == a.joint) and not (
-                a.around or b.around
+                a.is_surrounding or b.is_surrounding
             )
             if a.joint == b.joint or hinged or frozenset((a.name, b.name)) in disabled:
                 continue
@@ -91,7 +91,7 @@ class DistanceJudge:
         self.owner = np.array(owners)
         kinds = [shape.kind for body in bodies for shape in body.shapes]
         self.is_mesh = np.array(
-            [Kind.MESH in (kinds[first], kinds[second]) for first, second in shapes]
+            [ShapeKind.MESH in (kinds[first], kinds[second]) for first, second in shapes]
         )
         self.near = np.array(self.margins)[self.owner] + HULL_CLEARANCE
         self.hulls, self.exact = (_geometry(bodies, shapes, exact) for exact in (False, True))

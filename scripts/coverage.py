@@ -53,7 +53,7 @@ def as_recording(signals: recording_file.MeasuredSignals, name: str) -> Recordin
         tau=signals.tau,
         qref=signals.qref,
         sidecar=side,
-        own_times=signals.t,
+        row_times=signals.t,
     )
 
 

@@ -27,7 +27,7 @@ def main() -> None:
         machine = robot.load(name)
         table = limits.resolve(machine)
         options = time_budget.MotionRequest().complete(DesignOptions(starts=4), table)
-        cell = scene_file.cell(machine, table, scene_file.Scene())
+        cell = scene_file.build_cell(machine, table, scene_file.Scene())
         delivery = pipeline.design_trajectory(
             machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr)
         )

@@ -219,7 +219,7 @@ def run(row: Row, case: Case, source: str, options: DesignOptions) -> None:
     table = limits.resolve(
         machine, limits_file if limits_file.is_file() and not is_builtin(source) else None
     )
-    cell, unchecked = scene_file.known(machine, table, scene_file.Scene())
+    cell, unchecked = scene_file.find_cell(machine, table, scene_file.Scene())
     options = time_budget.MotionRequest().complete(options, table)
     delivery = pipeline.design_trajectory(
         machine,

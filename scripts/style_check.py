@@ -64,6 +64,7 @@ ALLOWED: dict[str, dict[str, str]] = {
     "scripts/calibrate.py": {"outsider": "key of excite.truth/1"},
     "scripts/concealed_trial/score.py": {"outsider": "key of excite.truth/1"},
     "tests/test_concealed_trial.py": {"outsider": "key of excite.truth/1"},
+    "excite/recordings/remark.py": {"waver": "value of a remark's kind in --json documents"},
     "excite/report/diagnosis.py": {
         "foretold": "key of the diagnosis document",
         "foreseen": "key of the diagnosis document",

@@ -1,4 +1,4 @@
-"""Recordings as files, and the remarks of reading them."""
+"""Recordings as files, and their remarks and warnings."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from excite import recordings
+from excite._types import BoolArray, FloatArray, IntArray
 from excite.errors import ExciteWarning, UnusableInput
-from excite.recordings import Kind
+from excite.recordings import RemarkKind
 
 JOINTS = ("joint_1", "joint_2")
-Array = np.ndarray
 
 
-def two_joint_motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
+def two_joint_motion(rows: int = 400, rate: float = 100.0) -> dict[str, FloatArray]:
     """Return columns of two moving joints with torques; the keys are those of the contract."""
     t = np.arange(rows) / rate
     phase = np.outer(t, [2.0, 3.0])
@@ -30,7 +30,7 @@ def two_joint_motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
 
 
 def write_columns(
-    path: Path, columns: dict[str, Array], separator: str = ",", order: list[str] | None = None
+    path: Path, columns: dict[str, FloatArray], separator: str = ",", order: list[str] | None = None
 ) -> Path:
     """Write columns as CSV."""
     names = order or list(columns)
@@ -43,7 +43,7 @@ def write_columns(
     return path
 
 
-def remark_kinds(recording: recordings.Recording) -> list[Kind]:
+def remark_kinds(recording: recordings.Recording) -> list[RemarkKind]:
     """Return the kinds of a recording's remarks."""
     return [remark.kind for remark in recording.remarks]
 
@@ -58,7 +58,9 @@ def read_with_warnings(path: Path, robot, **options) -> tuple[recordings.Recordi
         recording = recordings.read(path, robot, **options)
     texts = [str(w.message) for w in caught]
     assert texts == [
-        f"{path}: {r.text}" for r in recording.remarks if r.repaired and r.kind is not Kind.ROUNDED
+        f"{path}: {r.text}"
+        for r in recording.remarks
+        if r.repaired and r.kind is not RemarkKind.ROUNDED
     ]
     assert all(issubclass(w.category, ExciteWarning) for w in caught)
     return recording, texts
@@ -79,9 +81,9 @@ def assert_refused(path: Path, robot, *words: str, **options) -> str:
 class DamagedMotion:
     """A motion with a fault, as columns of a file."""
 
-    columns: dict[str, Array]
+    columns: dict[str, FloatArray]
 
-    def rows(self, which: Array) -> DamagedMotion:
+    def rows(self, which: IntArray | BoolArray) -> DamagedMotion:
         """Return the motion with some of its rows."""
         return DamagedMotion({name: values[which] for name, values in self.columns.items()})
 

@@ -137,7 +137,7 @@ def synthetic_recording(
         s.q,
         tau=exact + noise * rng.normal(size=exact.shape),
         sidecar=sidecar,
-        own_times=t,
+        row_times=t,
     )
 
 

@@ -1,4 +1,4 @@
-"""Scenes from files, and what the command line says of collisions."""
+"""Scene files, and collision checks on the command line."""
 
 import itertools
 import json
@@ -10,7 +10,7 @@ from test_cli import refused, run
 from test_collision import octahedron
 
 from excite.collision import scene_file
-from excite.collision.geometry import Kind
+from excite.collision.geometry import ShapeKind
 from excite.robot.limits import resolve
 from excite.robot.robot import load
 
@@ -55,7 +55,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize("case", SCENES)
-def test_a_bad_scene_is_one_line(capsys, tmp_path, case):
+def test_faulty_scene_gives_a_one_line_error(capsys, tmp_path, case):
     text, wanted = SCENES[case]
     path = tmp_path / "scene.toml"
     path.write_text(text)
@@ -65,7 +65,7 @@ def test_a_bad_scene_is_one_line(capsys, tmp_path, case):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_mesh_that_is_none_is_one_line(capsys, tmp_path):
+def test_file_that_is_no_mesh_gives_a_one_line_error(capsys, tmp_path):
     (tmp_path / "m.stl").write_text("solid nothing\nendsolid\n")
     (tmp_path / "scene.toml").write_text('[[mesh]]\nname = "m"\nfile = "m.stl"\n')
     assert "m.stl" in refused(
@@ -80,7 +80,7 @@ def test_a_mesh_that_is_none_is_one_line(capsys, tmp_path):
     )
 
 
-def test_a_start_pose_in_the_scene_is_one_line(capsys, tmp_path):
+def test_start_pose_in_an_obstacle_gives_a_one_line_error(capsys, tmp_path):
     (tmp_path / "scene.toml").write_text(
         '[[box]]\nname = "block"\nsize = [0.1, 0.6, 0.3]\nposition = [0.85, 0, 0]\n'
     )
@@ -99,10 +99,11 @@ def test_a_start_pose_in_the_scene_is_one_line(capsys, tmp_path):
     assert "start pose" in line and "block" in line
 
 
-def test_design_in_a_scene_says_how_near_it_comes(capsys, tmp_path):
+def test_design_in_a_scene_reports_least_distances(capsys, tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(
-        'clearance = 0.03\n[[box]]\nname = "block"\nsize = [0.1, 0.6, 0.3]\nposition = [0.75, 0, 0.45]\n'  # noqa: E501
+        'clearance = 0.03\n[[box]]\nname = "block"\nsize = [0.1, 0.6, 0.3]\n'
+        "position = [0.75, 0, 0.45]\n"
         '[[sphere]]\nname = "tool"\nradius = 0.05\nlink = "tip"\nposition = [0.05, 0, 0]\n'
     )
     code, out, _ = run(
@@ -121,7 +122,7 @@ def test_design_in_a_scene_says_how_near_it_comes(capsys, tmp_path):
     assert "Does it touch anything?" in page and "tool" in page
 
 
-def test_unknown_shapes_say_so_in_the_file(capsys, tmp_path):
+def test_robot_without_shapes_is_reported_as_not_checked(capsys, tmp_path):
     bare = tmp_path / "bare.urdf"
     inside = '<limit lower="-2" upper="2" velocity="3" effort="40"/>'
     bare.write_text(
@@ -142,14 +143,14 @@ def test_unknown_shapes_say_so_in_the_file(capsys, tmp_path):
     assert "<collision>" in line
 
 
-def test_switched_off_is_said(capsys, tmp_path):
+def test_no_collision_option_is_reported(capsys, tmp_path):
     code, out, _ = run(
         capsys, "design", "two_link", "-o", tmp_path / "o", "--no-collision", "--json", *FAST
     )
     assert code == 0 and json.loads(out)["collision"] == "collision not checked (--no-collision)"
 
 
-def test_a_changed_mesh_is_no_longer_what_was_checked(capsys, tmp_path):
+def test_changed_mesh_fails_the_verification(capsys, tmp_path):
     mesh = Path(octahedron(tmp_path / "m.obj", 0.1))
     (tmp_path / "scene.toml").write_text(
         '[[mesh]]\nname = "m"\nfile = "m.obj"\nposition = [0.9, 0, 0.6]\n'
@@ -167,12 +168,9 @@ def test_a_changed_mesh_is_no_longer_what_was_checked(capsys, tmp_path):
     assert code == 0, err
     octahedron(mesh, 0.2)
     code, out, _ = run(capsys, "verify", tmp_path / "o" / "trajectory.json", "--json")
-    found = json.loads(out)
-    assert (
-        code == 1
-        and found["verdict"] == {"limits": "certified", "clearance": "failed"}
-        and "sha256" in found["collision"]
-    )
+    result = json.loads(out)
+    assert code == 1 and "sha256" in result["collision"]
+    assert result["verdict"] == {"limits": "certified", "clearance": "failed"}
     code, _, err = run(
         capsys,
         "export",
@@ -188,9 +186,9 @@ def test_a_changed_mesh_is_no_longer_what_was_checked(capsys, tmp_path):
     assert code == 1 and str(mesh) in json.loads(out)["collision"]
 
 
-def test_all_kinds_are_read_and_written(tmp_path):
-    round_ones = dict.fromkeys(("capsule", "cylinder"), "radius = 0.1\nlength = 0.2")
-    sizes = {"sphere": "radius = 0.1", "box": "size = [1, 1, 1]", **round_ones}
+def test_cell_is_rebuilt_from_its_document(tmp_path):
+    round_sizes = dict.fromkeys(("capsule", "cylinder"), "radius = 0.1\nlength = 0.2")
+    sizes = {"sphere": "radius = 0.1", "box": "size = [1, 1, 1]", **round_sizes}
     path = tmp_path / "scene.toml"
     path.write_text(
         "\n".join(
@@ -199,27 +197,20 @@ def test_all_kinds_are_read_and_written(tmp_path):
         )
     )
     robot = load("two_link")
-    cell = scene_file.cell(robot, resolve(robot), scene_file.read(path).overridden(floor=False))
-    assert {body.shapes[0].kind for body in cell.bodies if body.around} == {
-        Kind.SPHERE,
-        Kind.CAPSULE,
-        Kind.CYLINDER,
-        Kind.BOX,
+    scene = scene_file.read(path).overridden(floor=False)
+    cell = scene_file.build_cell(robot, resolve(robot), scene)
+    assert {body.shapes[0].kind for body in cell.bodies if body.is_surrounding} == {
+        ShapeKind.SPHERE,
+        ShapeKind.CAPSULE,
+        ShapeKind.CYLINDER,
+        ShapeKind.BOX,
     }
-    around = {
-        n
-        for n in itertools.chain(*(cell.names(p).split(" – ") for p in cell.pairs))
-        if n.endswith(" 1")
-    }
-    assert len(around) == 4
+    names = set(itertools.chain(*(cell.names(pair).split(" – ") for pair in cell.pairs)))
+    assert sum(name.endswith(" 1") for name in names) == 4
     stated = json.loads(json.dumps(cell.document()))
-    again, fault = scene_file.as_on_disk(robot, cell.limits, stated)
-    assert (
-        fault is None
-        and again is not None
-        and again.pairs == cell.pairs
-        and again.document() == cell.document()
-    )
+    rebuilt, fault = scene_file.rebuild_cell(robot, cell.limits, stated)
+    assert fault is None and rebuilt is not None
+    assert rebuilt.pairs == cell.pairs and rebuilt.document() == cell.document()
     for change, words in (
         (lambda d: d["shapes"][-1].update(size=[9.0, 9.0, 9.0]), "another size"),
         (lambda d: d["shapes"].pop(), "another number of shapes"),
@@ -228,5 +219,5 @@ def test_all_kinds_are_read_and_written(tmp_path):
     ):
         tampered = json.loads(json.dumps(stated))
         change(tampered)
-        cell_then, fault = scene_file.as_on_disk(robot, cell.limits, tampered)
-        assert cell_then is None and fault is not None and words in fault
+        rebuilt, fault = scene_file.rebuild_cell(robot, cell.limits, tampered)
+        assert rebuilt is None and fault is not None and words in fault

@@ -23,7 +23,7 @@ from test_report import answer, check_page, section
 from excite.diagnosis import diagnosis, residual_atlas
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
-from excite.recordings import Kind, Recording, Remark
+from excite.recordings import Recording, Remark, RemarkKind
 from excite.report import diagnosis_page
 from excite.report.figures.residual_atlas import p_value
 from excite.report.formatting import number
@@ -130,7 +130,7 @@ def test_remarks_on_recordings_are_listed() -> None:
     text = report_of(
         result,
         document(result),
-        remarks=[Remark(Kind.GAP, "a gap of 12 rows", repaired=True)],
+        remarks=[Remark(RemarkKind.GAP, "a gap of 12 rows", repaired=True)],
     )
     assert "the data-quality checks have 1 remark" in answer(
         text, "made"

@@ -228,7 +228,7 @@ def test_the_sound_files_are_accepted(tmp_path):
     assert run(*words, "-o", out).code == 0
     words = ("predict", out / "model.json", INPUTS / "short.csv", "-o", tmp_path / "o.csv")
     assert run(*words).code == 0
-    with pytest.raises(UnusableInput, match=r"the mesh .*wall\.stl is not there"):
+    with pytest.raises(UnusableInput, match=r"the mesh .*wall\.stl does not exist"):
         scene_file.read(INPUTS / "s_mesh.toml")
 
 
@@ -643,7 +643,7 @@ def test_a_mutated_moveit_file_is_read_or_refused(two_link, tmp_path_factory, te
 @given(text=mutated(SCENE, toml=True))
 def test_a_mutated_scene_is_placed_or_refused(two_link, table, tmp_path_factory, text):
     path = tmp_path_factory.getbasetemp() / "s.toml"
-    tried(text, path, lambda path: scene_file.cell(two_link, table, scene_file.read(path)))
+    tried(text, path, lambda path: scene_file.build_cell(two_link, table, scene_file.read(path)))
 
 
 @settings(max_examples=100)

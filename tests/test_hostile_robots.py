@@ -18,7 +18,7 @@ from shared_inputs import INPUTS, needs_inputs
 
 from excite.cli import main as main_module
 from excite.collision import urdf_geometry
-from excite.collision.geometry import Kind, Shape
+from excite.collision.geometry import Shape, ShapeKind
 from excite.errors import UnusableInput
 from excite.identification.urdf_export import identified_urdf
 from excite.robot.inertial_parameters import standard
@@ -185,9 +185,9 @@ def test_included_files_are_not_read(tmp_path):
 
 def test_an_srdf_is_read_with_the_same_care(tmp_path):
     with pytest.raises(UnusableInput, match="DOCTYPE"):
-        urdf_geometry.disabled(written(tmp_path, '<!DOCTYPE r SYSTEM "x"><robot/>', "r.srdf"))
+        urdf_geometry.disabled_pairs(written(tmp_path, '<!DOCTYPE r SYSTEM "x"><robot/>', "r.srdf"))
     with pytest.raises(UnusableInput, match="SRDF"):
-        urdf_geometry.disabled(tmp_path / "absent.srdf")
+        urdf_geometry.disabled_pairs(tmp_path / "absent.srdf")
 
 
 @pytest.mark.parametrize("name", ["x" * 5000 + ".urdf", "a/" * 3000 + "x.urdf"])
@@ -307,7 +307,7 @@ def stl(triangles: np.ndarray, count: int | None = None) -> bytes:
 def shape(
     folder: Path, content: bytes, scale: tuple[float, ...] = (1.0, 1.0, 1.0), name: str = "part.stl"
 ) -> Shape:
-    return Shape("part", Kind.MESH, scale, file=str(written(folder, content, name)))
+    return Shape("part", ShapeKind.MESH, scale, file=str(written(folder, content, name)))
 
 
 def touched(one: Shape) -> None:
@@ -353,7 +353,7 @@ def test_scales_that_no_part_has_are_refused(scale, tmp_path):
 def test_a_mesh_that_is_missing_or_no_file_is_refused(tmp_path):
     for file in (tmp_path / "absent.stl", tmp_path):
         with pytest.raises(UnusableInput, match="cannot be read as a mesh"):
-            touched(Shape("part", Kind.MESH, (1.0, 1.0, 1.0), file=str(file)))
+            touched(Shape("part", ShapeKind.MESH, (1.0, 1.0, 1.0), file=str(file)))
 
 
 @pytest.mark.parametrize("height", [0.0, 1e-300, 1e-12, 1e-9, 1e-6])

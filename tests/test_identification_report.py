@@ -17,7 +17,7 @@ from excite import recordings
 from excite.cli import main
 from excite.identification import estimators
 from excite.identification.identification import Identification, IdentificationOptions, identify
-from excite.recordings import Kind, Recording, Remark, Sidecar
+from excite.recordings import Recording, Remark, RemarkKind, Sidecar
 from excite.report import identification_page, noise
 from excite.report.figures import torque_fit
 from excite.report.figures.inertia_ellipsoids import LinkBody
@@ -83,8 +83,8 @@ def identification_of(*, held_out: bool = True, periodic: bool = True) -> Identi
 
 
 REMARKS = (
-    Remark(Kind.GAP, "a gap of <12> rows & more", start=1.0, end=1.12),
-    Remark(Kind.UNIT, "degrees, read as such", joint="joint_2", repaired=True),
+    Remark(RemarkKind.GAP, "a gap of <12> rows & more", start=1.0, end=1.12),
+    Remark(RemarkKind.UNIT, "degrees, read as such", joint="joint_2", repaired=True),
 )
 
 

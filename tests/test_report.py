@@ -348,9 +348,11 @@ def pair(source: str, independent: bool = True, overlap: float = 0.3, criterion:
 
 def test_clearances_are_drawn_and_listed() -> None:
     trajectory, loaded, *others = parts("two_link")
-    cell, _ = scene_file.known(loaded, trajectory.limits, scene_file.Scene(), (), required=False)
+    cell, _ = scene_file.find_cell(
+        loaded, trajectory.limits, scene_file.Scene(), (), required=False
+    )
     assert cell is not None
-    nearest = continuous_check.along(cell, trajectory.motion)
+    nearest = continuous_check.least_distances(cell, trajectory.motion)
     page = design_page(trajectory, loaded, *others, record(), cell=cell, near=nearest)
     check_page(page)
     text = section(page, "collision")

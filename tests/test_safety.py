@@ -275,7 +275,7 @@ def test_the_floor_is_the_mounting_plane_or_the_exact_lowest_point_of_the_base(
     octahedron(tmp_path / "base.obj", 0.1)
     (tmp_path / "arm.urdf").write_text(arm("base.obj", lift))
     robot = load(str(tmp_path / "arm.urdf"))
-    cell = scene_file.cell(robot, resolve(robot), scene_file.Scene())
+    cell = scene_file.build_cell(robot, resolve(robot), scene_file.Scene())
     assert cell.floor == pytest.approx(floor, abs=1e-7)  # meshes have single precision
 
 
@@ -352,7 +352,7 @@ def test_a_link_that_turns_just_above_the_floor_does_not_stand_in_the_way(tmp_pa
         )
     )
     robot = load(str(tmp_path / "arm.urdf"))
-    cell = scene_file.cell(robot, resolve(robot), scene_file.Scene())
+    cell = scene_file.build_cell(robot, resolve(robot), scene_file.Scene())
     assert cell.floor == 0.0 and [
         (one.first, one.second) for one in cell.excepted if "floor" in (one.first, one.second)
     ] == [("post", "floor")]

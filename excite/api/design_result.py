@@ -80,7 +80,7 @@ class CellOptions:
             self.clearance,
         )
         required = any(value is not None for value in stated)
-        return scene_file.known(robot, limits, scene, self.packages, required=required)
+        return scene_file.find_cell(robot, limits, scene, self.packages, required=required)
 
 
 @dataclass(frozen=True)
@@ -292,7 +292,7 @@ def design(
     workcell, unchecked = cell.cell(loaded, table)
     plan = None
     if time is not None:
-        covers = None if workcell is None else clearance_builder.clearance(workcell)
+        covers = None if workcell is None else clearance_builder.build_constraint(workcell)
         plan = time_budget.plan_for_budget(
             loaded,
             table,

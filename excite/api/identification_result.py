@@ -21,7 +21,7 @@ from ..identification import consistency, identification, identified_model, lmi_
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
-from ..recordings import Recording, recording_cost, refuse_same
+from ..recordings import Recording, recording_cost, require_distinct
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -298,7 +298,7 @@ def _read_both(
         [read_recording(one, robot, limits=limits, period=period, window=window) for one in paths]
         for paths in (train, held_out)
     ]
-    refuse_same(*both)
+    require_distinct(*both)
     train_set, held_out_set = (
         [torque_check.check_torque(one, robot, limits) for one in some] for some in both
     )

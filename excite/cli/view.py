@@ -19,7 +19,7 @@ import pinocchio as pin
 from .._system.signals import raised
 from ..collision import scene_file
 from ..collision.distance_query import Body
-from ..collision.geometry import Kind
+from ..collision.geometry import ShapeKind
 from ..collision.workcell import Cell
 from ..designer.certificate import CELL_KEY
 from ..errors import UnusableInput
@@ -72,11 +72,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
 def _cell(trajectory: Trajectory, robot: Robot) -> Cell:
     """What the file states; where it states none, the shapes of the URDF without surroundings."""
     if CELL_KEY in trajectory.design:
-        cell, fault = scene_file.as_on_disk(robot, trajectory.limits, trajectory.design[CELL_KEY])
+        cell, fault = scene_file.rebuild_cell(robot, trajectory.limits, trajectory.design[CELL_KEY])
         if cell is None:
             raise UnusableInput(f"{robot.source}: {fault}")
         return cell
-    return scene_file.cell(robot, trajectory.limits, scene_file.Scene(floor=False))
+    return scene_file.build_cell(robot, trajectory.limits, scene_file.Scene(floor=False))
 
 
 def _play(player: Any, trajectory: Trajectory, robot: Robot, speed: float) -> None:
@@ -94,7 +94,7 @@ def geometry(cell: Cell) -> pin.GeometryModel:
             entry = pin.GeometryObject(
                 f"{body.name}_{number}", body.joint, placement, solid, path, scale
             )
-            entry.meshColor = AROUND if body.around else ROBOT
+            entry.meshColor = AROUND if body.is_surrounding else ROBOT
             model.addGeometryObject(entry)
     return model
 
@@ -102,7 +102,7 @@ def geometry(cell: Cell) -> pin.GeometryModel:
 def _drawn(body: Body) -> Iterator[tuple[coal.CollisionGeometry, pin.SE3, str, Array]]:
     one_to_one = np.ones(3)
     for one, placement, solid in zip(body.shapes, body.placements, body.solids, strict=True):
-        if one.kind is Kind.CAPSULE:
+        if one.kind is ShapeKind.CAPSULE:
             radius, length = one.size
             yield coal.Cylinder(radius, length), placement, "", one_to_one
             for end in (-0.5 * length, 0.5 * length):
@@ -112,7 +112,7 @@ def _drawn(body: Body) -> Iterator[tuple[coal.CollisionGeometry, pin.SE3, str, A
                     "",
                     one_to_one,
                 )
-        elif one.kind is Kind.FLOOR:
+        elif one.kind is ShapeKind.FLOOR:
             below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.01]))
             yield coal.Box(FLOOR, FLOOR, 0.02), placement * below, "", one_to_one
         else:
@@ -120,5 +120,5 @@ def _drawn(body: Body) -> Iterator[tuple[coal.CollisionGeometry, pin.SE3, str, A
                 solid,
                 placement,
                 one.file or "",
-                np.array(one.size) if one.kind is Kind.MESH else one_to_one,
+                np.array(one.size) if one.kind is ShapeKind.MESH else one_to_one,
             )

@@ -1,2 +1,2 @@
-"""Collision geometry: shapes of its links and surroundings, distances for the optimiser, and
-the certificate's own check."""
+"""Collision avoidance: geometry of a robot and its surroundings, clearance constraints for the
+optimiser, and the independent continuous check of the certificate."""

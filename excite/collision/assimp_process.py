@@ -1,9 +1,10 @@
-"""The process that reads mesh files with Assimp: `python -m excite.collision.assimp_process`,
-started by `mesh_file`.
+"""Child process of `mesh_file` that reads mesh files with Assimp.
 
-Assimp is written in C++ and crashes, hangs or allocates without bound on some corrupted files; here
-it takes nothing else with it. Standard input: a JSON list of paths. Standard output, for each path
-in turn: one line of JSON, {"vertices": N, "triangles": M} or {"error": "…"}, then N × 3 numbers of
+    python -m excite.collision.assimp_process
+
+Assimp crashes, hangs or allocates without bound on some corrupted files; in a process of its own it
+cannot take the caller down. Standard input: a JSON list of paths. Standard output, for each path in
+turn: one line of JSON, {"vertices": N, "triangles": M} or {"error": "…"}, then N × 3 numbers of
 type float64 and M × 3 of type int64.
 """
 
@@ -17,9 +18,9 @@ from typing import BinaryIO
 import coal
 import numpy as np
 
-MEMORY = 4 << 30
+MAX_MEMORY = 4 << 30
 """Largest address space of the process [bytes]."""
-PROCESSOR_TIME = 120
+MAX_PROCESSOR_TIME = 120
 """Longest processor time of the process [s]. The 29 MB trunk.dae of the Unitree Go1, 350,000
 triangles, takes 2 s."""
 
@@ -29,17 +30,16 @@ def _limit_resources() -> None:
         import resource
     except ImportError:  # Windows has no such limits
         return
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_TIME, PROCESSOR_TIME))
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (MAX_PROCESSOR_TIME, MAX_PROCESSOR_TIME))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def _write(out: BinaryIO, path: str) -> None:
     try:
         mesh = coal.MeshLoader().load(path, np.ones(3))
-        vertices = np.ascontiguousarray(mesh.vertices(), np.float64).reshape(
-            -1, 3
-        )  # of one corner, a vector
+        # a mesh of one vertex comes as a vector
+        vertices = np.ascontiguousarray(mesh.vertices(), np.float64).reshape(-1, 3)
         faces = [mesh.tri_indices(number) for number in range(mesh.num_tris)]
         triangles = np.array([[face[0], face[1], face[2]] for face in faces], np.int64)
     except (ValueError, RuntimeError, MemoryError) as error:
@@ -51,10 +51,10 @@ def _write(out: BinaryIO, path: str) -> None:
 
 
 def main() -> None:
-    """Read the meshes that standard input lists."""
+    """Read the meshes that standard input lists and write them to standard output."""
     paths = json.load(sys.stdin)
     out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no part of the answer
+    os.dup2(2, 1)  # libraries may print; the answer must not contain that
     _limit_resources()
     for path in paths:
         _write(out, path)

@@ -1,5 +1,5 @@
-"""From a cell to its clearance: what covers each body, and which pairs of covers the optimiser has
-to look at."""
+"""Build the clearance constraint of a cell: cover all bodies, and select the pairs of covers that
+can come near each other."""
 
 from __future__ import annotations
 
@@ -11,89 +11,109 @@ from functools import lru_cache
 
 import numpy as np
 
+from .._types import FloatArray, IntArray
 from ..robot.inertial_parameters import spread_poses
-from . import batch_kinematics, capsule_cover
+from . import capsule_cover
+from .batch_kinematics import KinematicTree
 from .capsule_cover import Capsule
-from .clearance_constraint import FAR, Clearance, Hull
-from .distance_query import Body, Pair
-from .geometry import Kind
+from .clearance_constraint import EXACT_BELOW, ClearanceConstraint, CoverPairKind, PlacedHull
+from .distance_query import Body, BodyPair
+from .geometry import ShapeKind
 from .workcell import Cell
 
-Array = np.ndarray
 POSES = 1000
-LOOSE = 0.05
-"""Share of poses in which covers may break a margin that the bodies keep."""
-LOOKS = 15
-"""Of those, poses at which the bodies themselves are looked at."""
-OFTEN = 0.5
-"""Share of poses in which hulls break a margin, from which they say nothing."""
+"""Poses, spread over the position ranges, at which pairs of covers are selected."""
+HULL_POSES = POSES // 10
+"""Poses at which pairs of hulls are selected, which take longer."""
+MAX_FALSE_SHARE = 0.05
+"""Share of poses in which covers may violate a clearance that the bodies keep [1]."""
+EXACT_POSES = 15
+"""Number of poses with a violation at which the bodies themselves are evaluated."""
+MAX_HULL_VIOLATION_SHARE = 0.5
+"""Share of poses in which hulls violate the clearance above which they are no useful constraint
+[1]."""
 
 
 @dataclass
 class _Covers:
-    """Covers of all bodies, and per body the numbers of its own capsules, boxes and planes."""
+    """Covers of all bodies.
+
+    Attributes:
+        capsules: Capsules in their joints' frames, with the joints.
+        boxes: Orientation, centre and half edge lengths of boxes in the base frame.
+        planes: Normal and offset of planes.
+        of_bodies: For each body the indices of its capsules, boxes and planes.
+    """
 
     capsules: list[tuple[Capsule, int]] = field(default_factory=list)
-    boxes: list[tuple[Array, Array, Array]] = field(default_factory=list)
-    planes: list[tuple[Array, float]] = field(default_factory=list)
-    own: list[tuple[range, range, range]] = field(default_factory=list)
+    boxes: list[tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
+    planes: list[tuple[FloatArray, float]] = field(default_factory=list)
+    of_bodies: list[tuple[range, range, range]] = field(default_factory=list)
 
     def add(self, body: Body) -> None:
-        """Cover one more body."""
+        """Cover another body."""
         before = self._counts()
-        for one, placement in zip(body.shapes, body.placements, strict=True):
-            if one.kind is Kind.FLOOR:
+        for shape, placement in zip(body.shapes, body.placements, strict=True):
+            if shape.kind is ShapeKind.FLOOR:
                 normal = placement.rotation[:, 2]
                 self.planes.append((normal, float(normal @ placement.translation)))
-            elif body.joint == 0 and one.kind in (Kind.BOX, Kind.MESH):
-                for low, high in capsule_cover.boxes(one):
+            elif body.joint == 0 and shape.kind in (ShapeKind.BOX, ShapeKind.MESH):
+                for low, high in capsule_cover.cover_with_boxes(shape):
                     self.boxes.append(
                         (placement.rotation, placement.act(0.5 * (low + high)), 0.5 * (high - low))
                     )
             else:
-                # the cover is in the frame of the shape's link; from there to the joint's
-                outer = placement * one.placement.inverse()
+                # capsules are in the frame of the shape's link; transform them to the joint's frame
+                link_placement = placement * shape.placement.inverse()
                 self.capsules += [
-                    (c.moved(outer.rotation, outer.translation), body.joint)
-                    for c in capsule_cover.capsules(one)
+                    (
+                        capsule.transformed(link_placement.rotation, link_placement.translation),
+                        body.joint,
+                    )
+                    for capsule in capsule_cover.cover_with_capsules(shape)
                 ]
-        first, second, third = (range(a, b) for a, b in zip(before, self._counts(), strict=True))
-        self.own.append((first, second, third))
+        capsules, boxes, planes = (range(a, b) for a, b in zip(before, self._counts(), strict=True))
+        self.of_bodies.append((capsules, boxes, planes))
 
     def _counts(self) -> tuple[int, int, int]:
         return len(self.capsules), len(self.boxes), len(self.planes)
 
-    def rows(self, pair: Pair) -> Iterator[tuple[int, int, int]]:
-        """Kind of a pair's covers, the capsule's number, the other's."""
-        one, other = self.own[pair.first], self.own[pair.second]
-        if not one[0]:
-            one, other = other, one
-        for kind, numbers in enumerate(other):
-            yield from ((kind, first, second) for first in one[0] for second in numbers)
+    def pairs_of(self, pair: BodyPair) -> Iterator[tuple[int, int, int]]:
+        """Yield kind, index of the capsule and index of the other cover for a pair of bodies."""
+        first, second = self.of_bodies[pair.first], self.of_bodies[pair.second]
+        if not first[0]:
+            first, second = second, first
+        for kind, others in enumerate(second):
+            yield from ((kind, capsule, other) for capsule in first[0] for other in others)
 
 
 @lru_cache(maxsize=2)
-def clearance(cell: Cell) -> Clearance | None:
-    """Covers of a cell and the pairs of them that can come near; None where none can.
+def build_constraint(cell: Cell) -> ClearanceConstraint | None:
+    """Cover the bodies of a cell and select the pairs of covers that can come near each other.
 
-    Where covers are too loose for a pair, convex hulls take their place; where these are too, the
-    certificate alone decides.
+    Convex hulls replace the covers of a pair where these are too loose. Where the hulls are too
+    loose as well, the pair is left to the certificate.
+
+    Returns:
+        The constraint; None if no pair can come near each other.
     """
     covers = _Covers()
     for body in cell.bodies:
         covers.add(body)
-    rows = [(*row, number) for number, pair in enumerate(cell.pairs) for row in covers.rows(pair)]
+    rows = [
+        (*row, number) for number, pair in enumerate(cell.pairs) for row in covers.pairs_of(pair)
+    ]
     if not rows:
         return None
     kind, first, second, pair = np.array(rows, int).T
     capsules = [capsule for capsule, _ in covers.capsules]
-    whole = Clearance(
-        chain=batch_kinematics.of(cell.robot),
+    constraint = ClearanceConstraint(
+        tree=KinematicTree.from_robot(cell.robot),
         joint=np.array([joint for _, joint in covers.capsules], int),
-        begin=np.array([one.begin for one in capsules]),
-        end=np.array([one.end for one in capsules]),
-        radius=np.array([one.radius for one in capsules]),
-        box_pose=np.array([pose for pose, _, _ in covers.boxes]).reshape(-1, 3, 3),
+        begin=np.array([capsule.begin for capsule in capsules]),
+        end=np.array([capsule.end for capsule in capsules]),
+        radius=np.array([capsule.radius for capsule in capsules]),
+        box_pose=np.array([rotation for rotation, _, _ in covers.boxes]).reshape(-1, 3, 3),
         box_centre=np.array([centre for _, centre, _ in covers.boxes]).reshape(-1, 3),
         box_half=np.array([half for _, _, half in covers.boxes]).reshape(-1, 3),
         normal=np.array([normal for normal, _ in covers.planes]).reshape(-1, 3),
@@ -102,57 +122,70 @@ def clearance(cell: Cell) -> Clearance | None:
         kind=kind,
         first=first,
         second=second,
-        need=np.array([cell.pairs[k].margin for k in pair]),
+        required=np.array([cell.pairs[k].margin for k in pair]),
         names=tuple(cell.names(cell.pairs[k]) for k in pair),
     )
-    return _pruned(whole, cell, pair)
+    return _select_pairs(constraint, cell, pair)
 
 
-def _pruned(whole: Clearance, cell: Cell, pair: Array) -> Clearance | None:
-    """Without the covers that never come near, over many poses; hulls instead of those that are too
-    loose. pair: of each row."""
+def _select_pairs(
+    constraint: ClearanceConstraint, cell: Cell, pair: IntArray
+) -> ClearanceConstraint | None:
+    """Remove covers that stay apart at all poses, and replace covers that are too loose by hulls.
+
+    Args:
+        constraint: All pairs of covers.
+        cell: The cell.
+        pair: Index of the pair of bodies of each pair of covers. Shape (P,).
+    """
     poses = spread_poses(cell.limits, POSES)
-    room = whole.at(poses).distances() - whole.need
-    dropped = ~(room < FAR).any(axis=0)
-    loose, probe = list[Pair](), cell.probe()
-    for number, one in enumerate(cell.pairs):
+    excess = constraint.evaluate(poses).distances() - constraint.required
+    dropped = np.asarray(excess.min(axis=0) >= EXACT_BELOW)
+    loose, query = list[BodyPair](), cell.distance_query()
+    for number, bodies in enumerate(cell.pairs):
         rows = pair == number
-        broken = (room[:, rows] < 0.0).any(axis=1)
-        if broken.mean() <= LOOSE:
+        violated = (excess[:, rows] < 0.0).any(axis=1)
+        if violated.mean() <= MAX_FALSE_SHARE:
             continue
-        some = poses[broken][:: max(int(broken.sum()) // LOOKS, 1)]
-        share = float(np.mean([probe.to(q).distance(number) >= one.margin for q in some]))
-        if share * broken.mean() > LOOSE:
+        sample = poses[violated][:: max(int(violated.sum()) // EXACT_POSES, 1)]
+        false_share = float(
+            np.mean([query.set_configuration(q).distance(number) >= bodies.margin for q in sample])
+        )
+        if false_share * violated.mean() > MAX_FALSE_SHARE:
             dropped |= rows
-            loose.append(one)
-    kept = _with_hulls(whole.without(dropped), cell, loose)
-    return kept if len(kept) else None
+            loose.append(bodies)
+    selected = _with_hulls(constraint.without_pairs(dropped), cell, loose)
+    return selected if len(selected) else None
 
 
-def _with_hulls(whole: Clearance, cell: Cell, pairs: Sequence[Pair]) -> Clearance:
-    """With the hulls of pairs, but for those that break their margin in most poses."""
+def _with_hulls(
+    constraint: ClearanceConstraint, cell: Cell, pairs: Sequence[BodyPair]
+) -> ClearanceConstraint:
+    """Add the hulls of pairs of bodies, except those that violate the clearance in most poses."""
     numbers = sorted({i for pair in pairs for i in (pair.first, pair.second)})
-    hulls, own = list[Hull](), dict[int, range]()
+    hulls, of_bodies = list[PlacedHull](), dict[int, range]()
     for i in numbers:
         body, begin = cell.bodies[i], len(hulls)
         hulls += [
-            Hull(s, body.joint, p.rotation, p.translation)
-            for s, p in zip(body.shapes, body.placements, strict=True)
+            PlacedHull(shape, body.joint, placement.rotation, placement.translation)
+            for shape, placement in zip(body.shapes, body.placements, strict=True)
         ]
-        own[i] = range(begin, len(hulls))
+        of_bodies[i] = range(begin, len(hulls))
     rows = [
-        (*both, pair)
+        (*indices, pair)
         for pair in pairs
-        for both in itertools.product(own[pair.first], own[pair.second])
+        for indices in itertools.product(of_bodies[pair.first], of_bodies[pair.second])
     ]
-    more = dataclasses.replace(
-        whole,
+    extended = dataclasses.replace(
+        constraint,
         hulls=tuple(hulls),
-        kind=np.append(whole.kind, np.full(len(rows), 3)),
-        first=np.append(whole.first, [row[0] for row in rows]).astype(int),
-        second=np.append(whole.second, [row[1] for row in rows]).astype(int),
-        need=np.append(whole.need, [row[2].margin for row in rows]),
-        names=(*whole.names, *(cell.names(row[2]) for row in rows)),
+        kind=np.append(constraint.kind, np.full(len(rows), CoverPairKind.HULLS)),
+        first=np.append(constraint.first, [row[0] for row in rows]).astype(int),
+        second=np.append(constraint.second, [row[1] for row in rows]).astype(int),
+        required=np.append(constraint.required, [row[2].margin for row in rows]),
+        names=(*constraint.names, *(cell.names(row[2]) for row in rows)),
     )
-    room = more.at(spread_poses(cell.limits, POSES // 10)).distances() - more.need
-    return more.without((more.kind == 3) & ((room < 0.0).mean(axis=0) > OFTEN))
+    poses = spread_poses(cell.limits, HULL_POSES)
+    violated = extended.evaluate(poses).distances() - extended.required < 0.0
+    useless = np.mean(violated, axis=0) > MAX_HULL_VIOLATION_SHARE
+    return extended.without_pairs(np.logical_and(extended.kind == CoverPairKind.HULLS, useless))

@@ -1,105 +1,139 @@
-"""Distances between covers of all bodies, many poses at once, with exact gradients: the optimiser's
-side of a cell.
+"""Clearance constraints of the optimiser: distances of many pairs of convex covers at many poses,
+with exact gradients.
 
-Capsules enclose links and tools; capsules, boxes and half spaces enclose what stands around. So the
-true distance is never less.
+Capsules enclose links and tools; capsules, boxes and half spaces enclose the surroundings. The
+distances of the covers are therefore lower bounds of the distances of the bodies.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 
 import coal
 import numpy as np
 
+from .._types import BoolArray, FloatArray, IntArray
 from . import segment_distance
-from .batch_kinematics import Chain
-from .geometry import Kind, Shape
-from .segment_distance import Nearest
+from .batch_kinematics import KinematicTree
+from .geometry import Shape, ShapeKind
+from .segment_distance import NearestPoints
 
-Array = np.ndarray
-SCALE = 20.0
-LEAST, MOST = 0.04, 0.4
-"""A row's unit is so many margins, within these bounds [m]: rows join the optimisation when a
-quarter of it is left."""
-SLACK = 4e-3
-"""Clearance beyond the margin for what happens between samples, at first [m]; less where the margin
-is under five times that."""
-FAR = 0.15
-"""Beyond the margin by more than this, bounds of distances do [m]."""
+SCALE_RATIO = 20.0
+"""Scale of a constraint over the required clearance [1]. The working set of the optimiser takes a
+constraint up within a quarter of its scale."""
+MIN_SCALE = 0.04
+"""Smallest scale of a constraint [m]."""
+MAX_SCALE = 0.4
+"""Largest scale of a constraint [m]."""
+SAMPLING_ALLOWANCE = 4e-3
+"""Clearance that is added at the samples for what happens between them [m]; less for pairs whose
+required clearance is less than five times this."""
+EXACT_BELOW = 0.15
+"""Excess over the required clearance up to which distances are exact [m]; beyond it they are lower
+bounds."""
+
+
+class CoverPairKind(IntEnum):
+    """Kinds of pairs of covers, by which distances are computed."""
+
+    CAPSULES = 0
+    CAPSULE_BOX = 1
+    CAPSULE_PLANE = 2
+    HULLS = 3
 
 
 @dataclass(frozen=True)
-class Clearance:
-    """Pairs of covers that keep apart; arrays and shapes only, so that it goes to other processes.
+class ClearanceConstraint:
+    """Pairs of covers that must keep a distance, as arrays that other processes can receive.
 
-    joint, begin, end, radius: of the capsules, ends in the joint's frame. Shapes (C,), (C, 3), (C,
-    3), (C,). box_pose, box_centre, box_half: of the boxes, base frame. Shapes (B, 3, 3), (B, 3),
-    (B, 3). normal, height: of the planes. hulls: bodies that capsules enclose too loosely, with the
-    joint and placement of each; their convex hulls stand for them. kind: 0 capsules, 1 capsule and
-    box, 2 capsule and plane, 3 hulls. first, second: their numbers. need: clearance. Shapes (P,).
-    names: of the bodies of each pair. more: clearance beyond SLACK, where that did not do between
-    samples [m].
+    C capsules, B boxes and P pairs.
+
+    Attributes:
+        tree: Kinematic tree of the robot.
+        joint: Joint that moves each capsule. Shape (C,).
+        begin: Starts of the capsules' segments in the joints' frames. Shape (C, 3) [m].
+        end: Ends of the capsules' segments. Shape (C, 3) [m].
+        radius: Radii of the capsules. Shape (C,) [m].
+        box_pose: Orientations of the boxes in the base frame. Shape (B, 3, 3).
+        box_centre: Centres of the boxes. Shape (B, 3) [m].
+        box_half: Half of the boxes' edge lengths. Shape (B, 3) [m].
+        normal: Normals of the planes that bound half spaces. Shape (planes, 3).
+        height: Offsets of these planes along their normals. Shape (planes,) [m].
+        hulls: Convex hulls of bodies whose capsules are too loose.
+        kind: Kind of each pair, a `CoverPairKind`. Shape (P,).
+        first: Index of each pair's first cover among those of its kind. Shape (P,).
+        second: Index of its second cover. Shape (P,).
+        required: Required clearance. Shape (P,) [m].
+        names: Names of the bodies of each pair.
+        extra: Clearance added where SAMPLING_ALLOWANCE was not enough. Shape () or (P,) [m].
     """
 
-    chain: Chain
-    joint: Array
-    begin: Array
-    end: Array
-    radius: Array
-    box_pose: Array
-    box_centre: Array
-    box_half: Array
-    normal: Array
-    height: Array
-    hulls: tuple[Hull, ...]
-    kind: Array
-    first: Array
-    second: Array
-    need: Array
+    tree: KinematicTree
+    joint: IntArray
+    begin: FloatArray
+    end: FloatArray
+    radius: FloatArray
+    box_pose: FloatArray
+    box_centre: FloatArray
+    box_half: FloatArray
+    normal: FloatArray
+    height: FloatArray
+    hulls: tuple[PlacedHull, ...]
+    kind: IntArray
+    first: IntArray
+    second: IntArray
+    required: FloatArray
     names: tuple[str, ...]
-    more: float | Array = 0.0
+    extra: float | FloatArray = 0.0
 
     def __len__(self) -> int:
         return len(self.kind)
 
     @property
-    def unit(self) -> Array:
-        """Distance that a row's unit stands for. Shape (P,) [m]."""
-        return np.clip(SCALE * self.need, LEAST, MOST)
+    def scale(self) -> FloatArray:
+        """Distance by which each constraint is divided. Shape (P,) [m]."""
+        return np.clip(SCALE_RATIO * self.required, MIN_SCALE, MAX_SCALE)
 
     @cached_property
-    def reach(self) -> Array:
-        """Radius of a ball around each capsule. Shape (C,) [m]."""
+    def bounding_radius(self) -> FloatArray:
+        """Radius of the ball around the middle of each capsule that encloses it. Shape (C,) [m]."""
         return np.asarray(0.5 * np.linalg.norm(self.end - self.begin, axis=1) + self.radius)
 
     @cached_property
-    def stack(self) -> Stack:
-        """The hulls as arrays, as every look needs them."""
-        centre, radius = zip(*(hull.ball() for hull in self.hulls), strict=True)
+    def hull_arrays(self) -> HullArrays:
+        """Data of all hulls as arrays."""
+        centre, radius = zip(*(hull.bounding_ball() for hull in self.hulls), strict=True)
         joint, rotation, position = (
             np.array([getattr(hull, name) for hull in self.hulls])
             for name in ("joint", "rotation", "position")
         )
-        return Stack(joint, rotation, position, np.array(centre), np.array(radius))
+        return HullArrays(joint, rotation, position, np.array(centre), np.array(radius))
 
-    def at(self, q: Array) -> Look:
-        """Look at many poses. Shape (N, n)."""
-        return Look(self, *self.chain.poses(q))
+    def evaluate(self, q: FloatArray) -> ClearanceEvaluation:
+        """Evaluate all pairs at poses. Shape (N, n) [rad or m]."""
+        return ClearanceEvaluation(self, *self.tree.poses(q))
 
-    def least(self, q: Array) -> tuple[Array, Array]:
-        """Clearance beyond what is needed at each pose, and the pair that has least. Shapes (N, n)
-        -> (N,) [m], (N,)."""
-        room = self.at(q).distances() - self.need
-        pair = np.argmin(room, axis=1)
-        return room[np.arange(len(q)), pair], pair
+    def least_excess(self, q: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Find the pair with the least clearance beyond the required one at each pose.
 
-    def without(self, dropped: Array) -> Clearance:
-        """The same with fewer pairs. Shape (P,), bool."""
+        Args:
+            q: Poses. Shape (N, n) [rad or m].
+
+        Returns:
+            Distance minus required clearance, negative where it is violated, shape (N,) [m], and
+            index of the pair, shape (N,).
+        """
+        excess = self.evaluate(q).distances() - self.required
+        pair = np.argmin(excess, axis=1)
+        return excess[np.arange(len(q)), pair], pair
+
+    def without_pairs(self, dropped: BoolArray) -> ClearanceConstraint:
+        """Return the constraint without the marked pairs. Shape (P,)."""
         arrays = {
-            name: getattr(self, name)[~dropped] for name in ("kind", "first", "second", "need")
+            name: getattr(self, name)[~dropped] for name in ("kind", "first", "second", "required")
         }
         return dataclasses.replace(
             self, names=tuple(np.array(self.names, object)[~dropped]), **arrays
@@ -107,18 +141,24 @@ class Clearance:
 
 
 @dataclass(frozen=True)
-class Hull:
-    """A body as coal's convex solid, where a joint moves it. rotation, position: in the joint's
-    frame. Shapes (3, 3), (3,)."""
+class PlacedHull:
+    """Convex hull of a shape that a joint moves.
+
+    Attributes:
+        shape: The shape.
+        joint: Index of the joint, 0 for a fixed body.
+        rotation: Orientation in the joint's frame. Shape (3, 3).
+        position: Origin in the joint's frame. Shape (3,) [m].
+    """
 
     shape: Shape
     joint: int
-    rotation: Array
-    position: Array
+    rotation: FloatArray
+    position: FloatArray
 
-    def ball(self) -> tuple[Array, float]:
-        """Centre in the joint's frame and radius of a ball around it. Shape (3,) [m]."""
-        if self.shape.kind is Kind.FLOOR:
+    def bounding_ball(self) -> tuple[FloatArray, float]:
+        """Centre in the joint's frame, shape (3,) [m], and radius [m] of an enclosing ball."""
+        if self.shape.kind is ShapeKind.FLOOR:
             return self.position, np.inf
         solid = self.shape.hull()
         solid.computeLocalAABB()
@@ -126,140 +166,170 @@ class Hull:
 
 
 @dataclass(frozen=True)
-class Stack:
-    """What `Hull` says of each, and the ball around it. Shapes (H,), (H, 3, 3), (H, 3), (H, 3),
-    (H,)."""
+class HullArrays:
+    """Data of H hulls.
 
-    joint: Array
-    rotation: Array
-    position: Array
-    centre: Array
-    radius: Array
+    Attributes:
+        joint: Joints that move the hulls. Shape (H,).
+        rotation: Orientations in the joints' frames. Shape (H, 3, 3).
+        position: Origins in the joints' frames. Shape (H, 3) [m].
+        centre: Centres of enclosing balls in the joints' frames. Shape (H, 3) [m].
+        radius: Radii of these balls. Shape (H,) [m].
+    """
+
+    joint: IntArray
+    rotation: FloatArray
+    position: FloatArray
+    centre: FloatArray
+    radius: FloatArray
 
 
-class Look:
-    """Distances at N poses, and their slopes. rotation, origin: of all joint frames. Shapes (N, J,
-    3, 3), (N, J, 3)."""
+class ClearanceEvaluation:
+    """Distances of all pairs of a clearance constraint at N poses, and their gradients."""
 
-    def __init__(self, clearance: Clearance, rotation: Array, origin: Array) -> None:
-        self.clearance, self.rotation, self.origin = clearance, rotation, origin
-        self._speeds: Array | None = None
-        turned, moved = rotation[:, clearance.joint], origin[:, clearance.joint]
+    def __init__(
+        self, constraint: ClearanceConstraint, rotation: FloatArray, origin: FloatArray
+    ) -> None:
+        """Place the capsules.
+
+        Args:
+            constraint: Pairs of covers.
+            rotation: Orientations of the joint frames. Shape (N, J, 3, 3).
+            origin: Origins of the joint frames. Shape (N, J, 3) [m].
+        """
+        self.constraint, self.rotation, self.origin = constraint, rotation, origin
+        self._cached_twists: FloatArray | None = None
+        R, p = rotation[:, constraint.joint], origin[:, constraint.joint]
         self.ends = [
-            (turned @ end[:, :, None])[..., 0] + moved for end in (clearance.begin, clearance.end)
+            (R @ end[:, :, None])[..., 0] + p for end in (constraint.begin, constraint.end)
         ]
 
-    def values(self) -> Array:
-        """Rows of the design problem, satisfied where ≤ 1. Shape (N, P)."""
-        c = self.clearance
-        slack = SLACK * np.minimum(c.need / (5.0 * SLACK), 1.0) + c.more
-        return np.asarray(1.0 + (c.need + slack - self.distances()) / c.unit)
+    def constraint_values(self) -> FloatArray:
+        """Scaled constraints of the design problem, satisfied where ≤ 1. Shape (N, P)."""
+        c = self.constraint
+        allowance = SAMPLING_ALLOWANCE * np.minimum(c.required / (5.0 * SAMPLING_ALLOWANCE), 1.0)
+        return np.asarray(1.0 + (c.required + (allowance + c.extra) - self.distances()) / c.scale)
 
-    def distances(self) -> Array:
-        """Of every pair; a lower bound where they are further apart than matters. Shape (N, P)
-        [m]."""
-        c = self.clearance
+    def distances(self) -> FloatArray:
+        """Distances of all pairs; lower bounds beyond EXACT_BELOW. Shape (N, P) [m]."""
+        c = self.constraint
         out = np.empty((len(self.origin), len(c)))
-        for kind in range(4):
+        for kind in CoverPairKind:
             pairs = np.flatnonzero(c.kind == kind)
             if not len(pairs):
                 continue
-            bound = self._bound(kind, c.first[pairs], c.second[pairs])
-            sample, column = np.nonzero(bound < c.need[pairs] + FAR)
+            distance = self._lower_bound(kind, c.first[pairs], c.second[pairs])
+            sample, column = np.nonzero(distance < c.required[pairs] + EXACT_BELOW)
             if len(sample):
-                bound[sample, column] = self._nearest(kind, sample, pairs[column]).distance
-            out[:, pairs] = bound
+                nearest = self._nearest_points(kind, sample, pairs[column])
+                distance[sample, column] = nearest.distance
+            out[:, pairs] = distance
         return out
 
-    def slopes(self, sample: Array, pair: Array) -> Array:
-        """Derivatives of single rows by the joints' positions. Shapes (m,), (m,) -> (m, n).
+    def gradients(self, sample: IntArray, pair: IntArray) -> FloatArray:
+        """Compute gradients of single constraints with respect to the joint positions.
 
-        The nearest points differ along the direction n of the distance, so that x × n is the same
-        for both.
+        Both nearest points lie on a line along the direction n of the distance, so that x × n is
+        the same for both.
+
+        Args:
+            sample: Indices of poses. Shape (m,).
+            pair: Indices of pairs. Shape (m,).
+
+        Returns:
+            Gradients of `constraint_values`. Shape (m, n).
         """
-        c = self.clearance
-        wrench, moved = np.zeros((len(sample), 6)), np.zeros((len(sample), len(c.chain.parent)))
-        for kind in range(4):
-            at = np.flatnonzero(c.kind[pair] == kind)
-            if not len(at):
+        c = self.constraint
+        wrench = np.zeros((len(sample), 6))
+        moves = np.zeros((len(sample), len(c.tree.parent)))
+        for kind in CoverPairKind:
+            rows = np.flatnonzero(c.kind[pair] == kind)
+            if not len(rows):
                 continue
-            found = self._nearest(kind, sample[at], pair[at])
-            wrench[at] = np.hstack([np.cross(found.first, found.direction), found.direction])
-            joints = c.stack.joint if kind == 3 else c.joint
-            moved[at] = c.chain.above[joints[c.first[pair[at]]]]
-            if kind in (0, 3):
-                moved[at] -= c.chain.above[joints[c.second[pair[at]]]]
-        each = (self._screws()[sample] @ wrench[:, :, None])[..., 0] * moved
-        return np.asarray(-(each[:, 1:] @ c.chain.spread) / c.unit[pair, None])
+            nearest = self._nearest_points(kind, sample[rows], pair[rows])
+            moment = np.cross(nearest.first, nearest.direction)
+            wrench[rows] = np.hstack([moment, nearest.direction])
+            joints = c.hull_arrays.joint if kind == CoverPairKind.HULLS else c.joint
+            moves[rows] = c.tree.support[joints[c.first[pair[rows]]]]
+            if kind in (CoverPairKind.CAPSULES, CoverPairKind.HULLS):
+                moves[rows] -= c.tree.support[joints[c.second[pair[rows]]]]
+        rates = (self._joint_twists()[sample] @ wrench[:, :, None])[..., 0] * moves
+        return np.asarray(-(rates[:, 1:] @ c.tree.spread) / c.scale[pair, None])
 
-    def _screws(self) -> Array:
-        if self._speeds is None:
-            self._speeds = self.clearance.chain.screws(self.rotation, self.origin)
-        return self._speeds
+    def _joint_twists(self) -> FloatArray:
+        if self._cached_twists is None:
+            self._cached_twists = self.constraint.tree.joint_twists(self.rotation, self.origin)
+        return self._cached_twists
 
-    def _bound(self, kind: int, a: Array, b: Array) -> Array:
-        """Least that distances can be, from balls around the bodies. Shape (N, P')."""
-        c = self.clearance
-        if kind == 3:
-            h = c.stack
-            centre = (self.rotation[:, h.joint] @ h.centre[:, :, None])[..., 0] + self.origin[
-                :, h.joint
-            ]
-            return np.asarray(_length(centre[:, a] - centre[:, b]) - h.radius[a] - h.radius[b])
+    def _lower_bound(self, kind: CoverPairKind, a: IntArray, b: IntArray) -> FloatArray:
+        """Distances of balls around the covers. Shape (N, pairs of the kind) [m]."""
+        c = self.constraint
+        if kind == CoverPairKind.HULLS:
+            h = c.hull_arrays
+            R, p = self.rotation[:, h.joint], self.origin[:, h.joint]
+            centre = (R @ h.centre[:, :, None])[..., 0] + p
+            return np.asarray(_norm(centre[:, a] - centre[:, b]) - h.radius[a] - h.radius[b])
         middle = 0.5 * (self.ends[0] + self.ends[1])
-        centre = middle[:, a]
-        if kind == 0:
-            return np.asarray(_length(centre - middle[:, b]) - c.reach[a] - c.reach[b])
-        if kind == 1:
-            inside = (np.swapaxes(c.box_pose[b], 1, 2) @ (centre - c.box_centre[b])[..., None])[
-                ..., 0
-            ]
-            return np.asarray(_length(np.maximum(np.abs(inside) - c.box_half[b], 0.0)) - c.reach[a])
-        return np.asarray(np.sum(centre * c.normal[b], axis=2) - c.height[b] - c.reach[a])
+        centre, radius = middle[:, a], c.bounding_radius
+        if kind == CoverPairKind.CAPSULES:
+            return np.asarray(_norm(centre - middle[:, b]) - radius[a] - radius[b])
+        if kind == CoverPairKind.CAPSULE_BOX:
+            transposed = np.swapaxes(c.box_pose[b], 1, 2)
+            in_box_frame = (transposed @ (centre - c.box_centre[b])[..., None])[..., 0]
+            outside = np.maximum(np.abs(in_box_frame) - c.box_half[b], 0.0)
+            return np.asarray(_norm(outside) - radius[a])
+        return np.asarray(np.sum(centre * c.normal[b], axis=2) - c.height[b] - radius[a])
 
-    def _nearest(self, kind: int, sample: Array, pair: Array) -> Nearest:
-        """Pairs of one kind, each at a sample of its own; distances of the capsules, not of their
-        axes."""
-        c = self.clearance
+    def _nearest_points(
+        self, kind: CoverPairKind, sample: IntArray, pair: IntArray
+    ) -> NearestPoints:
+        """Nearest points of pairs of one kind, each at its own pose.
+
+        Points are on the axes of capsules, distances are those of their surfaces.
+        """
+        c = self.constraint
         a, b = c.first[pair], c.second[pair]
-        if kind == 3:
-            return self._hulls(sample, a, b)
-        one = self.ends[0][sample, a], self.ends[1][sample, a]
-        if kind == 0:
-            found = segment_distance.segments(
-                *one, self.ends[0][sample, b], self.ends[1][sample, b]
+        if kind == CoverPairKind.HULLS:
+            return self._nearest_points_of_hulls(sample, a, b)
+        segment = self.ends[0][sample, a], self.ends[1][sample, a]
+        if kind == CoverPairKind.CAPSULES:
+            nearest = segment_distance.segment_to_segment(
+                *segment, self.ends[0][sample, b], self.ends[1][sample, b]
             )
-            return dataclasses.replace(found, distance=found.distance - c.radius[a] - c.radius[b])
-        if kind == 1:
-            found = segment_distance.box(*one, c.box_pose[b], c.box_centre[b], c.box_half[b])
+            distance = nearest.distance - c.radius[a] - c.radius[b]
+            return dataclasses.replace(nearest, distance=distance)
+        if kind == CoverPairKind.CAPSULE_BOX:
+            nearest = segment_distance.segment_to_box(
+                *segment, c.box_pose[b], c.box_centre[b], c.box_half[b]
+            )
         else:
-            found = segment_distance.plane(*one, c.normal[b], c.height[b])
-        return dataclasses.replace(found, distance=found.distance - c.radius[a])
+            nearest = segment_distance.segment_to_plane(*segment, c.normal[b], c.height[b])
+        return dataclasses.replace(nearest, distance=nearest.distance - c.radius[a])
 
-    def _hulls(self, sample: Array, a: Array, b: Array) -> Nearest:
-        solids = [hull.shape.hull() for hull in self.clearance.hulls]
-        placed = [self._placed(sample, which) for which in (a, b)]
+    def _nearest_points_of_hulls(self, sample: IntArray, a: IntArray, b: IntArray) -> NearestPoints:
+        solids = [hull.shape.hull() for hull in self.constraint.hulls]
+        placements = [self._hull_placements(sample, hull) for hull in (a, b)]
         out = np.empty((len(sample), 10))
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         for row, (i, j) in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
-            one, other = (coal.Transform3s(R[row], p[row]) for R, p in placed)
+            first, second = (coal.Transform3s(R[row], p[row]) for R, p in placements)
             result.clear()
-            least = coal.distance(solids[i], one, solids[j], other, request, result)
+            distance = coal.distance(solids[i], first, solids[j], second, request, result)
             # coal's normal points from the first body to the second
             out[row] = (
-                least,
+                distance,
                 *(-result.normal),
                 *result.getNearestPoint1(),
                 *result.getNearestPoint2(),
             )
-        return Nearest(out[:, 0], out[:, 1:4], out[:, 4:7], out[:, 7:])
+        return NearestPoints(out[:, 0], out[:, 1:4], out[:, 4:7], out[:, 7:])
 
-    def _placed(self, sample: Array, which: Array) -> tuple[Array, Array]:
-        """Rotations and positions of hulls, a row each. Shapes (m, 3, 3), (m, 3)."""
-        h = self.clearance.stack
-        R, p = self.rotation[sample, h.joint[which]], self.origin[sample, h.joint[which]]
-        return R @ h.rotation[which], (R @ h.position[which][:, :, None])[..., 0] + p
+    def _hull_placements(self, sample: IntArray, hull: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Orientations and origins of hulls in the base frame. Shapes (m, 3, 3), (m, 3)."""
+        h = self.constraint.hull_arrays
+        R, p = self.rotation[sample, h.joint[hull]], self.origin[sample, h.joint[hull]]
+        return R @ h.rotation[hull], (R @ h.position[hull][:, :, None])[..., 0] + p
 
 
-def _length(vectors: Array) -> Array:
+def _norm(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(vectors * vectors, axis=-1)))

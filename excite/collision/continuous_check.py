@@ -1,10 +1,11 @@
-"""The certificate's own check: least distances along a whole motion, between the moments looked at
-too.
+"""Independent check of the certificate: least distances along a complete motion, also between
+samples.
 
-While bodies a and b move, their distance falls no faster than Σ |q̇_k| ρ_k over the joints k
-between them, ρ_k the furthest that a point of what k moves can be from k's axis. So from a distance
-d nothing comes nearer than l before the integral of that speed has reached d − l: one looks again
-only then (conservative advancement; Mirtich & Canny 1995).
+While bodies a and b move, their distance decreases at most at the speed Σ |q̇_k| ρ_k, summed over
+the joints k between them, where ρ_k bounds the distance of the points that joint k moves from its
+axis. From a distance d on, the distance therefore stays above l until the integral of that speed
+has reached d − l, and only then the pair is evaluated again (conservative advancement; Mirtich &
+Canny, "Impulse-based simulation of rigid bodies", Symposium on Interactive 3D Graphics, 1995).
 """
 
 from __future__ import annotations
@@ -18,43 +19,57 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..trajectory.fourier import oversampling_bound
 from ..trajectory.rest_to_rest import Motion, MotionSegment
-from .distance_query import Body, Pair, Probe
-from .geometry import Kind
+from .distance_query import Body, BodyPair, DistanceQuery
+from .geometry import ShapeKind
 from .workcell import Cell
 
-Array = np.ndarray
-STEP = 1e-3
-"""Grid of the check [s]; where it does not decide, the step is divided."""
-TOLERANCE = 5e-4
-SHARE = 0.02
-"""How far what is proven may stay behind what was found [m], and as a share of it."""
-AMPLE = 0.02
-"""Beyond the margin by this much [m], nobody asks how far."""
-DIVIDED = 32
+TIME_STEP = 1e-3
+"""Grid of the check [s]; a step that does not decide is subdivided."""
+MIN_STEPS = 8
+"""Smallest number of steps of a segment."""
+ABSOLUTE_TOLERANCE = 5e-4
+"""Distance by which a proven lower bound may be below the observed least distance [m]."""
+RELATIVE_TOLERANCE = 0.02
+"""The same as a share of the observed distance; the larger of both counts [1]."""
+UNRESOLVED_EXCESS = 0.02
+"""Excess over the margin above which lower bounds are not refined [m]."""
+MAX_SUBDIVISIONS = 32
+"""Largest number of parts of a step."""
 RAYS = np.array([[0.8141, 0.3927, 0.4273], [-0.2718, 0.9113, -0.3091], [0.1414, -0.5772, 0.8043]])
-"""Directions that no mesh is likely to have an edge along."""
+"""Directions of the point-in-mesh test, along which meshes are unlikely to have edges."""
+MIN_VOLUME = 1e-300
+"""Determinant below which a ray counts as parallel to a triangle."""
 
 
 @dataclass(frozen=True)
-class Near:
-    """How near the two bodies of a pair come. found: least distance seen [m], at `time` [s] and
-    `pose`; proven: never less [m]."""
+class PairDistance:
+    """Least distance of a pair of bodies along a motion.
 
-    pair: Pair
+    Attributes:
+        pair: The pair.
+        names: Names of both bodies.
+        observed: Least distance at the evaluated poses [m].
+        proven: Lower bound of the distance along the complete motion [m].
+        time: Time of `observed` [s].
+        pose: Joint positions at that time. Shape (n,) [rad or m].
+    """
+
+    pair: BodyPair
     names: str
-    found: float
+    observed: float
     proven: float
     time: float
-    pose: Array
+    pose: FloatArray
 
     def document(self, joints: Sequence[str]) -> dict[str, Any]:
-        """As a trajectory states it."""
+        """Entry of the pair in a trajectory file."""
         return {
             "pair": self.names,
-            "least": self.found,
+            "least": self.observed,
             "proven": self.proven,
             "margin": self.pair.margin,
             "time": self.time,
@@ -62,209 +77,249 @@ class Near:
         }
 
 
-def along(cell: Cell, motion: Motion) -> list[Near]:
-    """Least distance of every pair over a motion, the one nearest to its margin first."""
-    best, probe = dict[int, Near](), cell.probe()
+def least_distances(cell: Cell, motion: Motion) -> list[PairDistance]:
+    """Bound the distance of every pair along a motion.
+
+    Returns:
+        One entry for each pair, the one with the least proven excess over its margin first.
+
+    Raises:
+        UnusableInput: At the start, a body is inside the closed mesh of another.
+    """
+    best, query = dict[int, PairDistance](), cell.distance_query()
     for segment in motion.segments:
-        for index, near in _segment(cell, probe, motion, segment):
-            held = best.get(index, near)
-            nearer = near if near.found < held.found else held
-            best[index] = dataclasses.replace(nearer, proven=min(near.proven, held.proven))
-    inside = contained(cell, motion.at(np.zeros(1))[0])
-    if inside is not None:
+        for index, entry in _segment_distances(cell, query, motion, segment):
+            previous = best.get(index, entry)
+            nearer = entry if entry.observed < previous.observed else previous
+            proven = min(entry.proven, previous.proven)
+            best[index] = dataclasses.replace(nearer, proven=proven)
+    contained = find_contained_pair(cell, motion.at(np.zeros(1))[0])
+    if contained is not None:
         raise UnusableInput(
-            f"{cell.names(inside)}: one is inside the other's mesh; the motion cannot begin there"
+            f"{cell.names(contained)}: one is inside the other's mesh; the motion cannot begin "
+            "there"
         )
-    return sorted(best.values(), key=lambda near: near.proven - near.pair.margin)
+    return sorted(best.values(), key=lambda entry: entry.proven - entry.pair.margin)
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """Configurations of a segment at equal steps. speed: bound of |q̇| over each step. Shapes (N,
-    n), (N − 1, n)."""
+    """Configurations of a segment at equal time steps.
 
-    time: Array
-    q: Array
-    speed: Array
+    Attributes:
+        time: Times. Shape (N,) [s].
+        q: Joint positions. Shape (N, n).
+        speed: Upper bounds of |q̇| over each step. Shape (N − 1, n).
+    """
+
+    time: FloatArray
+    q: FloatArray
+    speed: FloatArray
 
 
-def _segment(
-    cell: Cell, probe: Probe, motion: Motion, segment: MotionSegment
-) -> Iterator[tuple[int, Near]]:
+def _segment_distances(
+    cell: Cell, query: DistanceQuery, motion: Motion, segment: MotionSegment
+) -> Iterator[tuple[int, PairDistance]]:
+    """Yield the index and the least distance of every pair along a segment."""
     grid, robot = _grid(motion, segment), cell.robot
-    reach = _reach(cell, np.abs(robot.expand(grid.q)).max(axis=0))
+    lever_arms = _lever_arms(cell, np.abs(robot.expand(grid.q)).max(axis=0))
     speeds = grid.speed @ np.abs(robot.spread).T
-    # how far each pair may have moved since the segment began
-    way = np.vstack(
-        [
-            np.zeros(len(cell.pairs)),
-            np.cumsum(speeds @ reach.T * np.diff(grid.time)[:, None], axis=0),
-        ]
-    )
+    # upper bound of the distance that each pair has approached since the segment began
+    steps = speeds @ lever_arms.T * np.diff(grid.time)[:, None]
+    path = np.vstack([np.zeros(len(cell.pairs)), np.cumsum(steps, axis=0)])
     last = len(grid.time) - 1
-    found, proven = np.full(len(cell.pairs), np.inf), np.full(len(cell.pairs), np.inf)
-    where = np.zeros(len(cell.pairs), int)
-    before = [(0, np.inf)] * len(cell.pairs)
+    observed, proven = np.full(len(cell.pairs), np.inf), np.full(len(cell.pairs), np.inf)
+    index_of_least = np.zeros(len(cell.pairs), int)
+    previous = [(0, np.inf)] * len(cell.pairs)
     queue = [(0, k) for k in range(len(cell.pairs))]
-    now = -1
+    current = -1
     while queue:
         index, k = heapq.heappop(queue)
-        if index != now:
-            probe.to(grid.q[index])
-            now = index
-        distance = probe.distance(k)
-        if distance < found[k]:
-            found[k], where[k] = distance, index
-        level = min(found[k] - max(TOLERANCE, SHARE * abs(found[k])), cell.pairs[k].margin + AMPLE)
-        start, ahead = before[k]
+        if index != current:
+            query.set_configuration(grid.q[index])
+            current = index
+        distance = query.distance(k)
+        if distance < observed[k]:
+            observed[k], index_of_least[k] = distance, index
+        tolerance = max(ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE * abs(observed[k]))
+        level = min(observed[k] - tolerance, cell.pairs[k].margin + UNRESOLVED_EXCESS)
+        start, distance_before = previous[k]
         if index > 0:
-            between = 0.5 * (ahead + distance - (way[index, k] - way[start, k]))
-            if between < level and index == start + 1 and distance > 0.0:
-                step, poses = (
-                    way[index, k] - way[start, k],
-                    _parts(motion, segment, grid.time[start : index + 1], level, between),
-                )
-                between = max(between, _divided(probe, k, poses, step))
-                now = -1
-            proven[k] = min(proven[k], between)
+            step = path[index, k] - path[start, k]
+            bound = 0.5 * (distance_before + distance - step)
+            if bound < level and index == start + 1 and distance > 0.0:
+                times = grid.time[start : index + 1]
+                poses = _subdivided_step(motion, segment, times, level, bound)
+                bound = max(bound, _subdivided_bound(query, k, poses, step))
+                current = -1
+            proven[k] = min(proven[k], bound)
         proven[k] = min(proven[k], distance)
-        before[k] = (index, distance)
+        previous[k] = (index, distance)
         if index < last:
-            safe = (
-                int(np.searchsorted(way[:, k], way[index, k] + distance - level, side="right")) - 1
-            )
+            reached = path[index, k] + distance - level
+            safe = int(np.searchsorted(path[:, k], reached, side="right")) - 1
             heapq.heappush(queue, (min(max(safe, index + 1), last), k))
     for k, pair in enumerate(cell.pairs):
         yield (
             k,
-            Near(
+            PairDistance(
                 pair,
                 cell.names(pair),
-                float(found[k]),
+                float(observed[k]),
                 float(proven[k]),
-                float(grid.time[where[k]]),
-                grid.q[where[k]],
+                float(grid.time[index_of_least[k]]),
+                grid.q[index_of_least[k]],
             ),
         )
 
 
-def _divided(probe: Probe, pair: int, poses: Array, way: float) -> float:
-    """A bound within one step of the grid, from distances at its parts."""
+def _subdivided_bound(query: DistanceQuery, pair: int, poses: FloatArray, path: float) -> float:
+    """Lower bound of a distance within one step of the grid, from evaluations at its parts.
+
+    Args:
+        query: Query of distances.
+        pair: Index of the pair.
+        poses: Poses that divide the step. Shape (m, n).
+        path: Upper bound of the approach of the pair over the step [m].
+    """
     d = np.empty(len(poses))
     for i, q in enumerate(poses):
-        probe.to(q)
-        d[i] = probe.distance(pair)
-    return float((0.5 * (d[:-1] + d[1:] - way / (len(poses) - 1))).min())
+        query.set_configuration(q)
+        d[i] = query.distance(pair)
+    return float((0.5 * (d[:-1] + d[1:] - path / (len(poses) - 1))).min())
 
 
-def _parts(
-    motion: Motion, segment: MotionSegment, ends: Array, level: float, bound: float
-) -> Array:
-    """Poses within a step, as many as its bound falls short of the level in tolerances."""
-    count = int(np.clip(2.0 + (level - bound) / TOLERANCE, 2, DIVIDED))
-    return _poses(motion, segment, np.linspace(ends[0], ends[-1], count + 1))
+def _subdivided_step(
+    motion: Motion, segment: MotionSegment, times: FloatArray, level: float, bound: float
+) -> FloatArray:
+    """Poses that divide a step, the more the further its bound is below the level. Shape (m, n)."""
+    count = int(np.clip(2.0 + (level - bound) / ABSOLUTE_TOLERANCE, 2, MAX_SUBDIVISIONS))
+    return _poses(motion, segment, np.linspace(times[0], times[-1], count + 1))
 
 
-def _poses(motion: Motion, segment: MotionSegment, times: Array) -> Array:
+def _poses(motion: Motion, segment: MotionSegment, times: FloatArray) -> FloatArray:
     local = times - segment.start
     return motion.fourier.at(local) if segment.profile is None else segment.profile.at(local)
 
 
 def _grid(motion: Motion, segment: MotionSegment) -> _Grid:
-    """One period of the Fourier part stands for all."""
+    """Sample a segment; the Fourier part over a single period."""
     fourier = motion.fourier
-    length = fourier.period if segment.profile is None else segment.end - segment.start
-    count = max(int(np.ceil(length / STEP)), 8)
-    time = segment.start + np.linspace(0.0, length, count + 1)
+    duration = fourier.period if segment.profile is None else segment.end - segment.start
+    count = max(int(np.ceil(duration / TIME_STEP)), MIN_STEPS)
+    time = segment.start + np.linspace(0.0, duration, count + 1)
+    local = time - segment.start
     if segment.profile is None:
-        speed, steepest = (
-            fourier.at(time - segment.start, 1),
-            np.abs(fourier.at(time - segment.start, 2)).max(axis=0),
-        )
-        steepest = steepest * oversampling_bound(count, fourier.harmonics)
+        velocity = fourier.at(local, 1)
+        max_acceleration = np.abs(fourier.at(local, 2)).max(axis=0)
+        max_acceleration = max_acceleration * oversampling_bound(count, fourier.harmonics)
     else:
-        speed = segment.profile.at(time - segment.start, 1)
-        # linear between knots: extreme at them
-        steepest = np.abs(segment.profile.at(segment.profile.knots(), 2)).max(axis=0)
-    highest = np.maximum(np.abs(speed[:-1]), np.abs(speed[1:])) + 0.5 * (length / count) * steepest
-    return _Grid(time, _poses(motion, segment, time), highest)
+        velocity = segment.profile.at(local, 1)
+        # the acceleration is linear between knots, hence extremal at knots
+        max_acceleration = np.abs(segment.profile.at(segment.profile.knots(), 2)).max(axis=0)
+    highest = np.maximum(np.abs(velocity[:-1]), np.abs(velocity[1:]))
+    speed = highest + 0.5 * (duration / count) * max_acceleration
+    return _Grid(time, _poses(motion, segment, time), speed)
 
 
-def _reach(cell: Cell, most: Array) -> Array:
-    """Speed of a pair's approach per speed of each of the model's joints, at most. most: |q| of
-    those. Shape (P, nv)."""
+def _lever_arms(cell: Cell, max_position: FloatArray) -> FloatArray:
+    """Upper bounds of the speed at which a pair approaches per unit speed of each model joint.
+
+    Args:
+        cell: The cell.
+        max_position: Largest |position| of each model joint. Shape (nv,) [rad or m].
+
+    Returns:
+        Bounds. Shape (P, nv) [m/rad or 1].
+    """
     model = cell.robot.model
     axes = cell.robot.axes()
     length = [0.0] * model.njoints
     for i in range(1, model.njoints):
         sliding = float(np.linalg.norm(axes[i - 1][:3]))
         length[i] = (
-            float(np.linalg.norm(model.jointPlacements[i].translation)) + sliding * most[i - 1]
+            float(np.linalg.norm(model.jointPlacements[i].translation))
+            + sliding * max_position[i - 1]
         )
     out = np.zeros((len(cell.pairs), model.nv))
     for row, pair in enumerate(cell.pairs):
-        both = cell.bodies[pair.first], cell.bodies[pair.second]
-        ways = [list(model.supports[body.joint])[1:] for body in both]
-        for body, mine, other in ((both[0], ways[0], ways[1]), (both[1], ways[1], ways[0])):
-            radius = _radius(body)
-            for joint in reversed([j for j in mine if j not in other]):
+        first, second = cell.bodies[pair.first], cell.bodies[pair.second]
+        first_chain, second_chain = (
+            list(model.supports[body.joint])[1:] for body in (first, second)
+        )
+        for body, chain, other_chain in (
+            (first, first_chain, second_chain),
+            (second, second_chain, first_chain),
+        ):
+            radius = _bounding_radius(body)
+            for joint in reversed([j for j in chain if j not in other_chain]):
                 axis = axes[joint - 1]
                 out[row, joint - 1] = np.linalg.norm(axis[3:]) * radius + np.linalg.norm(axis[:3])
                 radius += length[joint]
     return out
 
 
-def _radius(body: Body) -> float:
-    """The furthest that a point of a body is from its joint's origin."""
+def _bounding_radius(body: Body) -> float:
+    """Upper bound of the distance of a body's points from its joint's origin [m]."""
     out = 0.0
-    for one, solid, placement in zip(body.shapes, body.solids, body.placements, strict=True):
-        if one.kind is not Kind.FLOOR:
+    for shape, solid, placement in zip(body.shapes, body.solids, body.placements, strict=True):
+        if shape.kind is not ShapeKind.FLOOR:
             solid.computeLocalAABB()
-            out = max(
-                out,
-                float(np.linalg.norm(placement.act(np.array(solid.aabb_center))))
-                + float(solid.aabb_radius),
-            )
+            centre_distance = float(np.linalg.norm(placement.act(np.array(solid.aabb_center))))
+            out = max(out, centre_distance + float(solid.aabb_radius))
     return out
 
 
-def contained(cell: Cell, q: Array) -> Pair | None:
-    """A pair of which one body lies inside the other's closed mesh, where distances to its surface
-    say nothing. Shape (n,)."""
+def find_contained_pair(cell: Cell, q: FloatArray) -> BodyPair | None:
+    """Find a pair of which one body is inside the closed mesh of the other.
+
+    The distance to the mesh's surface does not show that.
+
+    Args:
+        cell: The cell.
+        q: Pose. Shape (n,) [rad or m].
+    """
     robot, data = cell.robot, cell.robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.expand(q))
     for pair in cell.pairs:
-        both = cell.bodies[pair.first], cell.bodies[pair.second]
-        for outer, inner in (both, both[::-1]):
-            point = data.oMi[inner.joint].act(inner.placements[0].act(_point(inner)))
-            for one, placement in zip(outer.shapes, outer.placements, strict=True):
-                if one.kind is not Kind.MESH or inner.shapes[0].kind is Kind.FLOOR:
+        bodies = cell.bodies[pair.first], cell.bodies[pair.second]
+        for outer, inner in (bodies, bodies[::-1]):
+            point = data.oMi[inner.joint].act(inner.placements[0].act(_point_of(inner)))
+            for shape, placement in zip(outer.shapes, outer.placements, strict=True):
+                if shape.kind is not ShapeKind.MESH or inner.shapes[0].kind is ShapeKind.FLOOR:
                     continue
-                if _encloses(one.triangles() - (data.oMi[outer.joint] * placement).actInv(point)):
+                local = (data.oMi[outer.joint] * placement).actInv(point)
+                if _encloses_origin(shape.triangles() - local):
                     return pair
     return None
 
 
-def _point(body: Body) -> Array:
-    one = body.shapes[0]
-    return np.asarray(one.triangles()[0, 0]) if one.kind is Kind.MESH else np.zeros(3)
+def _point_of(body: Body) -> FloatArray:
+    """A point of a body in the frame of its first shape. Shape (3,) [m]."""
+    shape = body.shapes[0]
+    is_mesh = shape.kind is ShapeKind.MESH
+    return np.asarray(shape.triangles()[0, 0]) if is_mesh else np.zeros(3)
 
 
-def _encloses(triangles: Array) -> bool:
-    """Whether a closed surface goes round the origin: rays out of it pass it an odd number of
-    times. Shape (m, 3, 3)."""
-    a, first, second = (
-        triangles[:, 0],
-        triangles[:, 1] - triangles[:, 0],
-        triangles[:, 2] - triangles[:, 0],
-    )
+def _encloses_origin(triangles: FloatArray) -> bool:
+    """Return True if a closed surface encloses the origin, by the parity of ray crossings.
+
+    Rays from the origin cross it an odd number of times; the majority of RAYS decides.
+
+    Args:
+        triangles: Vertices of the triangles. Shape (m, 3, 3) [m].
+    """
+    a = triangles[:, 0]
+    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     votes = 0
     for ray in RAYS:
-        across = np.cross(ray, second)
-        volume = np.einsum("mi,mi->m", first, across)
-        safe = np.where(np.abs(volume) < 1e-300, 1e-300, volume)
-        u = -np.einsum("mi,mi->m", a, across) / safe
-        beside = np.cross(-a, first)
-        v, way = beside @ ray / safe, np.einsum("mi,mi->m", second, beside) / safe
-        votes += int(np.sum((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 0.0))) % 2
+        # Möller & Trumbore, J. Graphics Tools 2(1), 1997
+        p = np.cross(ray, second)
+        determinant = np.einsum("mi,mi->m", first, p)
+        divisor = np.where(np.abs(determinant) < MIN_VOLUME, MIN_VOLUME, determinant)
+        u = -np.einsum("mi,mi->m", a, p) / divisor
+        q = np.cross(-a, first)
+        v, distance = q @ ray / divisor, np.einsum("mi,mi->m", second, q) / divisor
+        hits = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance > 0.0)
+        votes += int(np.sum(hits)) % 2
     return 2 * votes > len(RAYS)

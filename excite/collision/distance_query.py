@@ -1,4 +1,4 @@
-"""Bodies, and their distances at one configuration after another, by coal."""
+"""Rigid bodies, and distances between pairs of them at given configurations, computed by coal."""
 
 from __future__ import annotations
 
@@ -10,20 +10,24 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from .._types import FloatArray
 from ..robot.robot import Robot
 from . import mesh_file
-from .geometry import Kind, Shape
-
-Array = np.ndarray
+from .geometry import Shape, ShapeKind
 
 
 @dataclass(frozen=True)
 class Body:
-    """Shapes that move as one: of a link, a tool, or a thing that stands around.
+    """Rigidly connected shapes: a link, a tool, or an object of the surroundings.
 
-    joint: the model's joint that moves it, 0 for what stands. placements: of its shapes in that
-        joint's frame. solids, hulls: for coal, exactly and convex. around: part of the
-        surroundings.
+    Attributes:
+        name: Name of the link or the object.
+        joint: Index of the model's joint that moves it, 0 for a fixed body.
+        shapes: Its shapes.
+        placements: Poses of the shapes in the joint's frame.
+        solids: Exact shapes for coal.
+        hulls: Convex hulls of the shapes for coal.
+        is_surrounding: True for a body that is not fixed to a link.
     """
 
     name: str
@@ -32,89 +36,118 @@ class Body:
     placements: tuple[pin.SE3, ...]
     solids: tuple[coal.CollisionGeometry, ...]
     hulls: tuple[coal.CollisionGeometry, ...]
-    around: bool
+    is_surrounding: bool
 
     @property
-    def is_mesh(self) -> bool:
-        """Whether any of its shapes is one."""
-        return any(one.kind is Kind.MESH for one in self.shapes)
+    def has_mesh(self) -> bool:
+        """True if one of its shapes is a mesh."""
+        return any(shape.kind is ShapeKind.MESH for shape in self.shapes)
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Two bodies, by their numbers, that keep at least `margin` apart [m]."""
+class BodyPair:
+    """Two bodies that must keep a distance.
+
+    Attributes:
+        first: Index of a body.
+        second: Index of the other body.
+        margin: Required distance [m].
+    """
 
     first: int
     second: int
     margin: float
 
 
-def bodies(robot: Robot, shapes: Sequence[Shape]) -> tuple[Body, ...]:
-    """Shapes of one name together, placed. Raises UnusableInput for a link that the robot has
-    not."""
-    mesh_file.read_all([one.file for one in shapes if one.file is not None])
-    grouped: dict[str, list[Shape]] = {}
-    for one in shapes:
-        grouped.setdefault(one.name, []).append(one)
+def group_bodies(robot: Robot, shapes: Sequence[Shape]) -> tuple[Body, ...]:
+    """Combine shapes with the same name into bodies.
+
+    Raises:
+        UnusableInput: A shape is fixed to a link that the robot does not have, or a mesh cannot be
+            read.
+    """
+    mesh_file.read_all([shape.file for shape in shapes if shape.file is not None])
+    groups: dict[str, list[Shape]] = {}
+    for shape in shapes:
+        groups.setdefault(shape.name, []).append(shape)
     out = []
-    for name, own in grouped.items():
+    for name, parts in groups.items():
         joint, placement = 0, pin.SE3.Identity()
-        if own[0].link is not None:
-            frame = robot.model.frames[robot.frame(own[0].link)]
+        if parts[0].link is not None:
+            frame = robot.model.frames[robot.frame(parts[0].link)]
             joint, placement = int(frame.parentJoint), frame.placement
-        placements = tuple(placement * one.placement for one in own)
-        solids, hulls = tuple(one.solid() for one in own), tuple(one.hull() for one in own)
-        out.append(Body(name, joint, tuple(own), placements, solids, hulls, own[0].link is None))
+        placements = tuple(placement * shape.placement for shape in parts)
+        solids = tuple(shape.solid() for shape in parts)
+        hulls = tuple(shape.hull() for shape in parts)
+        is_surrounding = parts[0].link is None
+        out.append(Body(name, joint, tuple(parts), placements, solids, hulls, is_surrounding))
     return tuple(out)
 
 
-class Probe:
-    """Distances of pairs of bodies at one configuration after another."""
+class DistanceQuery:
+    """Distances of pairs of bodies at a configuration that can be changed."""
 
     def __init__(
-        self, robot: Robot, bodies: Sequence[Body], pairs: Sequence[Pair], near: float
+        self,
+        robot: Robot,
+        bodies: Sequence[Body],
+        pairs: Sequence[BodyPair],
+        exact_below: float,
     ) -> None:
-        """near: distance from which convex hulls will do [m]."""
-        self.robot, self.near = robot, near
+        """Build the geometry of the pairs.
+
+        Args:
+            robot: Robot that moves the bodies.
+            bodies: All bodies.
+            pairs: Pairs whose distances can be queried.
+            exact_below: Distance of the convex hulls below which meshes are queried exactly [m].
+        """
+        self.robot, self.exact_below = robot, exact_below
         self.data = robot.model.createData()
         starts = np.cumsum([0, *(len(body.shapes) for body in bodies)])
-        both = [
-            [(i, range(starts[i], starts[i + 1])) for i in (pair.first, pair.second)]
-            for pair in pairs
+        shape_ranges = [
+            [range(starts[i], starts[i + 1]) for i in (pair.first, pair.second)] for pair in pairs
         ]
-        combined = [list(itertools.product(one[1], other[1])) for one, other in both]
-        ends = np.cumsum([0, *(len(some) for some in combined)])
-        self._own = [range(a, b) for a, b in itertools.pairwise(ends.tolist())]
-        self._meshes = [bodies[pair.first].is_mesh or bodies[pair.second].is_mesh for pair in pairs]
-        every = [shapes for some in combined for shapes in some]
-        self._convex, self._exact = (_geometry(bodies, every, exact) for exact in (False, True))
+        shape_pairs = [list(itertools.product(first, second)) for first, second in shape_ranges]
+        ends = np.cumsum([0, *(len(combinations) for combinations in shape_pairs)])
+        self._entries = [range(a, b) for a, b in itertools.pairwise(ends.tolist())]
+        self._has_mesh = [bodies[p.first].has_mesh or bodies[p.second].has_mesh for p in pairs]
+        flat = [indices for combinations in shape_pairs for indices in combinations]
+        self._convex, self._exact = (_geometry(bodies, flat, exact) for exact in (False, True))
 
-    def to(self, q: Array) -> Probe:
-        """Go to a configuration of the moving joints. Shape (n,)."""
+    def set_configuration(self, q: FloatArray) -> DistanceQuery:
+        """Move all bodies to a configuration of the robot's joints. Shape (n,) [rad or m]."""
         pin.forwardKinematics(self.robot.model, self.data, self.robot.expand(q))
         pin.updateGeometryPlacements(self.robot.model, self.data, *self._convex)
-        if any(self._meshes):
+        if any(self._has_mesh):
             pin.updateGeometryPlacements(self.robot.model, self.data, *self._exact)
         return self
 
     def distance(self, pair: int) -> float:
-        """Of a pair by its number; ≤ 0 where the bodies meet [m].
+        """Compute the distance of a pair at the current configuration.
 
-        Of meshes further apart than `near` it is that of their convex hulls, which is never larger
-        and a hundred times cheaper.
+        Meshes whose hulls are further apart than `exact_below` get the distance of their hulls,
+        which is a lower bound and a hundred times cheaper.
+
+        Args:
+            pair: Index of the pair.
+
+        Returns:
+            Distance, not positive for bodies in contact [m].
         """
         least = np.inf
-        for number in self._own[pair]:
-            here = float(pin.computeDistance(*self._convex, number).min_distance)
-            if self._meshes[pair] and here < self.near:
-                here = float(pin.computeDistance(*self._exact, number).min_distance)
-            least = min(least, here)
+        for number in self._entries[pair]:
+            distance = float(pin.computeDistance(*self._convex, number).min_distance)
+            if self._has_mesh[pair] and distance < self.exact_below:
+                distance = float(pin.computeDistance(*self._exact, number).min_distance)
+            least = min(least, distance)
         return least
 
 
 def _geometry(
-    bodies: Sequence[Body], pairs: Sequence[tuple[int, int]], exact: bool
+    bodies: Sequence[Body], shape_pairs: Sequence[tuple[int, int]], exact: bool
 ) -> tuple[pin.GeometryModel, pin.GeometryData]:
+    """Build Pinocchio's geometry of pairs of shapes, exact or as convex hulls."""
     model = pin.GeometryModel()
     for body in bodies:
         for number, (placement, solid) in enumerate(
@@ -123,6 +156,6 @@ def _geometry(
             model.addGeometryObject(
                 pin.GeometryObject(f"{body.name}/{number}", body.joint, placement, solid)
             )
-    for first, second in pairs:
+    for first, second in shape_pairs:
         model.addCollisionPair(pin.CollisionPair(first, second))
     return model, model.createData()

@@ -1,14 +1,17 @@
-"""What stands around a robot, and what it carries: a TOML file, a floor, and where the floor is if
-nobody says.
+"""Scenes: surroundings and tools of a robot from a TOML file, and cells built from them.
 
-[[box]]                      # or sphere, capsule, cylinder, mesh name = "table" size = [1.2, 0.8,
-0.05]      # radius, length of the round ones; file, scale of a mesh, beside the scene file position
-= [0.5, 0.0, -0.025] rotation = [0.0, 0.0, 0.0]   # roll, pitch, yaw [rad] link = "tool0"
-# fixed to a link, in its frame: a tool; without it, fixed in the base frame ignore = ["base_link"]
-# bodies that it may touch
+    floor = -0.75                    # height [m], or false for none
+    clearance = 0.03                 # [m]
 
-floor = -0.75                # or false
-clearance = 0.03
+    [[box]]                          # or sphere, capsule, cylinder, mesh
+    name = "table"
+    size = [1.2, 0.8, 0.05]          # radius and length of round shapes; file and scale of a mesh
+    position = [0.5, 0.0, -0.025]    # [m]
+    rotation = [0.0, 0.0, 0.0]       # roll, pitch, yaw [rad]
+    link = "tool0"                   # fixed to a link, in its frame; else fixed in the base frame
+    ignore = ["base_link"]           # bodies that it may touch
+
+The path of a mesh is relative to the scene file.
 """
 
 from __future__ import annotations
@@ -21,34 +24,42 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import Limits, mounting_plane
 from ..robot.robot import Robot
 from ..schemas.document_file import DocumentFile
-from ..schemas.scene import Mesh, SceneFile, StatedShape
-from . import batch_kinematics, capsule_cover, urdf_geometry
-from . import geometry as shape_documents
-from . import workcell as cells
-from .geometry import WORDS, Kind, Shape
+from ..schemas.scene import MeshEntry, SceneFile, ShapeEntry
+from . import capsule_cover, geometry, urdf_geometry, workcell
+from .batch_kinematics import KinematicTree
+from .geometry import SIZE_KEYS, Shape, ShapeKind
 from .workcell import Cell, Recipe
 
-Array = np.ndarray
-KINDS = tuple(kind.value for kind in WORDS)
+KINDS = tuple(kind.value for kind in SIZE_KEYS)
+"""Kinds of shapes that a scene file may hold."""
 POSES = 200
-HANGING = 0.95
-"""Share of random poses that reach below the assumed floor, from which on the robot is taken to
-hang [1]."""
+"""Poses, spread over the position ranges, by which a hanging robot is recognized."""
+HANGING_SHARE = 0.95
+"""Share of poses that reach below the assumed floor above which the robot counts as hanging [1]."""
+GRAVITY_TOLERANCE = 1e-6
+"""Horizontal over total gravity above which the base is not level [1]."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Shapes around the robot and on it. floor: its height [m]; False: none; None: not said.
-    clearance: [m], None: not said.
+    """Shapes around the robot and on it.
 
-    ignored: a shape and a body that it may touch. disabled: pairs of bodies besides, by an SRDF.
-        source: the file that says so. file, srdf: absolute paths of the scene file and of the SRDF,
-        None without. options: floor and clearance that options state.
+    Attributes:
+        shapes: The shapes.
+        ignored: Pairs of a shape of the scene and a body that it may touch.
+        floor: Height of the floor [m]; False: no floor; None: not stated.
+        clearance: Clearance [m], None: not stated.
+        source: File that states the shapes, for messages.
+        disabled: Pairs of bodies that an SRDF allows to touch.
+        file: Absolute path of the scene file, None without one.
+        srdf: Absolute path of the SRDF, None without one.
+        options: Floor and clearance that options of the command state.
     """
 
     shapes: tuple[Shape, ...] = ()
@@ -64,36 +75,36 @@ class Scene:
     def overridden(
         self, floor: float | bool | None = None, clearance: float | None = None
     ) -> Scene:
-        """The scene with another floor or clearance than its file states; None leaves one as it
-        is."""
-        said = {
+        """Return the scene with another floor or clearance; None keeps the stated one."""
+        stated = {
             key: value
             for key, value in (("floor", floor), ("clearance", clearance))
             if value is not None
         }
-        return replace(self, options={**self.options, **said}, **said)  # type: ignore[arg-type]
+        return replace(self, options={**self.options, **stated}, **stated)  # type: ignore[arg-type]
 
     def with_srdf(self, path: Path) -> Scene:
-        """The scene with the pairs of links that an SRDF disables."""
-        return replace(self, disabled=urdf_geometry.disabled(path), srdf=str(path.resolve()))
+        """Return the scene with the pairs of links that an SRDF disables."""
+        disabled = urdf_geometry.disabled_pairs(path)
+        return replace(self, disabled=disabled, srdf=str(path.resolve()))
 
     def recipe(self, packages: Sequence[str]) -> Recipe:
-        """How to make the cell of this scene again."""
+        """Return the files and options from which the cell of this scene can be built again."""
         folders = tuple(str(Path(folder).resolve()) for folder in packages)
-        said = (
+        stated = (
             {"floor": self.floor, "clearance": self.clearance}
             if self.file is None
             else self.options
         )
-        return Recipe(folders, self.file, self.srdf, said.get("floor"), said.get("clearance"))
+        return Recipe(folders, self.file, self.srdf, stated.get("floor"), stated.get("clearance"))
 
 
 def read(path: Path) -> Scene:
     """Read a scene file.
 
     Raises:
-        UnusableInput: The file is missing, breaks a rule of `schemas.scene`, names two shapes
-            alike, or names a mesh that is not there.
+        UnusableInput: The file is missing, breaks a rule of `schemas.scene`, gives two shapes the
+            same name, or names a mesh file that does not exist.
     """
     file = DocumentFile(
         path, "a scene", "correct it", "a TOML file of shapes, [[box]], [[sphere]], …"
@@ -102,13 +113,13 @@ def read(path: Path) -> Scene:
     shapes, ignored = list[Shape](), list[tuple[str, str]]()
     for kind in KINDS:
         for number, entry in enumerate(getattr(stated, kind)):
-            one = _shape(file, kind, number, entry)
-            if one.name in {other.name for other in shapes}:
+            shape = _shape(file, kind, number, entry)
+            if shape.name in {other.name for other in shapes}:
                 raise file.error(
-                    f"'{one.name}' is the name of another shape too", f"{kind}[{number}].name"
+                    f"'{shape.name}' is the name of another shape too", f"{kind}[{number}].name"
                 )
-            shapes.append(one)
-            ignored += [(one.name, str(other)) for other in entry.ignore]
+            shapes.append(shape)
+            ignored += [(shape.name, str(other)) for other in entry.ignore]
     floor = stated.floor if stated.floor is None or stated.floor is False else float(stated.floor)
     clearance = None if stated.clearance is None else float(stated.clearance)
     return Scene(
@@ -116,18 +127,18 @@ def read(path: Path) -> Scene:
     )
 
 
-def _shape(file: DocumentFile, kind: str, number: int, entry: StatedShape) -> Shape:
-    """A shape of a scene; one without a name is named after its kind and place in the file."""
+def _shape(file: DocumentFile, kind: str, number: int, entry: ShapeEntry) -> Shape:
+    """Read a shape; without a name it is named after its kind and number in the file."""
     name = str(entry.name or f"{kind} {number + 1}")
     mesh = None
-    if isinstance(entry, Mesh):
+    if isinstance(entry, MeshEntry):
         mesh = file.path.parent / entry.file
         if not os.path.isfile(mesh):
-            raise file.error(f"the mesh {mesh} is not there", f"{kind}[{number}].file")
+            raise file.error(f"the mesh {mesh} does not exist", f"{kind}[{number}].file")
     position, rotation = (tuple(map(float, values)) for values in (entry.position, entry.rotation))
     return Shape(
         name,
-        Kind(kind),
+        ShapeKind(kind),
         tuple(map(float, entry.dimensions)),
         position,  # type: ignore[arg-type]
         rotation,  # type: ignore[arg-type]
@@ -136,7 +147,7 @@ def _shape(file: DocumentFile, kind: str, number: int, entry: StatedShape) -> Sh
     )
 
 
-def known(
+def find_cell(
     robot: Robot,
     limits: Limits,
     scene: Scene,
@@ -144,36 +155,53 @@ def known(
     *,
     required: bool = False,
 ) -> tuple[Cell | None, str]:
-    """The cell; or, where no link has a shape and nobody required a check, None and a sentence that
-    says so.
+    """Build the cell of a robot unless no link has a shape.
 
-    Raises MissingMesh for a mesh that is not there, UnusableInput as the parts do.
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        scene: Surroundings and tools.
+        packages: Folders of `package://` meshes.
+        required: Fail if no link has a shape.
+
+    Returns:
+        The cell and ""; or None and a sentence that says why collisions are not checked.
+
+    Raises:
+        MissingMesh: A mesh file does not exist.
+        UnusableInput: `build_cell` raises it.
     """
-    own = urdf_geometry.read(robot.source, packages)
-    if not own and not required:
-        return None, f"{cells.NOT_CHECKED}: the URDF gives no link a shape"
-    return _cell(robot, limits, scene, own, scene.recipe(packages)), ""
+    link_shapes = urdf_geometry.read(robot.source, packages)
+    if not link_shapes and not required:
+        return None, f"{workcell.NOT_CHECKED}: the URDF gives no link a shape"
+    return _build(robot, limits, scene, link_shapes, scene.recipe(packages)), ""
 
 
-def cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = ()) -> Cell:
-    """The robot among what the scene holds.
+def build_cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = ()) -> Cell:
+    """Build the cell of a robot in a scene.
 
-    Raises MissingMesh or UnusableInput as its parts do; a robot without any shape of a moving link
-    has no cell: UnusableInput.
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        scene: Surroundings and tools.
+        packages: Folders of `package://` meshes.
+
+    Raises:
+        MissingMesh: A mesh file does not exist.
+        UnusableInput: No moving link has a shape, names contradict each other, or an object of the
+            scene touches a link in every pose.
     """
-    return _cell(
-        robot, limits, scene, urdf_geometry.read(robot.source, packages), scene.recipe(packages)
-    )
+    link_shapes = urdf_geometry.read(robot.source, packages)
+    return _build(robot, limits, scene, link_shapes, scene.recipe(packages))
 
 
-def as_on_disk(
+def rebuild_cell(
     robot: Robot, limits: Limits, document: Mapping[str, Any], packages: Sequence[str] = ()
 ) -> tuple[Cell | None, str | None]:
-    """The cell that a trajectory states, made again from the files as they are now.
+    """Build the cell that a trajectory states again, from the files as they are now.
 
-    The links' shapes come from the URDF, the surroundings and the disabled pairs from the scene
-    file and the SRDF. Only shapes of a scene that never was a file are taken from the document
-    itself.
+    Shapes of links come from the URDF, surroundings and disabled pairs from the scene file and the
+    SRDF. Shapes of a scene that was not read from a file come from the document.
 
     Args:
         robot: The robot of the trajectory.
@@ -182,53 +210,56 @@ def as_on_disk(
         packages: Further folders of `package://` meshes.
 
     Returns:
-        The cell and None; or, where it can no longer be made or differs from the stated one, None
-        and a sentence that says why.
+        The cell and None; or None and a sentence that says why it cannot be built or how it differs
+        from the stated one.
     """
     try:
-        found = _remade(robot, limits, document, packages)
+        cell = _rebuild(robot, limits, document, packages)
     except UnusableInput as error:
-        return None, f"the cell cannot be made again: {error}"
-    difference = _difference(document, found.document())
+        return None, f"the cell cannot be rebuilt: {error}"
+    difference = _difference(document, cell.document())
     return (
-        (found, None)
+        (cell, None)
         if difference is None
         else (None, f"the cell is not the one that the motion was designed for: {difference}")
     )
 
 
-def _remade(
+def _rebuild(
     robot: Robot, limits: Limits, document: Mapping[str, Any], packages: Sequence[str]
 ) -> Cell:
-    stated = [shape_documents.from_document(entry) for entry in document["shapes"]]
+    stated = [geometry.from_document(entry) for entry in document["shapes"]]
     disabled = tuple((str(a), str(b)) for a, b in document.get("disabled", ()))
     recipe = Recipe.from_document(document["recipe"]) if "recipe" in document else None
-    own = urdf_geometry.read(robot.source, [*packages, *(recipe.packages if recipe else ())])
+    folders = [*packages, *(recipe.packages if recipe else ())]
+    link_shapes = urdf_geometry.read(robot.source, folders)
     if recipe is not None and recipe.scene is not None:
-        around = read(Path(recipe.scene))
+        scene = read(Path(recipe.scene))
     else:
-        names = {one.name for one in own}
+        links = {shape.name for shape in link_shapes}
         shapes = tuple(
-            one for one in stated if one.kind is not Kind.FLOOR and one.name not in names
+            shape
+            for shape in stated
+            if shape.kind is not ShapeKind.FLOOR and shape.name not in links
         )
-        own_pairs = (
-            recipe is not None and recipe.srdf is not None
-        )  # then the SRDF says which links may touch
-        around = Scene(
-            shapes, tuple(pair for pair in disabled if not own_pairs or not names.issuperset(pair))
+        # an SRDF, if there is one, states again which links may touch
+        has_srdf = recipe is not None and recipe.srdf is not None
+        scene = Scene(
+            shapes,
+            tuple(pair for pair in disabled if not has_srdf or not links.issuperset(pair)),
         )
     if recipe is not None:
-        around = around.with_srdf(Path(recipe.srdf)) if recipe.srdf is not None else around
-        around = around.overridden(recipe.floor, recipe.clearance)
-    else:  # written before cells stated how they were made
-        floors = [one.position[2] for one in stated if one.kind is Kind.FLOOR]
-        around = around.overridden(floors[0] if floors else False, float(document["margin"]))
-    return _cell(robot, limits, around, own, recipe)
+        scene = scene.with_srdf(Path(recipe.srdf)) if recipe.srdf is not None else scene
+        scene = scene.overridden(recipe.floor, recipe.clearance)
+    else:  # the file is of a version that did not store recipes
+        floors = [shape.position[2] for shape in stated if shape.kind is ShapeKind.FLOOR]
+        scene = scene.overridden(floors[0] if floors else False, float(document["margin"]))
+    return _build(robot, limits, scene, link_shapes, recipe)
 
 
 def _difference(stated: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
-    """The first difference between the documents of two cells, in words; where the mesh files are
-    does not matter."""
+    """Describe the first difference between the documents of two cells; paths of mesh files may
+    differ."""
 
     def numbered(document: Mapping[str, Any]) -> dict[tuple[str, int], dict[str, Any]]:
         out: dict[tuple[str, int], dict[str, Any]] = {}
@@ -255,89 +286,100 @@ def _difference(stated: Mapping[str, Any], now: Mapping[str, Any]) -> str | None
     return None
 
 
-def _cell(
-    robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape], recipe: Recipe | None
+def _build(
+    robot: Robot,
+    limits: Limits,
+    scene: Scene,
+    link_shapes: Sequence[Shape],
+    recipe: Recipe | None,
 ) -> Cell:
     moving = {
-        one.link for one in own if robot.model.frames[robot.frame(str(one.link))].parentJoint > 0
+        shape.link
+        for shape in link_shapes
+        if robot.model.frames[robot.frame(str(shape.link))].parentJoint > 0
     }
     if not moving:
         raise UnusableInput(
             f"{robot.source}: gives no moving link a <collision> shape to check or draw; add "
             "shapes, or design with --no-collision"
         )
-    _check_names(robot, scene, own)
-    floor, notes = _floor_height(robot, limits, own, scene)
-    bare = [
+    _check_names(robot, scene, link_shapes)
+    floor, notes = _floor_height(robot, limits, link_shapes, scene)
+    without_shape = [
         link
         for i, link in enumerate(robot.links, 1)
         if link not in moving and robot.model.inertias[i].mass > 0.0
     ]
-    notes += [f"no shape is known of {', '.join(bare)}"] if bare else []
+    notes += [f"no collision shape of {', '.join(without_shape)}"] if without_shape else []
     shapes = [
-        *own,
+        *link_shapes,
         *scene.shapes,
-        *([] if floor is None else [Shape("floor", Kind.FLOOR, position=(0.0, 0.0, floor))]),
+        *([] if floor is None else [Shape("floor", ShapeKind.FLOOR, position=(0.0, 0.0, floor))]),
     ]
-    clearance = cells.MARGIN if scene.clearance is None else scene.clearance
+    clearance = workcell.DEFAULT_CLEARANCE if scene.clearance is None else scene.clearance
     pairs = [*scene.disabled, *scene.ignored]
-    return cells.build(
+    return workcell.build(
         robot, limits, shapes, clearance, pairs, notes, recipe, assumed_floor=scene.floor is None
     )
 
 
-def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
-    """Raise UnusableInput for a shape of the scene that has the name of another body, or that may
-    touch what there is not."""
-    taken = {"floor", *(one.name for one in own)}
-    for one in scene.shapes:
-        if one.name in taken:
+def _check_names(robot: Robot, scene: Scene, link_shapes: Sequence[Shape]) -> None:
+    """Raise UnusableInput for a shape of the scene with the name of another body, or that may touch
+    a body that does not exist."""
+    taken = {"floor", *(shape.name for shape in link_shapes)}
+    for shape in scene.shapes:
+        if shape.name in taken:
             raise UnusableInput(
-                f"{scene.source}: '{one.name}' is the name of a link or of the floor already; "
+                f"{scene.source}: '{shape.name}' is the name of a link or of the floor already; "
                 "rename the shape of the scene"
             )
-    there = {
+    existing = {
         "floor",
         *(frame.name for frame in robot.model.frames),
-        *(one.name for one in scene.shapes),
+        *(shape.name for shape in scene.shapes),
     }
     for name, other in scene.ignored:
-        if other not in there:
+        if other not in existing:
             raise UnusableInput(
-                f"{scene.source}: '{name}' may touch '{other}', which there is not; correct its "
+                f"{scene.source}: '{name}' ignores '{other}', which does not exist; correct its "
                 "'ignore'"
             )
 
 
 def _floor_height(
-    robot: Robot, limits: Limits, own: Sequence[Shape], scene: Scene
+    robot: Robot, limits: Limits, link_shapes: Sequence[Shape], scene: Scene
 ) -> tuple[float | None, list[str]]:
-    """The stated floor; else a built-in model's mounting plane; else z = 0 or, if lower, the exact
-    lowest point of the links that stand.
+    """Determine the height of the floor.
 
-    No floor is assumed where gravity does not point down, or where nearly all poses reach below it:
-    that robot hangs.
+    It is the stated height; else the mounting plane of a built-in robot; else z = 0 or, if lower,
+    the lowest point of the fixed links. No floor is assumed where gravity does not point along −z
+    or where the robot hangs, which is where nearly all poses reach below the floor.
+
+    Returns:
+        The height, None without a floor [m], and notes for the user.
     """
     if scene.floor is False:
         return None, []
     if scene.floor is not None:
         return float(scene.floor), []
     gravity = robot.model.gravity.linear
-    if np.hypot(gravity[0], gravity[1]) > 1e-6 * np.linalg.norm(gravity) or gravity[2] >= 0.0:
+    horizontal = np.hypot(gravity[0], gravity[1])
+    if horizontal > GRAVITY_TOLERANCE * np.linalg.norm(gravity) or gravity[2] >= 0.0:
         return None, [
             "gravity does not point down the base's z axis: no floor is assumed (--floor Z says "
             "where it is)"
         ]
     height = mounting_plane(robot)
     if height is None:
-        frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
-        fixed = [
-            (one, frame.placement)
-            for one, frame in zip(own, frames, strict=True)
+        frames = [robot.model.frames[robot.frame(str(shape.link))] for shape in link_shapes]
+        heights = [
+            shape.lowest(frame.placement * shape.placement)
+            for shape, frame in zip(link_shapes, frames, strict=True)
             if int(frame.parentJoint) == 0
         ]
-        height = min([0.0, *(one.lowest(placement * one.placement) for one, placement in fixed)])
-    if np.mean(_lowest_moving(robot, own, spread_poses(limits, POSES)) < height) > HANGING:
+        height = min([0.0, *heights])
+    lowest = _lowest_moving_point(robot, link_shapes, spread_poses(limits, POSES))
+    if np.mean(lowest < height) > HANGING_SHARE:
         return None, [
             f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says "
             "where it is)"
@@ -345,27 +387,32 @@ def _floor_height(
     return height, []
 
 
-def _lowest_moving(robot: Robot, own: Sequence[Shape], q: Array) -> Array:
-    """Height of the lowest point of the capsule covers of the links that rise and fall, at many
-    poses. Shapes (N, n) -> (N,) [m]."""
-    frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
+def _lowest_moving_point(robot: Robot, link_shapes: Sequence[Shape], q: FloatArray) -> FloatArray:
+    """Height of the lowest point of the capsules of links whose height changes with the pose.
+
+    Args:
+        robot: The robot.
+        link_shapes: Shapes of its links.
+        q: Poses. Shape (N, n) [rad or m].
+
+    Returns:
+        Heights in the base frame. Shape (N,) [m].
+    """
+    frames = [robot.model.frames[robot.frame(str(shape.link))] for shape in link_shapes]
     covers = [
         (
             int(frame.parentJoint),
-            capsule.moved(frame.placement.rotation, frame.placement.translation),
+            capsule.transformed(frame.placement.rotation, frame.placement.translation),
         )
-        for one, frame in zip(own, frames, strict=True)
+        for shape, frame in zip(link_shapes, frames, strict=True)
         if int(frame.parentJoint) > 0
-        for capsule in capsule_cover.capsules(one)
+        for capsule in capsule_cover.cover_with_capsules(shape)
     ]
     joint = np.array([joint for joint, _ in covers])
-    ends, radius = (
-        np.array([(one.begin, one.end) for _, one in covers]),
-        np.array([one.radius for _, one in covers]),
-    )
-    R, p = batch_kinematics.of(robot).poses(q)
-    above = np.einsum("nci,cei->nce", R[:, joint, 2], ends) + p[:, joint, 2, None]
-    heights = above.min(axis=2) - radius
-    return np.asarray(
-        heights[:, np.ptp(heights, axis=0) > cells.CONSTANT].min(axis=1, initial=np.inf)
-    )
+    ends = np.array([(capsule.begin, capsule.end) for _, capsule in covers])
+    radius = np.array([capsule.radius for _, capsule in covers])
+    R, p = KinematicTree.from_robot(robot).poses(q)
+    end_heights = np.einsum("nci,cei->nce", R[:, joint, 2], ends) + p[:, joint, 2, None]
+    heights = end_heights.min(axis=2) - radius
+    changes = np.ptp(heights, axis=0) > workcell.CONSTANT_DISTANCE
+    return np.asarray(heights[:, changes].min(axis=1, initial=np.inf))

@@ -1,9 +1,9 @@
-"""Nearest points of line segments to segments, boxes and planes, many at once, a row each.
+"""Signed distances of line segments to segments, boxes and planes, many pairs at once.
 
-Each returns the signed distance, the unit direction in which it grows when the first body moves,
-and the nearest points on both. Where bodies part smoothly, the distance's derivative is that
-direction times the points' motion (Danskin 1967). Formulas: Ericson, Real-Time Collision Detection,
-2005, 5.1.9 (segments).
+Each function returns, for each pair, the signed distance, the unit direction in which it grows when
+the first body moves, and the nearest points. Where the distance is differentiable, its derivative
+is the component of the relative motion of the nearest points along that direction (Danskin 1967).
+Segments: Ericson, Real-Time Collision Detection, 2005, section 5.1.9.
 """
 
 from __future__ import annotations
@@ -12,94 +12,134 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Array = np.ndarray
-TINY = 1e-12
+from .._types import FloatArray, IntArray
+
+EPSILON = 1e-12
+"""Length, or squared length, below which a divisor counts as zero [m, m²]."""
+PARALLEL_TOLERANCE = 1e-9
+"""Squared sine of the angle below which two segments count as parallel [1]."""
 
 
 @dataclass(frozen=True)
-class Nearest:
-    """Rows of distances. distance: Shape (m,) [m]. direction, first, second: Shape (m, 3), base
-    frame."""
+class NearestPoints:
+    """Distances of m pairs of bodies with their nearest points, in the base frame.
 
-    distance: Array
-    direction: Array
-    first: Array
-    second: Array
+    Attributes:
+        distance: Signed distances. Shape (m,) [m].
+        direction: Unit vectors along which the distance grows with the first body. Shape (m, 3).
+        first: Nearest points of the first bodies. Shape (m, 3) [m].
+        second: Nearest points of the second bodies. Shape (m, 3) [m].
+    """
+
+    distance: FloatArray
+    direction: FloatArray
+    first: FloatArray
+    second: FloatArray
 
 
-def segments(a: Array, b: Array, c: Array, d: Array) -> Nearest:
-    """Segments a–b and c–d. Shapes (m, 3)."""
-    along, across, apart = b - a, d - c, a - c
-    aa, cc = np.maximum(_dot(along, along), TINY), np.maximum(_dot(across, across), TINY)
-    ac, ax, cx = _dot(along, across), _dot(along, apart), _dot(across, apart)
-    spread = aa * cc - ac * ac
-    parallel = spread <= 1e-9 * aa * cc
+def segment_to_segment(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> NearestPoints:
+    """Nearest points of segments a–b and c–d. Shapes (m, 3) each [m]."""
+    first, second, offset = b - a, d - c, a - c
+    aa = np.maximum(_dot(first, first), EPSILON)
+    cc = np.maximum(_dot(second, second), EPSILON)
+    ac, ax, cx = _dot(first, second), _dot(first, offset), _dot(second, offset)
+    determinant = aa * cc - ac * ac
+    parallel = determinant <= PARALLEL_TOLERANCE * aa * cc
     s = np.where(
-        parallel, 0.5, np.clip((ac * cx - ax * cc) / np.where(parallel, 1.0, spread), 0.0, 1.0)
+        parallel,
+        0.5,
+        np.clip((ac * cx - ax * cc) / np.where(parallel, 1.0, determinant), 0.0, 1.0),
     )
     t = np.clip((ac * s + cx) / cc, 0.0, 1.0)
     s = np.clip((ac * t - ax) / aa, 0.0, 1.0)
-    return _between(a + s[:, None] * along, c + t[:, None] * across)
+    return _between(a + s[:, None] * first, c + t[:, None] * second)
 
 
-def box(a: Array, b: Array, rotation: Array, centre: Array, half: Array) -> Nearest:
-    """Segments a–b and boxes. Shapes (m, 3), (m, 3), (m, 3, 3), (m, 3), (m, 3).
+def segment_to_box(
+    a: FloatArray,
+    b: FloatArray,
+    rotation: FloatArray,
+    centre: FloatArray,
+    half_size: FloatArray,
+) -> NearestPoints:
+    """Nearest points of segments a–b and boxes.
 
-    The squared distance to a box is convex and piecewise quadratic along a segment: its slope's
-    zero lies between two of the points where the segment passes a face's plane.
+    The squared distance to a box is convex and piecewise quadratic along a segment: its slope has
+    its zero between two neighbouring points at which the segment crosses the plane of a face. A
+    segment inside the box has the negative depth under the nearest face as its distance.
+
+    Args:
+        a: Starts of the segments. Shape (m, 3) [m].
+        b: Ends of the segments. Shape (m, 3) [m].
+        rotation: Orientations of the boxes in the base frame. Shape (m, 3, 3).
+        centre: Centres of the boxes. Shape (m, 3) [m].
+        half_size: Half of the boxes' edge lengths. Shape (m, 3) [m].
     """
     start = np.einsum("mji,mj->mi", rotation, a - centre)
     along = np.einsum("mji,mj->mi", rotation, b - a)
-    safe = np.where(np.abs(along) < TINY, TINY, along)
+    divisor = np.where(np.abs(along) < EPSILON, EPSILON, along)
     ends = np.broadcast_to([0.0, 1.0], (len(a), 2))
-    t = np.sort(
-        np.clip(
-            np.concatenate([ends, (half - start) / safe, (-half - start) / safe], axis=1), 0.0, 1.0
-        ),
-        axis=1,
-    )
+    crossings = [ends, (half_size - start) / divisor, (-half_size - start) / divisor]
+    t = np.sort(np.clip(np.concatenate(crossings, axis=1), 0.0, 1.0), axis=1)
     x = start[:, None] + t[:, :, None] * along[:, None]
-    slope = _dot(x - np.clip(x, -half[:, None], half[:, None]), along[:, None])
+    slope = _dot(x - np.clip(x, -half_size[:, None], half_size[:, None]), along[:, None])
     rows = np.arange(len(a))
-    first, last = _zero(t, slope, rows)
-    middle = start + 0.5 * (first + last)[:, None] * along
-    on = np.clip(middle, -half, half)
-    # inside, the way out is through the nearest face
-    depth = half - np.abs(middle)
+    first, last = _zero_interval(t, slope, rows)
+    on_segment = start + 0.5 * (first + last)[:, None] * along
+    on_box = np.clip(on_segment, -half_size, half_size)
+    depth = half_size - np.abs(on_segment)
     face = np.argmin(depth, axis=1)
     inside = (depth > 0.0).all(axis=1)
-    out = np.zeros_like(middle)
-    out[rows, face] = np.where(middle[rows, face] < 0.0, -1.0, 1.0)
-    found = _between(middle, on)
-    direction = np.where(inside[:, None], out, found.direction)
-    distance = np.where(inside, -depth[rows, face], found.distance)
+    outward = np.zeros_like(on_segment)
+    outward[rows, face] = np.where(on_segment[rows, face] < 0.0, -1.0, 1.0)
+    outside = _between(on_segment, on_box)
+    direction = np.where(inside[:, None], outward, outside.direction)
+    distance = np.where(inside, -depth[rows, face], outside.distance)
 
-    def back(points: Array) -> Array:
-        return np.asarray(np.einsum("mij,mj->mi", rotation, points))
+    def in_base_frame(vectors: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("mij,mj->mi", rotation, vectors))
 
-    return Nearest(distance, back(direction), back(middle) + centre, back(on) + centre)
+    return NearestPoints(
+        distance,
+        in_base_frame(direction),
+        in_base_frame(on_segment) + centre,
+        in_base_frame(on_box) + centre,
+    )
 
 
-def plane(a: Array, b: Array, normal: Array, height: Array) -> Nearest:
-    """Segments a–b above planes normal · x = height. Shapes (m, 3), (m, 3), (m, 3), (m,)."""
+def segment_to_plane(
+    a: FloatArray, b: FloatArray, normal: FloatArray, height: FloatArray
+) -> NearestPoints:
+    """Nearest points of segments a–b and the half spaces below planes normal · x = height.
+
+    Args:
+        a: Starts of the segments. Shape (m, 3) [m].
+        b: Ends of the segments. Shape (m, 3) [m].
+        normal: Unit normals of the planes. Shape (m, 3).
+        height: Offsets of the planes. Shape (m,) [m].
+    """
     heights = _dot(a, normal) - height, _dot(b, normal) - height
     lower = heights[0] <= heights[1]
     point = np.where(lower[:, None], a, b)
     distance = np.minimum(*heights)
-    return Nearest(distance, normal, point, point - distance[:, None] * normal)
+    return NearestPoints(distance, normal, point, point - distance[:, None] * normal)
 
 
-def _zero(t: Array, slope: Array, rows: Array) -> tuple[Array, Array]:
-    """First and last zero of non-decreasing, piecewise linear functions on [t₀, t₁]; its nearer end
-    where there is none."""
-    below, above = (slope < -TINY).sum(axis=1), (slope <= TINY).sum(axis=1)
+def _zero_interval(
+    t: FloatArray, slope: FloatArray, rows: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """First and last zero of non-decreasing piecewise linear functions on their knots `t`.
+
+    The end with the smaller magnitude where a function has no zero.
+    """
+    below, above = (slope < -EPSILON).sum(axis=1), (slope <= EPSILON).sum(axis=1)
     last = t.shape[1] - 1
 
-    def crossing(count: Array) -> Array:
+    def crossing(count: IntArray) -> FloatArray:
         low, high = np.clip(count - 1, 0, last), np.clip(count, 0, last)
         f, g = slope[rows, low], slope[rows, high]
-        share = np.where((g > f) & (f < 0.0) & (g > 0.0), -f / np.where(g > f, g - f, 1.0), 0.0)
-        return np.asarray(t[rows, low] + share * (t[rows, high] - t[rows, low]))
+        fraction = np.where((g > f) & (f < 0.0) & (g > 0.0), -f / np.where(g > f, g - f, 1.0), 0.0)
+        return np.asarray(t[rows, low] + fraction * (t[rows, high] - t[rows, low]))
 
     first = np.where(
         below > last,
@@ -110,11 +150,12 @@ def _zero(t: Array, slope: Array, rows: Array) -> tuple[Array, Array]:
     return first, final
 
 
-def _between(first: Array, second: Array) -> Nearest:
-    apart = first - second
-    distance = np.linalg.norm(apart, axis=1)
-    return Nearest(distance, apart / np.maximum(distance, TINY)[:, None], first, second)
+def _between(first: FloatArray, second: FloatArray) -> NearestPoints:
+    offset = first - second
+    distance = np.linalg.norm(offset, axis=1)
+    direction = offset / np.maximum(distance, EPSILON)[:, None]
+    return NearestPoints(distance, direction, first, second)
 
 
-def _dot(a: Array, b: Array) -> Array:
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.sum(a * b, axis=-1))

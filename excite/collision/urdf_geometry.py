@@ -1,4 +1,4 @@
-"""The collision shapes that a URDF gives its links, and the pairs that an SRDF disables."""
+"""Collision shapes of the links of a URDF, and pairs of links that an SRDF disables."""
 
 from __future__ import annotations
 
@@ -14,23 +14,41 @@ from ..robot import xml_file
 from ..robot.robot import locate
 from ..robot.urdf import numbers
 from . import mesh_file
-from .geometry import WORDS, Kind, Shape
+from .geometry import SIZE_KEYS, Shape, ShapeKind
 
 
 class MissingMesh(UnusableInput):
-    """A mesh of the robot that is not where its URDF says; `mesh` is what the URDF calls it."""
+    """A mesh file of the robot that does not exist.
+
+    Attributes:
+        mesh: File name as the URDF states it.
+    """
 
     def __init__(self, source: str, link: str, mesh: str) -> None:
         self.mesh = mesh
-        remedy = "say where its package is with --packages DIR or in ROS_PACKAGE_PATH, or design with --no-collision"  # noqa: E501
+        remedy = (
+            "say where its package is with --packages DIR or in ROS_PACKAGE_PATH, or design with "
+            "--no-collision"
+        )
         super().__init__(f"{source}: link '{link}': its mesh {mesh} is not found; {remedy}")
 
 
 def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
-    """Shapes of all links of a URDF, by its path or a built-in name; none where it states none.
+    """Read the collision shapes of all links.
 
-    A <collision_checking> element makes a capsule of the cylinder it names, as in Pinocchio. Raises
-    MissingMesh for a mesh that is not there, UnusableInput for a shape that is none.
+    A `<collision_checking>` element turns the cylinder that it names into a capsule, as in
+    Pinocchio.
+
+    Args:
+        source: Path of a URDF or name of a built-in robot.
+        packages: Folders in which `package://` meshes are searched.
+
+    Returns:
+        Shapes in the frames of their links; none where the URDF has no `<collision>`.
+
+    Raises:
+        MissingMesh: A mesh file does not exist.
+        UnusableInput: A shape is not valid.
     """
     path = locate(source)
     root = xml_file.parse(path, "a URDF")
@@ -45,80 +63,84 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
                     f"{path}: link '{name}': a <collision> has no geometry; add it or remove the "
                     "element"
                 )
-            out.append(
-                _shape(
-                    path, name, collision, geometry[0], collision.get("name") in rounded, packages
-                )
-            )
+            is_rounded = collision.get("name") in rounded
+            out.append(_shape(path, name, collision, geometry[0], is_rounded, packages))
     mesh_file.read_all([shape.file for shape in out if shape.file is not None])
     return out
 
 
 def _shape(
     path: Path,
-    owner: str,
+    link: str,
     collision: ElementTree.Element,
     solid: ElementTree.Element,
-    rounded: bool,
+    is_rounded: bool,
     packages: Sequence[str],
 ) -> Shape:
-    known = [kind.value for kind in WORDS]
+    """Read a `<collision>` element; is_rounded: a cylinder is to be read as a capsule."""
+    known = [kind.value for kind in SIZE_KEYS]
     if solid.tag not in known:
         raise UnusableInput(
-            f"{path}: link '{owner}': a collision shape is a <{solid.tag}>; use {', '.join(known)}"
+            f"{path}: link '{link}': a collision shape is a <{solid.tag}>; use {', '.join(known)}"
         )
-    kind = Kind.CAPSULE if solid.tag == "cylinder" and rounded else Kind(solid.tag)
+    kind = ShapeKind.CAPSULE if solid.tag == "cylinder" and is_rounded else ShapeKind(solid.tag)
     file = None
-    if kind is Kind.MESH:
-        file = str(_find(path, owner, solid.get("filename", ""), packages))
-        size = _numbers(path, owner, solid.get("scale", "1 1 1"), 3, ranges.MESH_SCALE)
+    if kind is ShapeKind.MESH:
+        file = str(_find_mesh(path, link, solid.get("filename", ""), packages))
+        size = _numbers(path, link, solid.get("scale", "1 1 1"), 3, ranges.MESH_SCALE)
     else:
-        count = 3 if kind is Kind.BOX else 1
+        count = 3 if kind is ShapeKind.BOX else 1
         size = tuple(
-            v
-            for word in WORDS[kind]
-            for v in _numbers(path, owner, solid.get(word, ""), count, ranges.SIZE)
+            number
+            for key in SIZE_KEYS[kind]
+            for number in _numbers(path, link, solid.get(key, ""), count, ranges.SIZE)
         )
     origin = collision.find("origin")
-    placing = (("xyz", ranges.LENGTH), ("rpy", ranges.ANGLE))
-    place = [
-        _numbers(path, owner, "0 0 0" if origin is None else origin.get(key, "0 0 0"), 3, accepted)
-        for key, accepted in placing
-    ]
-    return Shape(owner, kind, size, place[0], place[1], owner, file)  # type: ignore[arg-type]
+    position, rotation = (
+        _numbers(path, link, "0 0 0" if origin is None else origin.get(key, "0 0 0"), 3, accepted)
+        for key, accepted in (("xyz", ranges.LENGTH), ("rpy", ranges.ANGLE))
+    )
+    return Shape(link, kind, size, position, rotation, link, file)  # type: ignore[arg-type]
 
 
-def _numbers(path: Path, owner: str, text: str, count: int, accepted: Range) -> tuple[float, ...]:
-    return tuple(numbers(str(path), f"link '{owner}', in its <collision>", text, count, accepted))
+def _numbers(path: Path, link: str, text: str, count: int, accepted: Range) -> tuple[float, ...]:
+    return tuple(numbers(str(path), f"link '{link}', in its <collision>", text, count, accepted))
 
 
-def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
-    """A mesh's file. A package is a folder of its name: a place or in one, or a folder that the
-    URDF is in or one beside such.
+def _find_mesh(path: Path, link: str, name: str, packages: Sequence[str]) -> Path:
+    """Find the file of a mesh.
 
-    Other names are paths from the URDF's folder, or from a place.
+    `package://NAME/…` is searched in the folders of `packages` and of ROS_PACKAGE_PATH, each either
+    the package NAME or a parent of it, and likewise in all parent folders of the URDF. Other names
+    are paths relative to the folder of the URDF or to one of these folders.
     """
-    places = [*packages, *os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)]
+    folders = [*packages, *os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)]
     if name.startswith("package://"):
-        package, _, rest = name.removeprefix("package://").partition("/")
-        roots = [Path(place) for place in places if place]
-        candidates = [root / package / rest for root in roots] + [
-            root / rest for root in roots if root.name == package
+        package, _, inner = name.removeprefix("package://").partition("/")
+        roots = [Path(folder) for folder in folders if folder]
+        candidates = [root / package / inner for root in roots] + [
+            root / inner for root in roots if root.name == package
         ]
-        candidates += [parent / package / rest for parent in path.resolve().parents]
-        candidates += [parent / rest for parent in path.resolve().parents if parent.name == package]
+        parents = path.resolve().parents
+        candidates += [parent / package / inner for parent in parents]
+        candidates += [parent / inner for parent in parents if parent.name == package]
     else:
         candidates = [path.resolve().parent / name.removeprefix("file://")]
-        candidates += [Path(place) / name for place in places if place]
+        candidates += [Path(folder) / name for folder in folders if folder]
     for candidate in candidates:
         if os.path.isfile(candidate):
             return candidate
-    raise MissingMesh(str(path), owner, name)
+    raise MissingMesh(str(path), link, name)
 
 
-def disabled(path: Path) -> tuple[tuple[str, str], ...]:
-    """Pairs of links whose collisions an SRDF disables. Raises UnusableInput for a file that is
-    none."""
+def disabled_pairs(path: Path) -> tuple[tuple[str, str], ...]:
+    """Read the pairs of links whose collisions an SRDF disables.
+
+    Raises:
+        UnusableInput: The file is no SRDF.
+    """
     root = xml_file.parse(path, "an SRDF")
-    found = [(entry.get("link1"), entry.get("link2")) for entry in root.iter("disable_collisions")]
-    return tuple((str(one), str(other)) for one, other in found)
+    return tuple(
+        (str(entry.get("link1")), str(entry.get("link2")))
+        for entry in root.iter("disable_collisions")
+    )

@@ -1,4 +1,4 @@
-"""A robot in its cell: all shapes, which pairs of them must keep apart, and how far."""
+"""Work cell of a robot: all bodies, the pairs that must keep a distance, and how large it is."""
 
 from __future__ import annotations
 
@@ -10,36 +10,48 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.inertial_parameters import ranges, spread_poses
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from .distance_query import Body, Pair, Probe, bodies
-from .geometry import Kind, Shape
+from .distance_query import Body, BodyPair, DistanceQuery, group_bodies
+from .geometry import Shape, ShapeKind
 
-Array = np.ndarray
 NOT_CHECKED = "collision not checked"
-MARGIN = 0.02
-"""Clearance that is kept unless another is asked for [m]."""
+DEFAULT_CLEARANCE = 0.02
+"""Clearance unless another is stated [m]."""
 POSES = 400
-ALWAYS = 0.95
-"""Share of random poses in which neighbours touch that were built to touch."""
-FEW, NEAR = 40, 2.0
-"""Poses that tell which pairs may be close by construction: those within so many margins in more
-than a quarter of them."""
-CLOSE = 1e-3
-"""Links that a joint or two hold apart keep this distance at least [m]."""
-CONSTANT = 1e-7
-"""Distances that vary by less than this over all poses do not depend on the motion [m]."""
-GRID, SPARSE, SPARE = 24, 9, 5e-3
-"""Steps per joint over which bodies with one or two joints between them are looked at; of meshes,
-which take their time; and what must then be left everywhere of those that are taken never to touch
-[m]."""
+"""Poses, spread over the position ranges, at which pairs are classified."""
+CONTACT_SHARE = 0.95
+"""Share of poses in contact from which a pair of links counts as in contact by construction [1]."""
+SCREENING_POSES = 40
+"""Number of the first poses at which all pairs are evaluated; the others, only for near pairs."""
+NEAR_RATIO = 2.0
+"""Distance over the margin below which a pair counts as near at a pose [1]."""
+NEAR_SHARE = 0.25
+"""Share of the screening poses above which a near pair is evaluated at all poses [1]."""
+MIN_LINK_DISTANCE = 1e-3
+"""Distance that links with up to two joints between them must keep at least [m]."""
+MIN_MESH_DISTANCE = 5e-3
+"""The same for meshes, whose grid of configurations is coarser [m]."""
+CONSTANT_DISTANCE = 1e-7
+"""Variation over all poses below which a distance does not depend on the motion [m]."""
+GRID_STEPS = 24
+"""Configurations per joint at which links with up to two joints between them are evaluated."""
+MESH_GRID_STEPS = 9
+"""The same for meshes, whose distances take longer."""
 
 
 @dataclass(frozen=True)
-class Apart:
-    """A pair of bodies that is not held to the margin, and why."""
+class ExceptedPair:
+    """A pair of bodies that is not held to the clearance.
+
+    Attributes:
+        first: Name of a body.
+        second: Name of the other body.
+        why: Reason, as a trajectory states it.
+    """
 
     first: str
     second: str
@@ -48,12 +60,14 @@ class Apart:
 
 @dataclass(frozen=True)
 class Recipe:
-    """From which files and options a cell was made, so that it can be made again from what is on
-    disk now.
+    """Files and options from which a cell was built, to build it again from the files on disk.
 
-    packages: folders of `package://` meshes. scene, srdf: absolute paths of the files, None
-        without. floor, clearance: as the options state them [m], None where they say nothing;
-        False: no floor.
+    Attributes:
+        packages: Folders of `package://` meshes.
+        scene: Absolute path of the scene file, None without one.
+        srdf: Absolute path of the SRDF, None without one.
+        floor: Height of the floor that an option states [m]; False: no floor; None: not stated.
+        clearance: Clearance that an option states [m], None: not stated.
     """
 
     packages: tuple[str, ...] = ()
@@ -64,69 +78,76 @@ class Recipe:
 
     @staticmethod
     def from_document(document: Mapping[str, Any]) -> Recipe:
-        """Read back what `dataclasses.asdict` made."""
+        """Read the result of `dataclasses.asdict`."""
         return Recipe(**{**document, "packages": tuple(document.get("packages", ()))})
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """What verification checks. It is hashed by identity, so that what takes long to find of it can
-    be kept.
+    """A robot and its surroundings. It is hashed by identity, so that results can be cached.
 
-    bodies: links, tools, surroundings. pairs: of them, that keep apart. excepted: pairs that need
-        not, with reasons.
-    margin: clearance [m]. disabled: names of bodies whose contact is no matter. notes: what a user
-        should know.
-    recipe: how it was made, None where it cannot be made again. assumed_floor: nobody stated the
-        floor's height.
+    Attributes:
+        robot: The robot.
+        limits: Its limits.
+        bodies: Links, tools and surroundings.
+        pairs: Pairs of bodies that must keep a distance.
+        excepted: Pairs that need not keep the clearance, with reasons.
+        margin: Clearance [m].
+        disabled: Names of bodies that may touch.
+        notes: Remarks for the user.
+        recipe: Files and options that it was built from; None if it cannot be built again.
+        assumed_floor: True if the height of the floor was not stated.
     """
 
     robot: Robot
     limits: Limits
     bodies: tuple[Body, ...]
-    pairs: tuple[Pair, ...]
-    excepted: tuple[Apart, ...]
+    pairs: tuple[BodyPair, ...]
+    excepted: tuple[ExceptedPair, ...]
     margin: float
     disabled: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     recipe: Recipe | None = None
     assumed_floor: bool = False
 
-    def floor_is_assumed(self, pair: Sequence[Body]) -> bool:
-        """Whether one of the bodies is a floor that nobody stated."""
+    def floor_is_assumed(self, bodies: Sequence[Body]) -> bool:
+        """Return True if one of the bodies is a floor whose height was not stated."""
         return self.assumed_floor and any(
-            one.kind is Kind.FLOOR for body in pair for one in body.shapes
+            shape.kind is ShapeKind.FLOOR for body in bodies for shape in body.shapes
         )
 
     @property
     def floor(self) -> float | None:
         """Height of the floor in the base frame [m], None without one."""
         heights = [
-            one.position[2] for body in self.bodies for one in body.shapes if one.kind is Kind.FLOOR
+            shape.position[2]
+            for body in self.bodies
+            for shape in body.shapes
+            if shape.kind is ShapeKind.FLOOR
         ]
         return heights[0] if heights else None
 
     def floor_words(self) -> str:
-        """The height of the floor, in words."""
+        """Describe the height of the floor."""
         return (
             "no floor" if self.floor is None else f"floor at z = {round(self.floor, 6) + 0.0:g} m"
         )
 
-    def names(self, pair: Pair) -> str:
-        """Both bodies of a pair."""
+    def names(self, pair: BodyPair) -> str:
+        """Name both bodies of a pair."""
         return f"{self.bodies[pair.first].name} – {self.bodies[pair.second].name}"
 
-    def probe(self) -> Probe:
-        """Distances of its pairs, by coal."""
-        return Probe(self.robot, self.bodies, self.pairs, 2.0 * self.margin)
+    def distance_query(self) -> DistanceQuery:
+        """Build a query for the distances of all pairs."""
+        return DistanceQuery(self.robot, self.bodies, self.pairs, 2.0 * self.margin)
 
     def document(self) -> dict[str, Any]:
-        """As a trajectory states it; `from_document` makes the same cell of it again."""
+        """Entry of the cell in a trajectory file; `scene_file.rebuild_cell` reads it."""
         return {
             "margin": self.margin,
-            "shapes": [one.document() for body in self.bodies for one in body.shapes],
+            "shapes": [shape.document() for body in self.bodies for shape in body.shapes],
             "disabled": [list(pair) for pair in self.disabled],
-            "excepted": [dataclasses.asdict(one) for one in self.excepted],
+            "excepted": [dataclasses.asdict(pair) for pair in self.excepted],
             "notes": list(self.notes),
             **({} if self.recipe is None else {"recipe": dataclasses.asdict(self.recipe)}),
         }
@@ -135,26 +156,36 @@ class Cell:
 def build(
     robot: Robot,
     limits: Limits,
-    found: Sequence[Shape],
-    margin: float = MARGIN,
+    shapes: Sequence[Shape],
+    margin: float = DEFAULT_CLEARANCE,
     disabled: Sequence[tuple[str, str]] = (),
     notes: Sequence[str] = (),
     recipe: Recipe | None = None,
     *,
     assumed_floor: bool = False,
 ) -> Cell:
-    """Place the shapes and find the pairs that can meet. disabled: names of links or things whose
-    contact is no matter.
+    """Place shapes and select the pairs of bodies that must keep a distance.
 
-    Raises UnusableInput for a link that the robot has not, a margin that is no length, and for
-    surroundings that a link is in always.
+    Args:
+        robot: The robot.
+        limits: Its limits; pairs are classified over its position ranges.
+        shapes: Shapes of links, tools and surroundings.
+        margin: Clearance [m].
+        disabled: Names of bodies that may touch.
+        notes: Remarks for the user.
+        recipe: Files and options that the shapes come from.
+        assumed_floor: The height of the floor was not stated.
+
+    Raises:
+        UnusableInput: A link does not exist, the margin is no distance, or an object of the
+            surroundings touches a link in every pose.
     """
     if not (np.isfinite(margin) and margin >= 0.0):
         raise UnusableInput(f"--clearance {margin:g} should be 0 or more metres")
-    bare = Cell(
+    unpaired = Cell(
         robot,
         limits,
-        bodies(robot, found),
+        group_bodies(robot, shapes),
         (),
         (),
         margin,
@@ -163,118 +194,122 @@ def build(
         recipe,
         assumed_floor,
     )
-    pairs, excepted = _sorted_out(
-        dataclasses.replace(bare, pairs=tuple(Pair(*both, margin) for both in _movable(bare)))
-    )
-    return dataclasses.replace(bare, pairs=tuple(pairs), excepted=tuple(excepted))
+    candidates = tuple(BodyPair(*indices, margin) for indices in _movable_pairs(unpaired))
+    pairs, excepted = _classify_pairs(dataclasses.replace(unpaired, pairs=candidates))
+    return dataclasses.replace(unpaired, pairs=tuple(pairs), excepted=tuple(excepted))
 
 
-def _movable(cell: Cell) -> Iterator[tuple[int, int]]:
-    """Pairs whose distance can change, but for links that a joint connects and pairs that are
-    disabled."""
+def _movable_pairs(cell: Cell) -> Iterator[tuple[int, int]]:
+    """Indices of bodies that move relative to each other, without neighbouring links and disabled
+    pairs."""
     parents = list(cell.robot.model.parents)
-    off = {frozenset(pair) for pair in cell.disabled}
-    for (first, one), (second, other) in itertools.combinations(enumerate(cell.bodies), 2):
-        a, b = one.joint, other.joint
-        # what stands around is no neighbour of the first joint's link; the base's own links are
-        neighbours = (parents[a] == b or parents[b] == a) and not (one.around or other.around)
-        if a != b and not neighbours and frozenset((one.name, other.name)) not in off:
-            yield first, second
-
-
-def _sorted_out(cell: Cell) -> tuple[list[Pair], list[Apart]]:
-    """Which pairs keep the margin, which keep less, and which need not, over poses that fill the
-    ranges."""
-    probe, kept, excepted = cell.probe(), list[Pair](), list[Apart]()
-    distances = _distances(cell, probe)
-    for k, pair in enumerate(cell.pairs):
-        both = cell.bodies[pair.first], cell.bodies[pair.second]
-        names, around, usual = (
-            (both[0].name, both[1].name),
-            both[0].around or both[1].around,
-            distances[k],
+    disabled = {frozenset(pair) for pair in cell.disabled}
+    for (i, first), (k, second) in itertools.combinations(enumerate(cell.bodies), 2):
+        a, b = first.joint, second.joint
+        # surroundings are no neighbour of the first moving link, unlike fixed links of the base
+        are_neighbours = (parents[a] == b or parents[b] == a) and not (
+            first.is_surrounding or second.is_surrounding
         )
+        if a != b and not are_neighbours and frozenset((first.name, second.name)) not in disabled:
+            yield i, k
+
+
+def _classify_pairs(cell: Cell) -> tuple[list[BodyPair], list[ExceptedPair]]:
+    """Select the pairs that keep the margin, a reduced margin, or none, by their distances over
+    poses that fill the position ranges."""
+    query, kept, excepted = cell.distance_query(), list[BodyPair](), list[ExceptedPair]()
+    all_distances = _sampled_distances(cell, query)
+    for k, pair in enumerate(cell.pairs):
+        bodies = cell.bodies[pair.first], cell.bodies[pair.second]
+        names = bodies[0].name, bodies[1].name
+        with_surroundings = bodies[0].is_surrounding or bodies[1].is_surrounding
+        distances = all_distances[k]
         if (
-            around
-            and len(usual) == POSES
-            and np.ptp(usual) < CONSTANT
-            and (usual.min() > 0.0 or cell.floor_is_assumed(both))
+            with_surroundings
+            and len(distances) == POSES
+            and np.ptp(distances) < CONSTANT_DISTANCE
+            and (distances.min() > 0.0 or cell.floor_is_assumed(bodies))
         ):
-            # turns about the vertical, say: its distance is the mounting's matter, not the motion's
-            excepted.append(
-                Apart(*names, f"always at the same distance, {1e3 * usual.min():.0f} mm")
-            )
+            # e.g. a link that turns about the vertical above a floor: no motion changes this
+            distance = 1e3 * distances.min()
+            excepted.append(ExceptedPair(*names, f"always at the same distance, {distance:.0f} mm"))
             continue
-        if len(usual) == POSES and np.mean(usual <= 0.0) > ALWAYS:
-            if around:
-                raise UnusableInput(_in_the_way(cell, *sorted(both, key=lambda body: body.around)))
-            excepted.append(Apart(*names, "always in contact"))
+        if len(distances) == POSES and np.mean(distances <= 0.0) > CONTACT_SHARE:
+            if with_surroundings:
+                link, obstacle = sorted(bodies, key=lambda body: body.is_surrounding)
+                raise UnusableInput(_permanent_contact_message(cell, link, obstacle))
+            excepted.append(ExceptedPair(*names, "always in contact"))
             continue
         grid = (
             None
-            if around or usual.min() > NEAR * pair.margin
-            else _between_neighbours(cell, probe, k)
+            if with_surroundings or distances.min() > NEAR_RATIO * pair.margin
+            else _grid_distances(cell, query, k)
         )
-        usual = usual if grid is None else grid
-        middle = float(np.median(usual))
-        sure = SPARE if both[0].is_mesh or both[1].is_mesh else CLOSE
-        if grid is not None and grid.min() > sure:
-            excepted.append(Apart(*names, "never in contact within the joint limits"))
-        elif around or middle > (NEAR if grid is not None else 1.0) * pair.margin:
+        distances = distances if grid is None else grid
+        median = float(np.median(distances))
+        has_mesh = bodies[0].has_mesh or bodies[1].has_mesh
+        if grid is not None and grid.min() > (MIN_MESH_DISTANCE if has_mesh else MIN_LINK_DISTANCE):
+            excepted.append(ExceptedPair(*names, "never in contact within the joint limits"))
+        elif with_surroundings or median > (NEAR_RATIO if grid is not None else 1.0) * pair.margin:
             kept.append(pair)
-        elif middle <= CLOSE:
-            excepted.append(Apart(*names, "in contact in most poses by construction"))
+        elif median <= MIN_LINK_DISTANCE:
+            excepted.append(ExceptedPair(*names, "in contact in most poses by construction"))
         else:
-            margin = max(0.5 * middle, min(CLOSE, pair.margin))
+            margin = max(0.5 * median, min(MIN_LINK_DISTANCE, pair.margin))
             kept.append(dataclasses.replace(pair, margin=margin))
-            excepted.append(
-                Apart(
-                    *names,
-                    f"close by construction: {1e3 * margin:.0f} mm, half of what is usual between "
-                    "them",
-                )
-            )
+            stated = f"{1e3 * margin:.0f} mm, half of the usual distance between them"
+            excepted.append(ExceptedPair(*names, f"close by construction: {stated}"))
     return kept, excepted
 
 
-def _distances(cell: Cell, probe: Probe) -> list[Array]:
-    """Of every pair over poses that fill the ranges: POSES of them for pairs that are often near, a
-    few for the others [m]."""
+def _sampled_distances(cell: Cell, query: DistanceQuery) -> list[FloatArray]:
+    """Distances of every pair over poses that fill the position ranges.
+
+    Pairs that are rarely near at the first SCREENING_POSES poses are evaluated at these only.
+
+    Returns:
+        For each pair its distances. Shape (POSES,) or (SCREENING_POSES,) [m].
+    """
     out: list[list[float]] = [[] for _ in cell.pairs]
-    looked = list(range(len(cell.pairs)))
+    evaluated = list(range(len(cell.pairs)))
     for count, pose in enumerate(spread_poses(cell.limits, POSES), start=1):
-        probe.to(pose)
-        for k in looked:
-            out[k].append(probe.distance(k))
-        if count == FEW:  # most pairs are far apart nearly always, which a few poses show
-            looked = [k for k in looked if np.mean(np.array(out[k]) < NEAR * cell.margin) > 0.25]
-    return [np.array(one) for one in out]
+        query.set_configuration(pose)
+        for k in evaluated:
+            out[k].append(query.distance(k))
+        if count == SCREENING_POSES:
+            near = NEAR_RATIO * cell.margin
+            evaluated = [k for k in evaluated if np.mean(np.array(out[k]) < near) > NEAR_SHARE]
+    return [np.array(distances) for distances in out]
 
 
-def _between_neighbours(cell: Cell, probe: Probe, number: int) -> Array | None:
-    """Distances of two links with at most two joints between them, all over those joints' ranges;
-    None for other pairs [m]."""
+def _grid_distances(cell: Cell, query: DistanceQuery, number: int) -> FloatArray | None:
+    """Distances of two links with up to two joints between them, over these joints' ranges.
+
+    Returns:
+        Distances on a grid, shape (m,) [m]; None for links with more joints between them.
+    """
     pair, robot = cell.pairs[number], cell.robot
-    both = cell.bodies[pair.first], cell.bodies[pair.second]
-    ways = [set(robot.model.supports[body.joint]) for body in both]
-    rows = [joint - 1 for joint in ways[0] ^ ways[1]]
+    bodies = cell.bodies[pair.first], cell.bodies[pair.second]
+    supports = [set(robot.model.supports[body.joint]) for body in bodies]
+    rows = [joint - 1 for joint in supports[0] ^ supports[1]]
     moving = np.flatnonzero(np.abs(robot.spread[rows]).any(axis=0))
     if len(moving) > 2:
         return None
-    pose, out, steps = (
-        spread_poses(cell.limits, 1)[0],
-        [],
-        SPARSE if both[0].is_mesh or both[1].is_mesh else GRID,
-    )
+    steps = MESH_GRID_STEPS if bodies[0].has_mesh or bodies[1].has_mesh else GRID_STEPS
+    pose, distances = spread_poses(cell.limits, 1)[0], []
     for values in itertools.product(
         *(np.linspace(low, high, steps) for low, high in ranges(cell.limits)[moving])
     ):
         pose[moving] = values
-        out.append(probe.to(pose).distance(number))
-    return np.array(out)
+        distances.append(query.set_configuration(pose).distance(number))
+    return np.array(distances)
 
 
-def _in_the_way(cell: Cell, link: Body, thing: Body) -> str:
-    floor = thing.shapes[0].kind is Kind.FLOOR
-    remedy = "--floor Z or --no-floor" if floor else f'move it, or let it: ignore = ["{link.name}"]'
-    return f"{cell.robot.source}: '{thing.name}' touches '{link.name}' in every pose; {remedy}"
+def _permanent_contact_message(cell: Cell, link: Body, obstacle: Body) -> str:
+    is_floor = obstacle.shapes[0].kind is ShapeKind.FLOOR
+    remedy = (
+        "--floor Z or --no-floor"
+        if is_floor
+        else f'move it, or allow the contact: ignore = ["{link.name}"]'
+    )
+    return f"{cell.robot.source}: '{obstacle.name}' touches '{link.name}' in every pose; {remedy}"

@@ -18,7 +18,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..collision import continuous_check, scene_file
-from ..collision.continuous_check import Near
+from ..collision.continuous_check import PairDistance
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..robot import base_parameters, dynamics, inertial_parameters
 from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
@@ -142,7 +142,7 @@ class Certificate:
     faults: tuple[str, ...]
     clearance: CertificateVerdict = CertificateVerdict.NOT_CHECKED
     collision: str = NOT_CHECKED
-    pair_distances: tuple[Near, ...] = ()
+    pair_distances: tuple[PairDistance, ...] = ()
     joints: tuple[str, ...] = ()
 
     @property
@@ -355,7 +355,7 @@ def verify_with_cell_on_disk(
             limits,
             unchecked_reason=f"{NOT_CHECKED}: the file states no shapes to keep clear of",
         )
-    cell, fault = scene_file.as_on_disk(robot, limits, trajectory.design[CELL_KEY], packages)
+    cell, fault = scene_file.rebuild_cell(robot, limits, trajectory.design[CELL_KEY], packages)
     return verify(trajectory, robot, limits, cell, cell_fault=fault)
 
 
@@ -548,20 +548,20 @@ def _limit_text(value: FloatArray) -> str:
 
 def _clearance(
     trajectory: Trajectory, cell: Cell | None, unchecked_reason: str, fault: str | None
-) -> tuple[CertificateVerdict, str, list[Near]]:
+) -> tuple[CertificateVerdict, str, list[PairDistance]]:
     """Return the verdict on the distances, a sentence, and the least distance of each pair."""
     if fault is not None:
         return CertificateVerdict.FAILED, fault, []
     if cell is None:
         return CertificateVerdict.NOT_CHECKED, unchecked_reason, []
-    inside = continuous_check.contained(cell, trajectory.motion.at(np.zeros(1))[0])
+    inside = continuous_check.find_contained_pair(cell, trajectory.motion.at(np.zeros(1))[0])
     if inside is not None:
         return (
             CertificateVerdict.FAILED,
             f"COLLISION: {cell.names(inside)}, one begins inside the other",
             [],
         )
-    distances = continuous_check.along(cell, trajectory.motion)
+    distances = continuous_check.least_distances(cell, trajectory.motion)
     context = "".join(f"; {note}" for note in (cell.floor_words(), *cell.notes))
     if not distances:
         return CertificateVerdict.CERTIFIED, f"collision checked: nothing can meet{context}", []
@@ -590,12 +590,12 @@ def _clearance(
     )
 
 
-def _distance_text(near: Near) -> str:
+def _distance_text(near: PairDistance) -> str:
     """Format the least distance of a pair."""
     return f"{1e3 * near.proven:.1f} mm, {near.names} at {near.time:.2f} s"
 
 
-def _distance_margin(near: Near) -> LimitMargin:
+def _distance_margin(near: PairDistance) -> LimitMargin:
     """Return the margin of a pair to its clearance."""
     bound = near.pair.margin
     return LimitMargin(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from ..collision.clearance_constraint import Clearance
+from ..collision.clearance_constraint import ClearanceConstraint
 from ..robot import dynamics
 from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.limits import Braking, Limits
@@ -34,7 +34,7 @@ class MotionConstraints:
     parameters: Parameters
     uncertainty: float = 0.0
     boxes: tuple[WorkspaceBox, ...] = ()
-    clearance: Clearance | None = None
+    clearance: ClearanceConstraint | None = None
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ import joblib
 from .._system.resources import Cost
 from ..errors import UnusableInput
 from ..robot.robot import Robot
-from ..schemas.trajectory import MOST_ROWS
+from ..schemas.trajectory import MAX_ROWS
 from .options import DesignOptions
 
 FIXED_TIME = 6e-4
@@ -93,11 +93,11 @@ def require(
         UnusableInput: The design is too large; the line has the figure and what makes it smaller.
     """
     seconds = options.periods * options.period / speed + LONGEST_RAMPS
-    if seconds * options.rate > MOST_ROWS:
+    if seconds * options.rate > MAX_ROWS:
         raise UnusableInput(
             f"--periods {options.periods} of {options.period:g} s with ramps at --rate "
             f"{options.rate:g} Hz "
-            f"are {seconds * options.rate:.3g} rows, a trajectory has at most {MOST_ROWS}; lower "
+            f"are {seconds * options.rate:.3g} rows, a trajectory has at most {MAX_ROWS}; lower "
             "one of them"
         )
     starts = "1 start" if options.starts == 1 else f"{options.starts} starts"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
-from ..collision.clearance_constraint import Look
+from ..collision.clearance_constraint import ClearanceEvaluation
 from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
 from .casadi_batch import MappedFunction, PaddedFunction
@@ -46,7 +46,7 @@ class _Point:
     Y: FloatArray | None = None
     constraint_values: dict[str, FloatArray] = field(default_factory=dict)
     spread: tuple[FloatArray, FloatArray] | None = None
-    look: Look | None = None
+    clearances: ClearanceEvaluation | None = None
 
 
 class Evaluator:
@@ -215,7 +215,7 @@ class Evaluator:
         if kind == "braking":
             return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
         if kind == "clearance":
-            return self._look(point).values()[None]
+            return self._clearances(point).constraint_values()[None]
         index = int(kind[3:])
         box = self.problem.boxes[index]
         centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
@@ -235,11 +235,11 @@ class Evaluator:
             point.spread = nominal, width
         return point.spread[0], self.problem.options.uncertainty * point.spread[1]
 
-    def _look(self, point: _Point) -> Look:
+    def _clearances(self, point: _Point) -> ClearanceEvaluation:
         assert self.problem.clearance is not None
-        if point.look is None:
-            point.look = self.problem.clearance.at(point.motion[0])
-        return point.look
+        if point.clearances is None:
+            point.clearances = self.problem.clearance.evaluate(point.motion[0])
+        return point.clearances
 
     def _braking(
         self, q: FloatArray, dq: FloatArray, sign: float
@@ -352,7 +352,7 @@ class Evaluator:
                 for order in (0, 1)
             ]
         if kind == "clearance":
-            return [(0, self._look(point).slopes(sample, joint))]
+            return [(0, self._clearances(point).gradients(sample, joint))]
         index = int(kind[3:])
         box = self.problem.boxes[index]
         half = 0.5 * (np.array(box.upper) - np.array(box.lower))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._types import FloatArray
-from ..collision.clearance_constraint import Clearance
+from ..collision.clearance_constraint import ClearanceConstraint
 from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import ranges
 from .evaluator import ConstraintRows, Evaluator
@@ -120,7 +120,10 @@ def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int
 
 
 def reachable_along_lines(
-    clearance: Clearance, start_pose: FloatArray, poses: FloatArray, rng: np.random.Generator
+    clearance: ClearanceConstraint,
+    start_pose: FloatArray,
+    poses: FloatArray,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """Move poses towards the start pose until the straight lines between them are clear.
 
@@ -137,7 +140,8 @@ def reachable_along_lines(
     """
     share = np.linspace(0.0, 1.0, POSES_PER_LINE + 1)
     lines = start_pose + share[:, None] * (poses - start_pose)[:, None]
-    clear = clearance.least(lines.reshape(-1, len(start_pose)))[0].reshape(lines.shape[:2]) > 0.0
+    excess, _ = clearance.least_excess(lines.reshape(-1, len(start_pose)))
+    clear = excess.reshape(lines.shape[:2]) > 0.0
     last_clear = np.logical_and.accumulate(clear, axis=1).sum(axis=1) - 1
     return np.asarray(
         start_pose

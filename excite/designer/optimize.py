@@ -11,7 +11,7 @@ import numpy as np
 import threadpoolctl
 
 from .._types import FloatArray
-from ..collision.clearance_constraint import Clearance
+from ..collision.clearance_constraint import ClearanceConstraint
 from ..errors import ExciteError, UnusableInput
 from ..robot import base_parameters, inertial_parameters
 from ..robot.base_parameters import Base
@@ -103,7 +103,7 @@ def set_up(
     options: DesignOptions,
     earlier_information: FloatArray | None = None,
     overlap_penalty: OverlapPenalty | None = None,
-    clearance: Clearance | None = None,
+    clearance: ClearanceConstraint | None = None,
     start_pose: FloatArray | None = None,
 ) -> DesignSetup:
     """Build the design problem of a robot.
@@ -261,8 +261,8 @@ def tighten(
     options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
     tighter = problem.rebuild_problem(p, limits, options, p.earlier_root, reserve)
     if p.clearance is not None:
-        more = np.array([(deficits or {}).get(pair, 0.0) for pair in p.clearance.names])
+        extra = np.array([(deficits or {}).get(pair, 0.0) for pair in p.clearance.names])
         tighter = dataclasses.replace(
-            tighter, clearance=dataclasses.replace(p.clearance, more=p.clearance.more + more)
+            tighter, clearance=dataclasses.replace(p.clearance, extra=p.clearance.extra + extra)
         )
     return dataclasses.replace(setup, problem=tighter)

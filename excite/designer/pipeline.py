@@ -110,7 +110,7 @@ def design_trajectory(
         samples_per_period(options.period / speed, options.rate)
     check_options(options)
     design_cost.require(robot, options, speed, progress)
-    clearance = None if cell is None else clearance_builder.clearance(cell)
+    clearance = None if cell is None else clearance_builder.build_constraint(cell)
     setup = optimize.set_up(
         robot, limits, options, earlier_information, overlap_penalty, clearance, start
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray
-from ..collision.clearance_constraint import Clearance
+from ..collision.clearance_constraint import ClearanceConstraint
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Braking, Limits
 from ..robot.robot import Robot
@@ -59,7 +59,7 @@ class DesignProblem:
     scale: FloatArray
     functions: DynamicsFunctions
     overlap_penalty: OverlapPenalty | None = None
-    clearance: Clearance | None = None
+    clearance: ClearanceConstraint | None = None
     start_pose: FloatArray | None = None
 
     @property

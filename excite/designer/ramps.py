@@ -217,7 +217,7 @@ class RampPlanner:
         """
         if self.constraints.clearance is None:
             return ""
-        excess, pair = self.constraints.clearance.least(q)
+        excess, pair = self.constraints.clearance.least_excess(q)
         excess = excess - constraint_margins.intersample_bound(excess[:, None])[:, 0]
         worst = int(np.argmin(excess))
         return (
@@ -303,7 +303,11 @@ class RampPlanner:
         """Return the clear ones of the known poses and of poses that fill the joint ranges."""
         poses = np.vstack([known, spread_poses(self.constraints.limits, VIA_POSE_COUNT)])
         clearance = self.constraints.clearance
-        return poses if clearance is None else poses[clearance.least(poses)[0] >= EXTRA_CLEARANCE]
+        return (
+            poses
+            if clearance is None
+            else poses[clearance.least_excess(poses)[0] >= EXTRA_CLEARANCE]
+        )
 
     def _leg(
         self, begin: FloatArray, end: FloatArray
@@ -478,12 +482,13 @@ def check_start_pose(constraints: MotionConstraints, start: FloatArray) -> None:
             f"[{low:g}, {high:g}]; move it inside"
         )
     if constraints.clearance is not None:
-        excess, pair = constraints.clearance.least(start[None])
+        excess, pair = constraints.clearance.least_excess(start[None])
         if excess[0] < EXTRA_CLEARANCE:
             k = pair[0]
-            distance = 1e3 * (excess[0] + constraints.clearance.need[k])
+            required = constraints.clearance.required[k]
+            distance = 1e3 * (excess[0] + required)
             state = (
-                f"{distance:.0f} mm apart, {1e3 * constraints.clearance.need[k]:.0f} mm required"
+                f"{distance:.0f} mm apart, {1e3 * required:.0f} mm required"
                 if distance > 0.0
                 else "in collision"
             )

@@ -19,7 +19,7 @@ import joblib
 import numpy as np
 
 from .._types import FloatArray
-from ..collision.clearance_constraint import Clearance
+from ..collision.clearance_constraint import ClearanceConstraint
 from ..errors import ExciteError, UnusableInput
 from ..robot import dynamics
 from ..robot.base_parameters import Base
@@ -277,7 +277,7 @@ def plan_for_budget(
     *,
     start: FloatArray | None = None,
     earlier_information: FloatArray | None = None,
-    clearance: Clearance | None = None,
+    clearance: ClearanceConstraint | None = None,
 ) -> BudgetPlan:
     """Choose the free quantities of a motion for a budget of robot time.
 

@@ -126,7 +126,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, 
             stretch.rate,
             stretch.q,
             np.zeros(stretch.q.shape),
-            encoder=recording.encoder,
+            encoder=recording.quantization_noise,
             temperature=stretch.temperature,
             recording_start=float(recording.t[0]),
         )

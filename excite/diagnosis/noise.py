@@ -18,8 +18,8 @@ from ..identification.identification import Identification
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
 from ..recordings import Recording, quantization
-from ..recordings.missing_values import runs
-from ..recordings.padding import reflected
+from ..recordings.missing_values import true_runs
+from ..recordings.padding import pad_by_reflection
 from .blocks import sandwiched
 
 Draw = Callable[[np.random.Generator], FloatArray]
@@ -303,7 +303,7 @@ def _usual_rows(square: FloatArray) -> BoolArray:
     means = np.array([part.mean(axis=0) for part in parts])
     large = (means > MAX_WINDOW_RATIO * np.quantile(means, USUAL_QUANTILE, axis=0)).any(axis=1)
     kept = np.ones(len(parts), bool)
-    for start, end in sorted(runs(large).tolist(), key=lambda e: e[0] - e[1])[:2]:
+    for start, end in sorted(true_runs(large).tolist(), key=lambda e: e[0] - e[1])[:2]:
         kept[start:end] = False
     return np.repeat(kept, [len(part) for part in parts])
 
@@ -320,7 +320,7 @@ def shifted(x: FloatArray, by: float) -> FloatArray:
     if by < 1e-6:
         return x
     reach = min(SHIFT_PADDING, len(x) - 1)
-    padded = reflected(x, reach, reach)
+    padded = pad_by_reflection(x, reach, reach)
     spectrum = (
         np.fft.rfft(padded, axis=0)
         * np.exp(2j * np.pi * np.fft.rfftfreq(len(padded)) * by)[:, None]
@@ -330,9 +330,9 @@ def shifted(x: FloatArray, by: float) -> FloatArray:
 
 def _period(recording: Recording) -> Period | None:
     """Period and window of a recording: as its sidecar states, else from its positions."""
-    if recording.repeats is not None:
-        period, (start, end) = recording.repeats
-        return recording.repeats if end - start >= MIN_PERIODS * period else None
+    if recording.repetition is not None:
+        period, (start, end) = recording.repetition
+        return recording.repetition if end - start >= MIN_PERIODS * period else None
     lag = _repetition_lag(recording.q, recording.rate)
     return None if lag is None else (lag, (float(recording.t[0]), float(recording.t[-1])))
 
@@ -434,7 +434,7 @@ def _quantization_error(model: IdentificationModel, motion: RecordedMotion) -> D
             np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]
         ) - origin[coarse]
         for j in np.flatnonzero(segment.smoothed):
-            positions[:, j] = quantization.unrounded(
+            positions[:, j] = quantization.smoothest_line(
                 positions[:, j], float(step[j]), 1.0 / segment.rate
             )
         quantized = filtered_regressor(model, positions, motion.band)[0]

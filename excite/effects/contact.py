@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from ..recordings.missing_values import runs
+from ..recordings.missing_values import true_runs
 from .effect import CandidateModel, Effect
 from .recorded_motion import RecordedMotion
 
@@ -83,7 +83,7 @@ def _intervals(time: FloatArray, power: FloatArray) -> list[tuple[float, float]]
     level = MIN_INTERVAL_POWER * np.median(smooth)
     intervals = [
         (float(time[a]), float(time[min(b, len(time) - 1)]), float(smooth[a:b].sum()))
-        for a, b in runs(smooth > level)
+        for a, b in true_runs(smooth > level)
         if b - a >= 3
     ]
     return [(a, b) for a, b, _ in sorted(intervals, key=lambda f: -f[2])[:2]]

@@ -14,7 +14,7 @@ from .._types import BoolArray, FloatArray, IntArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import IdentificationModel, filtered_friction, filtered_regressor
 from ..identification.segments import RecordingSegment
-from ..recordings.missing_values import runs
+from ..recordings.missing_values import true_runs
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..robot.samples import Samples
@@ -423,7 +423,7 @@ def _moving(q: FloatArray, dq: FloatArray, rate: float, standstill: float) -> Bo
     """
     out, breakaway = np.ones(len(q), bool), BREAKAWAY_TRAVEL_RATIO * float(np.ptp(q))
     still = np.abs(dq) < STANDSTILL_SPEED_RATIO * np.abs(dq).max()
-    for start, end in runs(still).tolist():
+    for start, end in true_runs(still).tolist():
         if end - start > standstill * rate:
             away = np.abs(q[end:] - q[end - 1]) > breakaway
             out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False

@@ -133,7 +133,7 @@ class IdentifiedModel:
                 min(self.hertz, MAX_BAND_SHARE * stretch.rate),
                 stretch.rate,
                 len(stretch),
-                encoder=float(recording.encoder.max()),
+                encoder=float(recording.quantization_noise.max()),
             )
             position = band.transform(stretch.q)
             motion = Samples(
@@ -147,9 +147,9 @@ class IdentifiedModel:
             )
             if effect_torque is not None:
                 torque = torque + effect_torque(stretch)
-            rows = recording.own_times[
-                (recording.own_times >= stretch.t[0] - 1e-9)
-                & (recording.own_times <= stretch.t[-1] + 1e-9)
+            rows = recording.row_times[
+                (recording.row_times >= stretch.t[0] - 1e-9)
+                & (recording.row_times <= stretch.t[-1] + 1e-9)
             ]
             times.append(rows)
             torques.append(

@@ -15,7 +15,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray
 from ..recordings import Recording
-from ..recordings.recording import SHORTEST
+from ..recordings.recording import MIN_ROWS
 from .lowpass import LowPassFilter
 
 DEFAULT_BAND_HZ = 20.0
@@ -94,8 +94,8 @@ def extract_segments(
             is a segment.
     """
     for recording in recordings:
-        if average and recording.repeats is not None:
-            mean = average_periods(recording, *recording.repeats)
+        if average and recording.repetition is not None:
+            mean = average_periods(recording, *recording.repetition)
             if mean is not None:
                 yield mean
                 continue
@@ -103,7 +103,7 @@ def extract_segments(
             signals = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
             yield RecordingSegment(
                 *signals,
-                encoder=recording.encoder,
+                encoder=recording.quantization_noise,
                 smoothed=recording.smoothed,
                 temperature=part.temperature,
                 recording_start=float(recording.t[0]),
@@ -139,14 +139,14 @@ def average_periods(
 
     Returns:
         The mean period; None if fewer than two periods are complete, or if a period has fewer than
-        SHORTEST samples.
+        MIN_ROWS samples.
     """
     first = float(
         recording.t[min(int(np.searchsorted(recording.t, window[0] - 1e-9)), len(recording) - 1)]
     )
     last = min(window[1], float(recording.t[-1]) + 1.0 / recording.rate)
     samples = round(period * recording.rate)
-    if samples < SHORTEST or (last - first) / period + 1e-6 < 2.0:
+    if samples < MIN_ROWS or (last - first) / period + 1e-6 < 2.0:
         return None
     starts = first + period * np.arange(int((last - first) / period + 1e-6))
     offsets = np.arange(samples) * (period / samples)
@@ -171,7 +171,7 @@ def average_periods(
         mean,
         count,
         torque - mean,
-        recording.encoder / np.sqrt(count),
+        recording.quantization_noise / np.sqrt(count),
         recording.smoothed,
     )
 

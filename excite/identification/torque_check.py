@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from .._types import BoolArray, FloatArray
 from ..errors import ExciteWarning, UnusableInput
-from ..recordings import Kind, Recording, Remark
+from ..recordings import Recording, Remark, RemarkKind
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
@@ -78,7 +78,7 @@ def _constant_torque(
             f"joint '{joint}': torque is {torque[0, i]:g} in all {len(torque)} rows; "
             "check that it was measured"
         )
-        yield Remark(Kind.FROZEN, text, joint)
+        yield Remark(RemarkKind.FROZEN, text, joint)
 
 
 def _excessive_torque(recording: Recording, torque: FloatArray, limits: Limits) -> Iterator[Remark]:
@@ -90,7 +90,7 @@ def _excessive_torque(recording: Recording, torque: FloatArray, limits: Limits) 
             f"joint '{joint}': torque reaches {torque[row, i]:.4g}, {ratio[row, i]:.4g} times its "
             f"limit {limits.torque[i]:.4g}; check its unit or drive_gain"
         )
-        yield Remark(Kind.UNIT, text, joint, float(recording.t[row]), float(recording.t[row]))
+        yield Remark(RemarkKind.UNIT, text, joint, float(recording.t[row]), float(recording.t[row]))
 
 
 def _inverted_torque(recording: Recording, robot: Robot, constant: BoolArray) -> Iterator[Remark]:
@@ -111,7 +111,7 @@ def _inverted_torque(recording: Recording, robot: Robot, constant: BoolArray) ->
                 f"joint '{joint}': measured torque and torque of the nominal model have a "
                 f"correlation of {correlation:.2f}; check the sign"
             )
-            yield Remark(Kind.INCONSISTENT, text, joint)
+            yield Remark(RemarkKind.INCONSISTENT, text, joint)
 
 
 def _nominal_torque(robot: Robot, motion: Samples) -> FloatArray:

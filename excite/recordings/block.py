@@ -1,5 +1,5 @@
-"""Rows of a recording as a reader found them: times and whatever was measured, joints in the
-robot's order."""
+"""Blocks of rows as a reader returns them: times and measured quantities, joints in the robot's
+order."""
 
 from __future__ import annotations
 
@@ -8,33 +8,39 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray, IntArray
 from .remark import Remark
 
-Array = np.ndarray
 QUANTITIES = ("q", "dq", "tau", "current", "qref", "qlink", "temperature")
+"""Measured quantities, as the fields of `Recording` are named."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """t: Shape (N,) [s]. values: quantity -> shape (N, n), NaN where not measured. remarks: what
-    the reader has to say."""
+    """Consecutive rows of a recording.
 
-    t: Array
-    values: Mapping[str, Array]
+    Attributes:
+        t: Times. Shape (N,) [s].
+        values: Measured quantities, NaN where a value is missing. Shape (N, n) each.
+        remarks: Remarks of the reader.
+    """
+
+    t: FloatArray
+    values: Mapping[str, FloatArray]
     remarks: tuple[Remark, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t)
 
-    def rows(self, which: Array | slice) -> Block:
-        """The rows that `which` selects."""
+    def rows(self, which: IntArray | BoolArray | slice) -> Block:
+        """Return the rows of an index, a mask or a slice."""
         return Block(
             self.t[which], {name: value[which] for name, value in self.values.items()}, self.remarks
         )
 
 
-def joined(blocks: Sequence[Block]) -> Block:
-    """Blocks one after the other."""
+def concatenate(blocks: Sequence[Block]) -> Block:
+    """Join consecutive blocks with the same quantities."""
     if len(blocks) == 1:
         return blocks[0]
     values = {
@@ -43,5 +49,5 @@ def joined(blocks: Sequence[Block]) -> Block:
     return Block(
         np.concatenate([block.t for block in blocks]),
         values,
-        tuple(r for block in blocks for r in block.remarks),
+        tuple(remark for block in blocks for remark in block.remarks),
     )

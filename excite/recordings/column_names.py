@@ -1,4 +1,4 @@
-"""Names of columns: which holds what of which joint."""
+"""Names of columns: the quantity and the joint that each column of a file holds."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from difflib import get_close_matches
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import QUANTITIES, Block
 
-Array = np.ndarray
 PREFIXES = {
     "q": "q",
     "dq": "dq",
@@ -22,7 +22,7 @@ PREFIXES = {
     "qlink": "qlink",
     "temp": "temperature",
 }
-"""The contract's prefix of a quantity's columns, `<prefix>.<joint>`."""
+"""Prefixes of columns `<prefix>.<joint>`, with their quantities."""
 RTDE = {
     "actual_q": "q",
     "actual_qd": "dq",
@@ -31,43 +31,60 @@ RTDE = {
     "target_q": "qref",
     "joint_temperatures": "temperature",
 }
-"""Universal Robots' RTDE fields, written `<field>_0` … `<field>_5`, joints from the base to the
-tool. `target_moment` is the controller's model, not a measurement, and isn't read."""
+"""Fields of Universal Robots' RTDE, with their quantities. Columns are `<field>_0` … `<field>_5`,
+from the base to the tool. `target_moment` comes from the controller's model and is not read."""
+RTDE_POSITION = "actual_q_"
+"""Prefix of RTDE columns with positions."""
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Names of the columns to read, the time first, and where each goes: (quantity, index of the
-    joint)."""
+class ColumnLayout:
+    """Columns of a table that are read.
+
+    Attributes:
+        names: Names of the columns, time first.
+        places: Quantity and joint index of each column but time.
+        n: Number of joints.
+    """
 
     names: tuple[str, ...]
     places: tuple[tuple[str, int], ...]
     n: int
 
-    def block(self, table: Array) -> Block:
-        """Rows of the named columns, in their order, as a block. table: Shape (N, len(names))."""
-        there = {quantity for quantity, _ in self.places}
+    def block(self, table: FloatArray) -> Block:
+        """Sort the columns of a table into quantities.
+
+        Args:
+            table: Rows of the columns `names`. Shape (N, len(names)).
+        """
+        recorded = {quantity for quantity, _ in self.places}
         values = {
-            name: np.full((len(table), self.n), np.nan) for name in QUANTITIES if name in there
+            name: np.full((len(table), self.n), np.nan) for name in QUANTITIES if name in recorded
         }
         for column, (quantity, joint) in enumerate(self.places, start=1):
             values[quantity][:, joint] = table[:, column]
         return Block(np.ascontiguousarray(table[:, 0]), values)
 
 
-def layout(source: str, header: Sequence[str], robot: Robot) -> Layout:
-    """Find the robot's columns in a header, the contract's names or RTDE's.
+def find_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayout:
+    """Find the columns of a robot in a header, named `<prefix>.<joint>` or as by RTDE.
 
-    Raises UnusableInput when a name stands twice, or time or a joint's position is missing: the
-    line lists similar names.
+    Args:
+        source: Name of the file, for messages.
+        header: Names of all columns.
+        robot: Robot whose joints are recorded.
+
+    Raises:
+        UnusableInput: A name occurs twice, or time or the position of a joint is missing; the
+            message lists similar names.
     """
-    twice = sorted({name for name in header if header.count(name) > 1 and name})
-    if twice:
+    repeated = sorted({name for name in header if header.count(name) > 1 and name})
+    if repeated:
         raise UnusableInput(
-            f"{source}: column '{twice[0]}' stands twice in the header; drop or rename one"
+            f"{source}: column '{repeated[0]}' occurs twice in the header; drop or rename one"
         )
-    if "timestamp" in header and "actual_q_0" in header:
-        return _rtde(source, header, robot)
+    if "timestamp" in header and f"{RTDE_POSITION}0" in header:
+        return _find_rtde_columns(source, header, robot)
     if "t" not in header:
         raise UnusableInput(
             f"{source}: has no column 't' but {listed(header)}; the first row should name the "
@@ -80,18 +97,20 @@ def layout(source: str, header: Sequence[str], robot: Robot) -> Layout:
                 f"joint '{joint}', rename its column, "
                 "or leave it out with --joints"
             )
-    wanted = {
+    places = {
         f"{prefix}.{joint}": (quantity, i)
         for prefix, quantity in PREFIXES.items()
         for i, joint in enumerate(robot.joints)
     }
-    found = [name for name in header if name in wanted]
-    return Layout(("t", *found), tuple(wanted[name] for name in found), robot.n)
+    names = [name for name in header if name in places]
+    return ColumnLayout(("t", *names), tuple(places[name] for name in names), robot.n)
 
 
-def _rtde(source: str, header: Sequence[str], robot: Robot) -> Layout:
+def _find_rtde_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayout:
     count = sum(
-        name.removeprefix("actual_q_").isdigit() for name in header if name.startswith("actual_q_")
+        name.removeprefix(RTDE_POSITION).isdigit()
+        for name in header
+        if name.startswith(RTDE_POSITION)
     )
     if count != robot.n:
         raise UnusableInput(
@@ -99,30 +118,30 @@ def _rtde(source: str, header: Sequence[str], robot: Robot) -> Layout:
             "of the robot move; "
             "use it with a robot whose joints all move, or rename the columns t,q.<joint>,…"
         )
-    wanted = {
+    places = {
         f"{field}_{i}": (quantity, i) for field, quantity in RTDE.items() for i in range(robot.n)
     }
-    missing = [f"actual_q_{i}" for i in range(robot.n) if f"actual_q_{i}" not in header]
-    if missing:
-        raise UnusableInput(
-            f"{source}: has no column '{missing[0]}' for joint "
-            f"'{robot.joints[int(missing[0][9:])]}'; record all of actual_q"
-        )
-    found = [name for name in header if name in wanted]
-    return Layout(("timestamp", *found), tuple(wanted[name] for name in found), robot.n)
+    for i, joint in enumerate(robot.joints):
+        if f"{RTDE_POSITION}{i}" not in header:
+            raise UnusableInput(
+                f"{source}: has no column '{RTDE_POSITION}{i}' for joint '{joint}'; record all of "
+                "actual_q"
+            )
+    names = [name for name in header if name in places]
+    return ColumnLayout(("timestamp", *names), tuple(places[name] for name in names), robot.n)
 
 
-def listed(names: Sequence[str], most: int = 8) -> str:
-    """The first few names, for people."""
-    shown = ", ".join(f"'{name}'" for name in names[:most])
+def listed(names: Sequence[str], at_most: int = 8) -> str:
+    """Quote the first names of a list, for a message."""
+    shown = ", ".join(f"'{name}'" for name in names[:at_most])
     return (
-        shown + (f" and {len(names) - most} more" if len(names) > most else "")
+        shown + (f" and {len(names) - at_most} more" if len(names) > at_most else "")
         if names
         else "nothing"
     )
 
 
 def similar(name: str, names: Sequence[str]) -> str:
-    """Names near a missing one in spelling, in brackets."""
-    near = get_close_matches(name, names, 3, 0.5)
-    return f"(similar: {listed(near)})" if near else f"(there are: {listed(names)})"
+    """Quote, in brackets, the names that are spelled like a missing name."""
+    matches = get_close_matches(name, names, 3, 0.5)
+    return f"(similar: {listed(matches)})" if matches else f"(there are: {listed(names)})"

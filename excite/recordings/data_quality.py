@@ -1,9 +1,10 @@
-"""The health check: from rows as found to a recording that can be trusted, with what was done.
+"""Check and repair of a recording: from rows as they were read to an even grid of trusted values.
 
-Wrong units, a clock that cannot be repaired and mostly missing numbers are errors (`units`,
-`clock`, `missing`); order, repeats, jitter, stamps that waver (`waver`), gaps and few missing
-numbers are repaired by the rules stated there, remarked and warned of; what an encoder rounded is
-repaired and remarked (`rounding`); `signs` are remarked only.
+Wrong units, a time axis that cannot be repaired and too many missing values are errors (`units`,
+`time_axis`, `missing_values`). Row order, repeated rows, uneven steps, timestamp jitter, gaps and
+few missing values are repaired by the rules stated there, with a remark and a warning. The
+quantization of positions is reduced with a remark (`quantization`). Findings of `signal_checks` are
+remarks only.
 """
 
 from __future__ import annotations
@@ -14,23 +15,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray
 from ..errors import ExciteWarning, UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from . import encoder, missing_values, quantization, signal_checks, timestamp_jitter, units
+from . import (
+    encoder_resolution,
+    missing_values,
+    quantization,
+    signal_checks,
+    timestamp_jitter,
+    units,
+)
 from .block import Block
-from .recording import SHORTEST, Recording
-from .remark import Kind, Remark
+from .recording import MIN_ROWS, Recording
+from .remark import Remark, RemarkKind
 from .sidecar import KEYS, Sidecar
-from .time_axis import Clock, even
+from .time_axis import TimeGrid, resample
 
-Array = np.ndarray
-ENCODERS = ("q", "qlink")
+ENCODER_QUANTITIES = ("q", "qlink")
+"""Quantities that encoders measure."""
 
 
 @dataclass(frozen=True)
-class Patient:
-    """What is known of a recording before its rows are looked at."""
+class RecordingContext:
+    """Source, robot and stated properties of a recording.
+
+    Attributes:
+        source: Name of the recording.
+        robot: Robot that it records.
+        sidecar: Its sidecar.
+        limits: Limits of the robot, None: those of the URDF.
+    """
 
     source: str
     robot: Robot
@@ -39,12 +55,17 @@ class Patient:
 
 
 @dataclass(frozen=True)
-class Window:
-    """Ordered rows, of which those with start ≤ t ≤ end are wanted and those with t ≤ done were
-    handed out before [s].
+class RowWindow:
+    """Ordered rows of which a part is wanted.
 
-    The others are context, so that repairs come out as in the whole file. remarks: how they were
-    ordered.
+    The other rows are context, so that repairs are the same as in the complete recording.
+
+    Attributes:
+        block: The rows.
+        start: Time of the first wanted row [s].
+        end: Time of the last wanted row [s].
+        done: Time up to which rows were in an earlier window [s].
+        remarks: Remarks about the order of rows.
     """
 
     block: Block
@@ -54,83 +75,98 @@ class Window:
     remarks: tuple[Remark, ...] = ()
 
 
-def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) -> Recording:
-    """Check and repair a window of rows. whole: it is the whole recording, whose channels can be
-    judged.
+def check_and_repair(
+    context: RecordingContext, window: RowWindow, grid: TimeGrid, *, complete: bool
+) -> Recording:
+    """Check and repair a window of rows.
 
-    Raises UnusableInput for wrong units, too few rows or too few numbers.
+    Args:
+        context: The recording.
+        window: Rows of it.
+        grid: Even grid of its rows.
+        complete: The window is the complete recording, so that signals can be judged.
+
+    Raises:
+        UnusableInput: Units are wrong, or there are too few rows or values.
     """
-    source, robot = patient.source, patient.robot
-    block, lacks = missing_values.fill(source, robot.joints, window.block)
-    if len(block) < (SHORTEST if whole else 2):
-        raise UnusableInput(f"{source}: has {len(block)} usable rows; give at least {SHORTEST}")
-    units.check_positions(source, block, robot, patient.limits)
-    unlike = units.check_velocities(source, block, robot)
-    gridded, uneven = even(block, clock)
-    remarks = [*block.remarks, *window.remarks, *lacks, *uneven]
+    source, robot = context.source, context.robot
+    block, missing = missing_values.fill_missing(source, robot.joints, window.block)
+    if len(block) < (MIN_ROWS if complete else 2):
+        raise UnusableInput(f"{source}: has {len(block)} usable rows; give at least {MIN_ROWS}")
+    units.check_positions(source, block, robot, context.limits)
+    inconsistent = units.check_velocities(source, block, robot)
+    gridded, uneven = resample(block, grid)
+    remarks = [*block.remarks, *window.remarks, *missing, *uneven]
     smoothed = np.zeros(robot.n, bool)
-    if whole:
+    if complete:
         remarks += [
-            *_unknown(patient.sidecar),
-            *unlike,
-            *signal_checks.look(block, robot, patient.limits),
+            *_unknown_keys(context.sidecar),
+            *inconsistent,
+            *signal_checks.check_signals(block, robot, context.limits),
         ]
-        gridded, wavered = _steadied(gridded, clock)
-        if not wavered:  # positions that were read at other instants are not smooth
-            gridded, smoothed = _unrounded(gridded, encoder.steps(block.values["q"]))
-        remarks += [*wavered, *_rounded(robot, smoothed)]
+        gridded, jitter = _without_jitter(gridded, grid)
+        if not jitter:  # positions read at other times than their stamps are not smooth
+            resolution = encoder_resolution.estimate_resolution(block.values["q"])
+            gridded, smoothed = _without_quantization(gridded, resolution)
+        remarks += [*jitter, *_quantization_remarks(robot, smoothed)]
     inside = gridded.rows((gridded.t >= window.start) & (gridded.t <= window.end))
-    own = window.block.t[(window.block.t >= window.start) & (window.block.t <= window.end)]
+    t = window.block.t
     return Recording(
         source=source,
         joints=robot.joints,
         t=inside.t,
         **inside.values,
-        sidecar=patient.sidecar,
+        sidecar=context.sidecar,
         remarks=tuple(remarks),
-        own_times=own,
-        steps=encoder.noise(block.values["q"]),
+        row_times=t[(t >= window.start) & (t <= window.end)],
+        encoder_noise=encoder_resolution.quantization_noise(block.values["q"]),
         smoothed=smoothed,
         run_in=int(np.searchsorted(inside.t, window.done, side="right")),
     )
 
 
-def _steadied(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
-    """Rows whose positions are what they were at their stamps, where all joints say together that
-    they were read at other instants."""
-    found = timestamp_jitter.found(block.t, block.values["q"], clock.step)
-    if found is None:
+def _without_jitter(block: Block, grid: TimeGrid) -> tuple[Block, list[Remark]]:
+    """Correct positions of all encoders where the joints agree that stamps are jittered."""
+    jitter = timestamp_jitter.estimate_jitter(block.t, block.values["q"], grid.step)
+    if jitter is None:
         return block, []
     values = {
-        name: found.taken(value) if name in ENCODERS else value
+        name: jitter.corrected(value) if name in ENCODER_QUANTITIES else value
         for name, value in block.values.items()
     }
-    text = f"positions of all joints were read {1e3 * found.rms:.2g} ms (rms) off their stamps; where they were at the stamps is estimated"  # noqa: E501
-    return Block(block.t, values, block.remarks), [Remark(Kind.WAVER, text, repaired=True)]
+    error = f"{1e3 * jitter.rms:.2g} ms (rms)"
+    text = (
+        f"positions of all joints were read with a timing error of {error}; their values at the "
+        "stamps are estimated"
+    )
+    remark = Remark(RemarkKind.TIMESTAMP_JITTER, text, repaired=True)
+    return Block(block.t, values, block.remarks), [remark]
 
 
-def _unrounded(block: Block, steps: Array) -> tuple[Block, Array]:
-    """Rows whose positions are the smoothest within the steps of their encoders, and of which
-    joints they are."""
-    q, smoothed = quantization.smoothest(block.t, block.values["q"], steps)
+def _without_quantization(block: Block, resolution: FloatArray) -> tuple[Block, BoolArray]:
+    """Smooth positions within the resolution of their encoders; return a mask of these joints."""
+    q, smoothed = quantization.smooth_positions(block.t, block.values["q"], resolution)
     return Block(block.t, {**block.values, "q": q}, block.remarks), smoothed
 
 
-def _rounded(robot: Robot, smoothed: Array) -> list[Remark]:
+def _quantization_remarks(robot: Robot, smoothed: BoolArray) -> list[Remark]:
     joints = ", ".join(f"'{robot.joints[j]}'" for j in np.flatnonzero(smoothed))
-    text = f"of joints {joints} the smoothest motion is taken that their encoders' steps allow"
-    return [Remark(Kind.ROUNDED, text, repaired=True)] if joints else []
+    text = f"positions of joints {joints} are smoothed within the resolution of their encoders"
+    return [Remark(RemarkKind.ROUNDED, text, repaired=True)] if joints else []
 
 
-def warn(source: str, remarks: Iterable[Remark]) -> None:
-    """Tell of each repair of a fault: that an encoder rounds is none."""
+def warn_of_repairs(source: str, remarks: Iterable[Remark]) -> None:
+    """Warn of each repaired fault; quantization is no fault."""
     for remark in remarks:
-        if remark.repaired and remark.kind is not Kind.ROUNDED:
+        if remark.repaired and remark.kind is not RemarkKind.ROUNDED:
             warnings.warn(f"{source}: {remark.text}", ExciteWarning, stacklevel=3)
 
 
-def _unknown(sidecar: Sidecar) -> list[Remark]:
+def _unknown_keys(sidecar: Sidecar) -> list[Remark]:
     return [
-        Remark(Kind.SKIPPED, f"the sidecar's '{key}' is none of {', '.join(KEYS)}; it is ignored")
+        Remark(
+            RemarkKind.SKIPPED,
+            f"the sidecar's '{key}' is none of {', '.join(KEYS)}; it is ignored",
+        )
         for key in sidecar.unknown
     ]

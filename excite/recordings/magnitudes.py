@@ -1,55 +1,55 @@
-"""Numbers that no measurement has: a recording that holds one is refused by column and row.
+"""Bounds of magnitudes beyond which a number is no measurement.
 
-The ranges are far wider than any unit that a recording may be in by mistake (encoder counts,
-milliamperes, nanoseconds since 1970), of which `units` and `clock` tell more; they keep squares and
-sums over all rows finite.
+They are far wider than any unit that a recording may be in by mistake (encoder counts,
+milliamperes, nanoseconds since 1970), which `units` and `time_axis` report in more detail. They
+keep squares and sums over all rows finite.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
 from .column_names import PREFIXES
 
-Array = np.ndarray
-LARGEST = 1e12
+MAX_MAGNITUDE = 1e12
 """Largest magnitude of a measured quantity, whatever its unit."""
-LARGEST_TIME = 1e20
+MAX_TIME = 1e20
 """Largest magnitude of a time, in any unit: the year 2026 is 1.8e18 ns after 1970."""
-PREFIX = {quantity: prefix for prefix, quantity in PREFIXES.items()}
+PREFIX_OF = {quantity: prefix for prefix, quantity in PREFIXES.items()}
+"""Prefix of the columns of each quantity."""
 
 
-def check(source: str, block: Block, robot: Robot, first_row: int) -> None:
-    """Check the numbers of a block as a reader found it; NaN and ±inf are missing numbers, see
-    `missing`.
+def check_magnitudes(source: str, block: Block, robot: Robot, first_row: int) -> None:
+    """Check the numbers of a block; `missing_values` handles NaN and ±inf.
 
     Args:
-        source: The recording, for messages.
+        source: Name of the recording, for messages.
         block: Rows of it.
         robot: The robot.
-        first_row: Number of the block's first row in its file, counted as the file's users count.
+        first_row: Number of the block's first row in its file, as users count.
 
     Raises:
-        UnusableInput: A number is larger than LARGEST or LARGEST_TIME.
+        UnusableInput: A number exceeds MAX_MAGNITUDE or MAX_TIME.
     """
-    row = _first_beyond(block.t[:, None], LARGEST_TIME)
-    if row is not None:
-        raise UnusableInput(
-            _words(source, "t", first_row + row[0], float(block.t[row[0]]), LARGEST_TIME)
-        )
+    place = _first_beyond(block.t[:, None], MAX_TIME)
+    if place is not None:
+        value = float(block.t[place[0]])
+        raise UnusableInput(_message(source, "t", first_row + place[0], value, MAX_TIME))
     for quantity, values in block.values.items():
-        place = _first_beyond(values, LARGEST)
+        place = _first_beyond(values, MAX_MAGNITUDE)
         if place is not None:
-            column = f"{PREFIX[quantity]}.{robot.joints[place[1]]}"
+            column = f"{PREFIX_OF[quantity]}.{robot.joints[place[1]]}"
+            value = float(values[place])
             raise UnusableInput(
-                _words(source, column, first_row + place[0], float(values[place]), LARGEST)
+                _message(source, column, first_row + place[0], value, MAX_MAGNITUDE)
             )
 
 
-def _first_beyond(values: Array, largest: float) -> tuple[int, int] | None:
+def _first_beyond(values: FloatArray, largest: float) -> tuple[int, int] | None:
     """Row and column of the first finite number beyond a magnitude."""
     with np.errstate(invalid="ignore"):
         beyond = np.isfinite(values) & (np.abs(values) > largest)
@@ -59,5 +59,6 @@ def _first_beyond(values: Array, largest: float) -> tuple[int, int] | None:
     return int(row), int(column)
 
 
-def _words(source: str, column: str, row: int, value: float, largest: float) -> str:
-    return f"{source}: row {row}, column {column}: {value:g} is beyond ±{largest:g}, no measurement; correct the cell or leave it empty"  # noqa: E501
+def _message(source: str, column: str, row: int, value: float, largest: float) -> str:
+    fault = f"{value:g} is beyond ±{largest:g}, no measurement"
+    return f"{source}: row {row}, column {column}: {fault}; correct the cell or leave it empty"

@@ -1,4 +1,4 @@
-"""Cells that are no number."""
+"""Missing values: short runs are interpolated, longer ones left out."""
 
 from __future__ import annotations
 
@@ -6,81 +6,100 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray, IntArray
 from ..errors import UnusableInput
 from .block import Block
-from .remark import Kind, Remark
+from .remark import Remark, RemarkKind
 
-Array = np.ndarray
-SHORT = 5
-"""Longest run of rows without a number that is interpolated."""
-MOST = 0.5
-NEEDED, SLOW = ("q", "tau", "current"), ("temperature",)
-"""Quantities without which a row is worth nothing; and those that are sampled now and then, and
-change little in between."""
+MAX_INTERPOLATED_ROWS = 5
+"""Longest run of missing values that is interpolated."""
+MAX_MISSING_SHARE = 0.5
+"""Largest share of missing values of a joint's position, torque or current [1]."""
+REQUIRED = ("q", "tau", "current")
+"""Quantities without which a row is of no use."""
+SLOW = ("temperature",)
+"""Quantities that change little between sparse samples."""
 
 
-def fill(source: str, joints: Sequence[str], block: Block) -> tuple[Block, list[Remark]]:
-    """Interpolate runs of up to 5 missing numbers in time; drop rows where q, tau or current lack
-    longer, which leaves a gap.
+def fill_missing(source: str, joints: Sequence[str], block: Block) -> tuple[Block, list[Remark]]:
+    """Interpolate short runs of missing values in time and drop rows that are of no use.
 
-    In the other quantities a longer run stays without numbers, but for what is slow. A column
-    without any number is a joint that lacks the quantity. Error where a joint has no position at
-    all, or where more than half of its positions, torques or currents are missing. ±inf is no
-    number.
+    A run of more than MAX_INTERPOLATED_ROWS rows without q, tau or current is dropped, which leaves
+    a gap; in other quantities it stays without values, except in slow ones, which are interpolated.
+    A column without any value means that the joint lacks the quantity. ±inf counts as missing.
+
+    Args:
+        source: Name of the recording, for messages.
+        joints: Names of the joints.
+        block: Rows as they were read.
+
+    Raises:
+        UnusableInput: A joint has no position, or more than half of its positions, torques or
+            currents are missing.
     """
     remarks: list[Remark] = []
     values = dict(block.values)
     keep = np.ones(len(block), bool)
     for name, value in block.values.items():
-        bad = ~np.isfinite(value)
-        if not bad.any():
+        missing = ~np.isfinite(value)
+        if not missing.any():
             continue
         values[name] = value.copy()
-        for i in np.flatnonzero(bad.any(axis=0)).tolist():
-            joint, share = joints[i], float(bad[:, i].mean())
-            if (name == "q" and share > MOST) or (name in NEEDED and MOST < share < 1.0):
+        for i in np.flatnonzero(missing.any(axis=0)).tolist():
+            joint, share = joints[i], float(missing[:, i].mean())
+            too_many = share > MAX_MISSING_SHARE
+            if too_many and (name == "q" or (name in REQUIRED and share < 1.0)):
                 raise UnusableInput(
                     f"{source}: joint '{joint}': {100 * share:.0f} % of {name} are no numbers; "
                     "record them, or leave it out with --joints"
                 )
-            if share == 1.0:
+            known = ~missing[:, i]
+            if not known.any():
                 values[name][:, i] = np.nan
                 continue
             if name in SLOW:
-                values[name][:, i] = np.interp(block.t, block.t[~bad[:, i]], value[~bad[:, i], i])
+                values[name][:, i] = np.interp(block.t, block.t[known], value[known, i])
                 continue
-            column, long = _filled(block.t, values[name][:, i], bad[:, i])
+            column, is_long = _interpolated(block.t, values[name][:, i], missing[:, i])
             values[name][:, i] = column
-            if name in NEEDED:
-                keep &= ~long
-            remarks.append(_remark(name, joint, block.t, bad[:, i], long))
+            if name in REQUIRED:
+                keep &= ~is_long
+            remarks.append(_remark(name, joint, block.t, missing[:, i], is_long))
     filled = Block(block.t, values, block.remarks)
     return (filled if keep.all() else filled.rows(keep)), remarks
 
 
-def runs(flags: Array) -> Array:
-    """First row and end (exclusive) of each run of True. Shape (runs, 2)."""
+def true_runs(flags: BoolArray) -> IntArray:
+    """Return the first index and the end (exclusive) of each run of True. Shape (runs, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return edges.reshape(-1, 2)
 
 
-def _filled(t: Array, column: Array, bad: Array) -> tuple[Array, Array]:
-    """The column with its short inner runs interpolated, and where long ones are."""
-    long = np.zeros(len(t), bool)
-    for start, end in runs(bad):
-        if end - start > SHORT or start == 0 or end == len(t):
-            long[start:end] = True
-    short = bad & ~long
-    out = np.where(long, np.nan, column)
-    out[short] = np.interp(t[short], t[~bad], column[~bad])
-    return out, long
+def _interpolated(
+    t: FloatArray, column: FloatArray, missing: BoolArray
+) -> tuple[FloatArray, BoolArray]:
+    """Interpolate the short inner runs of a column.
+
+    Returns:
+        The column, NaN in longer runs and in runs at its ends, and a mask of these. Shape (N,).
+    """
+    is_long = np.zeros(len(t), bool)
+    for start, end in true_runs(missing):
+        if end - start > MAX_INTERPOLATED_ROWS or start == 0 or end == len(t):
+            is_long[start:end] = True
+    is_short = missing & ~is_long
+    out = np.where(is_long, np.nan, column)
+    out[is_short] = np.interp(t[is_short], t[~missing], column[~missing])
+    return out, is_long
 
 
-def _remark(name: str, joint: str, t: Array, bad: Array, long: Array) -> Remark:
-    text = f"joint '{joint}': {int(bad.sum())} missing values of {name}"
-    if (bad & ~long).any():
-        text += f", {int((bad & ~long).sum())} interpolated"
-    if long.any():
-        text += f", {int(long.sum())} in longer runs {'dropped with their rows' if name in NEEDED else 'left out'}"  # noqa: E501
-    where = np.flatnonzero(bad)[[0, -1]]
-    return Remark(Kind.MISSING, text, joint, float(t[where[0]]), float(t[where[1]]), repaired=True)
+def _remark(name: str, joint: str, t: FloatArray, missing: BoolArray, is_long: BoolArray) -> Remark:
+    text = f"joint '{joint}': {int(missing.sum())} missing values of {name}"
+    interpolated = int((missing & ~is_long).sum())
+    if interpolated:
+        text += f", {interpolated} interpolated"
+    if is_long.any():
+        outcome = "dropped with their rows" if name in REQUIRED else "left out"
+        text += f", {int(is_long.sum())} in longer runs {outcome}"
+    first, last = np.flatnonzero(missing)[[0, -1]]
+    return Remark(RemarkKind.MISSING, text, joint, float(t[first]), float(t[last]), repaired=True)

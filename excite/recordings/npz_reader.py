@@ -1,5 +1,7 @@
-"""NumPy archives (.npz), compressed or not, read as streams: no member is held whole unless it is
-stored column by column."""
+"""NumPy archives (.npz), compressed or not, read as streams.
+
+Only arrays in Fortran order are loaded completely.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,14 @@ from typing import IO
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
-from .column_names import PREFIXES, Layout, layout, listed
+from .column_names import PREFIXES, ColumnLayout, find_columns, listed
 
-Array = np.ndarray
-ROWS = 50_000
+BLOCK_ROWS = 50_000
+"""Number of rows in a block."""
 UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -34,29 +37,38 @@ UNREADABLE = (
     RuntimeError,
     TypeError,
 )
-"""What zipfile and numpy raise for files that are no archives or that ask for a compression or a
-password that is not there."""
+"""Exceptions of zipfile and numpy for files that are no archives, or that need a password or an
+unknown compression."""
 
 
 @dataclass
 class _Member:
-    """One array of the archive, read row by row. A memory map needs a plain .npy file, so the zip
-    member's stream is read instead."""
+    """An array of the archive, read row by row from the stream of the zip member.
+
+    Attributes:
+        path: The archive.
+        name: Name of the array.
+        stream: Stream that stands at the first number.
+        shape: Shape of the array.
+        dtype: Type of its numbers.
+        loaded: The array, if it is in Fortran order and has no rows to stream.
+        position: Number of rows read so far.
+    """
 
     path: Path
     name: str
     stream: IO[bytes]
     shape: tuple[int, ...]
     dtype: np.dtype
-    whole: Array | None  # of an array stored column by column, which has no rows to stream
-    at: int = 0
+    loaded: np.ndarray | None
+    position: int = 0
 
-    def take(self, count: int) -> Array:
-        """The next rows, at most `count`. Shape (rows,) or (rows, columns)."""
-        count = min(count, self.shape[0] - self.at)
-        self.at += count
-        if self.whole is not None:
-            return self.whole[self.at - count : self.at].astype(float)
+    def take(self, count: int) -> FloatArray:
+        """Read the next rows, at most `count`. Shape (rows,) or (rows, columns)."""
+        count = min(count, self.shape[0] - self.position)
+        self.position += count
+        if self.loaded is not None:
+            return self.loaded[self.position - count : self.position].astype(float)
         width = int(np.prod(self.shape[1:]))
         data = self.stream.read(count * width * self.dtype.itemsize)
         if len(data) < count * width * self.dtype.itemsize:
@@ -64,43 +76,54 @@ class _Member:
         return np.frombuffer(data, self.dtype).reshape(count, *self.shape[1:]).astype(float)
 
 
-Opener = Callable[[str, int], _Member]
+MemberOpener = Callable[[str, int], _Member]
+"""Function that opens an array by name and number of dimensions."""
 
 
-def blocks(path: Path, robot: Robot) -> Iterator[Block]:
-    """Blocks of an archive with `t` and either the contract's columns (`q.<joint>`, …) or arrays
-    (N, m) `q`, `dq`, `tau`, `i`, `qref`, `qlink`, `temp` whose columns `joints` names.
+def read_blocks(path: Path, robot: Robot) -> Iterator[Block]:
+    """Read an archive of columns or matrices.
 
-    Raises UnusableInput for an archive that cannot be read, lacks an array or whose arrays differ
-    in length.
+    Args:
+        path: Archive with `t` and either columns `q.<joint>`, …, or matrices `q`, `dq`, `tau`, `i`,
+            `qref`, `qlink`, `temp` of shape (N, m) with the names of their columns in `joints`.
+        robot: Robot whose joints are recorded.
+
+    Yields:
+        Consecutive blocks of BLOCK_ROWS rows.
+
+    Raises:
+        UnusableInput: The archive cannot be read, lacks an array, or its arrays differ in length.
     """
     try:
         with zipfile.ZipFile(path) as file, ExitStack() as opened:
             open_member = partial(_open, path, file, opened)
             names = [name.removesuffix(".npy") for name in file.namelist()]
             if "q" in names:
-                yield from _matrices(path, open_member, _names(path, file, names), names, robot)
+                joints = _joint_names(path, file, names)
+                yield from _read_matrices(path, open_member, joints, names, robot)
             else:
-                yield from _columns(path, open_member, names, robot)
+                yield from _read_columns(path, open_member, names, robot)
     except UNREADABLE as error:
         raise UnusableInput(
             f"{path}: is no readable .npz ({error}); save it again with np.savez"
         ) from error
 
 
-def _columns(path: Path, open_member: Opener, names: list[str], robot: Robot) -> Iterator[Block]:
-    places = layout(str(path), names, robot)
-    members = [open_member(name, 1) for name in places.names]
-    yield from _merged(path, members, places)
+def _read_columns(
+    path: Path, open_member: MemberOpener, names: list[str], robot: Robot
+) -> Iterator[Block]:
+    layout = find_columns(str(path), names, robot)
+    members = [open_member(name, 1) for name in layout.names]
+    yield from _merge(path, members, layout)
 
 
-def _matrices(
-    path: Path, open_member: Opener, joints: list[str], names: list[str], robot: Robot
+def _read_matrices(
+    path: Path, open_member: MemberOpener, joints: list[str], names: list[str], robot: Robot
 ) -> Iterator[Block]:
     if "t" not in names or "joints" not in names:
-        lacking = "t" if "t" not in names else "joints"
+        missing = "t" if "t" not in names else "joints"
         raise UnusableInput(
-            f"{path}: has no array '{lacking}' but {listed(names)}; save t, joints (names of the "
+            f"{path}: has no array '{missing}' but {listed(names)}; save t, joints (names of the "
             "columns of q) and q"
         )
     prefixes = [prefix for prefix in PREFIXES if prefix in names]
@@ -112,31 +135,32 @@ def _matrices(
                 "joints; save one a joint"
             )
     header = ["t", *(f"{prefix}.{joint}" for prefix in prefixes for joint in joints)]
-    places = layout(str(path), header, robot)
-    yield from _merged(path, members, places, [header.index(name) for name in places.names])
+    layout = find_columns(str(path), header, robot)
+    yield from _merge(path, members, layout, [header.index(name) for name in layout.names])
 
 
-def _merged(
-    path: Path, members: list[_Member], places: Layout, columns: list[int] | None = None
+def _merge(
+    path: Path, members: list[_Member], layout: ColumnLayout, columns: list[int] | None = None
 ) -> Iterator[Block]:
+    """Yield blocks of the columns of several arrays; columns: those to use, None: all."""
     lengths = {member.name: member.shape[0] for member in members}
-    odd = next((name for name, length in lengths.items() if length != members[0].shape[0]), None)
-    if odd is not None:
+    other = next((name for name, length in lengths.items() if length != members[0].shape[0]), None)
+    if other is not None:
         raise UnusableInput(
-            f"{path}: array '{odd}' has {lengths[odd]} rows and '{members[0].name}' "
+            f"{path}: array '{other}' has {lengths[other]} rows and '{members[0].name}' "
             f"{members[0].shape[0]}; save equally many"
         )
-    for _ in range(0, members[0].shape[0], ROWS):
-        table = np.column_stack([member.take(ROWS) for member in members])
-        yield places.block(table if columns is None else table[:, columns])
+    for _ in range(0, members[0].shape[0], BLOCK_ROWS):
+        table = np.column_stack([member.take(BLOCK_ROWS) for member in members])
+        yield layout.block(table if columns is None else table[:, columns])
 
 
-def _names(path: Path, file: zipfile.ZipFile, names: list[str]) -> list[str]:
-    """What the array `joints` holds, if it is there."""
+def _joint_names(path: Path, file: zipfile.ZipFile, names: list[str]) -> list[str]:
+    """Read the array `joints`; empty without one."""
     if "joints" not in names:
         return []
     with file.open("joints.npy") as stream:
-        _header(path, file, "joints", stream)
+        _read_header(path, file, "joints", stream)
     with file.open("joints.npy") as stream:
         return [
             str(name)
@@ -144,14 +168,17 @@ def _names(path: Path, file: zipfile.ZipFile, names: list[str]) -> list[str]:
         ]
 
 
-def _header(
+def _read_header(
     path: Path, file: zipfile.ZipFile, name: str, stream: IO[bytes]
 ) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Shape, whether columns are stored one after the other, and type of an array; the stream then
-    stands at its first number.
+    """Read the header of an array; the stream then stands at its first number.
 
-    Raises UnusableInput for an array of objects, which is not loaded since it may hold code, and
-    for one that is larger than its file.
+    Returns:
+        Shape, True for Fortran order, and type of the numbers.
+
+    Raises:
+        UnusableInput: The array holds Python objects, which may execute code when they are loaded,
+            or is larger than its file.
     """
     version = np.lib.format.read_magic(stream)
     read = (
@@ -159,33 +186,33 @@ def _header(
         if version == (1, 0)
         else np.lib.format.read_array_header_2_0
     )
-    shape, by_column, dtype = read(stream)
+    shape, is_fortran, dtype = read(stream)
     if dtype.hasobject:
         raise UnusableInput(
             f"{path}: array '{name}' holds Python objects, which are not loaded; save numbers and "
             "names"
         )
-    there = file.getinfo(f"{name}.npy").file_size
-    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > there:
+    size = file.getinfo(f"{name}.npy").file_size
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size:
         raise UnusableInput(
-            f"{path}: array '{name}' of shape {shape} should have more than the {there} bytes that "
+            f"{path}: array '{name}' of shape {shape} should have more than the {size} bytes that "
             "are there; save it again"
         )
-    return shape, by_column, dtype
+    return shape, is_fortran, dtype
 
 
 def _open(
     path: Path, file: zipfile.ZipFile, opened: ExitStack, name: str, dimensions: int
 ) -> _Member:
     stream = opened.enter_context(file.open(f"{name}.npy"))
-    shape, by_column, dtype = _header(path, file, name, stream)
+    shape, is_fortran, dtype = _read_header(path, file, name, stream)
     if len(shape) != dimensions or dtype.kind not in "fiu":
         raise UnusableInput(
             f"{path}: array '{name}' is {len(shape)}-dimensional of type {dtype}; save "
             f"{dimensions}-dimensional numbers"
         )
-    whole = None
-    if by_column and dimensions > 1:
+    loaded = None
+    if is_fortran and dimensions > 1:
         data = np.frombuffer(stream.read(), dtype)
-        whole = data.reshape(shape, order="F")
-    return _Member(path, name, stream, shape, dtype, whole)
+        loaded = data.reshape(shape, order="F")
+    return _Member(path, name, stream, shape, dtype, loaded)

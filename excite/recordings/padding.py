@@ -1,13 +1,23 @@
-"""The ends of an evenly sampled stretch, where a filter would look beyond it."""
+"""Padding of signals at their ends, for filters that reach beyond them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-Array = np.ndarray
+from .._types import FloatArray
 
 
-def reflected(x: Array, before: int, behind: int) -> Array:
-    """Continued by so many rows, fewer than there are, by reflection through the ends. Shapes (N,
-    …) -> (before + N + behind, …)."""
-    return np.concatenate([2.0 * x[0] - x[before:0:-1], x, 2.0 * x[-1] - x[-2 : -behind - 2 : -1]])
+def pad_by_reflection(x: FloatArray, before: int, after: int) -> FloatArray:
+    """Continue a signal at both ends by odd reflection, 2 x₀ − x₋ₖ.
+
+    Args:
+        x: Evenly sampled signals. Shape (N, …).
+        before: Number of rows to add at the start, less than N.
+        after: Number of rows to add at the end, less than N.
+
+    Returns:
+        The signals with value and slope continuous at the ends. Shape (before + N + after, …).
+    """
+    head = 2.0 * x[0] - x[before:0:-1]
+    tail = 2.0 * x[-1] - x[-2 : -after - 2 : -1]
+    return np.concatenate([head, x, tail])

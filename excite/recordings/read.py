@@ -1,4 +1,4 @@
-"""Recordings from files: whole, or block by block in bounded memory."""
+"""Read recordings from files: completely, or block by block in bounded memory."""
 
 from __future__ import annotations
 
@@ -20,94 +20,115 @@ from . import (
     rosbag_reader,
     sidecar,
 )
-from .block import Block, joined
-from .data_quality import Patient, Window
+from .block import Block, concatenate
+from .data_quality import RecordingContext, RowWindow
 from .recording import Recording
-from .remark import Kind, Remark
-from .time_axis import measure, order
+from .remark import Remark, RemarkKind
+from .time_axis import find_grid, sort_rows
 
-HOLD = 128
-"""Rows held back at the end of a block, among which late rows are sorted in."""
-CONTEXT = 32
-"""Rows before and after a block that its repairs see. A spline forgets a row after fewer."""
+DELAY_ROWS = 128
+"""Rows at the end of a block that wait for the next block, so that delayed rows can be sorted
+in."""
+CONTEXT_ROWS = 32
+"""Rows before and after a block that its repairs take into account; the effect of a row on a cubic
+spline decays over fewer."""
 FORMATS = "CSV, .npz, rosbag2 folder, .mcap, .db3 or .bag"
 
 
 def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
-    """A whole recording, checked and repaired.
+    """Read, check and repair a recording.
 
-    path: a CSV (the contract's columns, or Universal Robots' RTDE), an .npz, a rosbag2 folder, an
-        .mcap, .db3 or .bag; a sidecar `<name>.json` beside it is read too. limits: to tell degrees
-        from radians; without, the URDF's. Raises UnusableInput, with file, joint and remedy, for
-        what cannot be read, matched or repaired; gives an ExciteWarning for each repair of a fault;
-        `remarks` lists these too.
+    An `ExciteWarning` is issued for each repair of a fault; `Recording.remarks` lists repairs, too.
+
+    Args:
+        path: A CSV file (columns `q.<joint>`, … or Universal Robots' RTDE), an .npz, a rosbag2
+            folder, an .mcap, .db3 or .bag. A sidecar `<name>.json` in the same folder is read, too.
+        robot: Robot that it records.
+        limits: Limits of the robot, by which wrong units are detected; None: those of the URDF.
+
+    Raises:
+        UnusableInput: It cannot be read, assigned to the robot's joints or repaired.
     """
-    patient = Patient(str(path), robot, sidecar.read(path, robot), limits)
-    found, rows, numbers = list[Block](), 0, 0
-    for part in _blocks(path, patient):
-        if len(part) or part.remarks:
-            found.append(part)
-        rows += len(part)
-        numbers += len(part) * (1 + robot.n * len(part.values))
+    context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
+    blocks, rows, numbers = list[Block](), 0, 0
+    for block in _read_blocks(path, context):
+        if len(block) or block.remarks:
+            blocks.append(block)
+        rows += len(block)
+        numbers += len(block) * (1 + robot.n * len(block.values))
         recording_cost.require_readable(str(path), rows, numbers)
-    if not found:
+    if not blocks:
         raise UnusableInput(f"{path}: has no rows; record again")
-    block, remarks = order(str(path), joined(found))
-    whole = data_quality.recording(
-        patient, Window(block, remarks=tuple(remarks)), measure(str(path), block.t), whole=True
-    )
-    if whole.sidecar.period is not None:
-        whole.check_period(whole.sidecar.period, whole.sidecar.periodic, str(sidecar.beside(path)))
-    data_quality.warn(str(path), whole.remarks)
-    return whole
+    ordered, remarks = sort_rows(str(path), concatenate(blocks))
+    window = RowWindow(ordered, remarks=tuple(remarks))
+    grid = find_grid(str(path), ordered.t)
+    recording = data_quality.check_and_repair(context, window, grid, complete=True)
+    stated = recording.sidecar
+    if stated.period is not None:
+        stated_by = str(sidecar.sidecar_path(path))
+        recording.check_period(stated.period, stated.periodic, stated_by)
+    data_quality.warn_of_repairs(str(path), recording.remarks)
+    return recording
 
 
 def stream(
     path: Path, robot: Robot, limits: Limits | None = None, *, rows: int = 200_000, overlap: int = 0
 ) -> Iterator[Recording]:
-    """Consecutive blocks of a recording, of about `rows` new rows each, in memory that depends on
-    `rows` alone.
+    """Read consecutive blocks of a recording in memory that depends on `rows` alone.
 
-    overlap: rows at the end of the block before that are repeated in front, so that a filter can
-        run in; `run_in` counts them. Each block is repaired as `read` repairs the whole, on the
-        grid of the first block's clock; what takes the whole to see (joints that never move, a
-        clock that wavers, coarse, frozen and clipped channels, what encoders rounded) is not
-        judged, and shares of missing numbers are judged by block. A repair is warned of where it
-        first occurs; what a remark counts may include the up to 32 rows around the block. Bounded
-        are CSV, bags and .npz but for 2-D arrays stored column by column, which are held whole.
-        Raises UnusableInput as `read` does, and for rows that come more than some 100 rows late.
+    Each block is repaired as `read` repairs the recording, on the grid of the first block. Not
+    judged are properties of the complete recording: joints that never move, timestamp jitter,
+    quantization, and coarse, frozen or clipped signals. Shares of missing values are judged by
+    block. A repair is warned of where it first occurs; numbers in a remark may include up to 32
+    rows around the block. Memory is bounded for CSV, bags and .npz, except 2-D arrays in Fortran
+    order.
+
+    Args:
+        path: As of `read`.
+        robot: Robot that it records.
+        limits: As of `read`.
+        rows: Approximate number of new rows in a block.
+        overlap: Number of rows at the end of a block that the next block repeats, so that filters
+            can settle; `Recording.run_in` counts them.
+
+    Raises:
+        UnusableInput: As `read`; or rows are out of order by more than about 100 rows.
     """
-    if rows < 2 * HOLD or overlap < 0:
+    if rows < 2 * DELAY_ROWS or overlap < 0:
         raise UnusableInput(
-            f"{path}: a stream needs blocks of at least {2 * HOLD} rows and an overlap of 0 or "
-            "more; raise rows"
+            f"{path}: a stream needs blocks of at least {2 * DELAY_ROWS} rows and an overlap of 0 "
+            "or more; raise rows"
         )
-    patient = Patient(str(path), robot, sidecar.read(path, robot), limits)
-    clock, said = None, set[tuple[Kind, str | None]]()
-    for window in _windows(str(path), _sized(_blocks(path, patient), rows), overlap):
-        clock = clock or measure(str(path), window.block.t)
-        part = data_quality.recording(patient, window, clock, whole=False)
-        data_quality.warn(str(path), [r for r in part.remarks if (r.kind, r.joint) not in said])
-        said |= {(remark.kind, remark.joint) for remark in part.remarks}
+    context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
+    grid, warned = None, set[tuple[RemarkKind, str | None]]()
+    for window in _windows(str(path), _regrouped(_read_blocks(path, context), rows), overlap):
+        grid = grid or find_grid(str(path), window.block.t)
+        part = data_quality.check_and_repair(context, window, grid, complete=False)
+        new = [remark for remark in part.remarks if (remark.kind, remark.joint) not in warned]
+        data_quality.warn_of_repairs(str(path), new)
+        warned |= {(remark.kind, remark.joint) for remark in part.remarks}
         if len(part):
             yield part
 
 
-def _blocks(path: Path, patient: Patient) -> Iterator[Block]:
+def _read_blocks(path: Path, context: RecordingContext) -> Iterator[Block]:
+    """Yield blocks as the reader of the file's format returns them."""
     if not (os.path.isdir(path) or os.path.isfile(path)):
         raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
     if path.suffix == ".json":
-        raise UnusableInput(f"{path}: is no recording but JSON; give the file beside it: {FORMATS}")
+        raise UnusableInput(
+            f"{path}: is no recording but JSON; give the recording of that name: {FORMATS}"
+        )
     row = 1
     try:
         if rosbag_reader.is_bag(path):
-            found = rosbag_reader.blocks(path, patient.robot, patient.sidecar)
+            blocks = rosbag_reader.read_blocks(path, context.robot, context.sidecar)
         elif path.suffix == ".npz":
-            found = npz_reader.blocks(path, patient.robot)
+            blocks = npz_reader.read_blocks(path, context.robot)
         else:
-            found, row = csv_reader.blocks(path, patient.robot), 2  # the header is row 1
-        for block in found:
-            magnitudes.check(str(path), block, patient.robot, row)
+            blocks, row = csv_reader.read_blocks(path, context.robot), 2  # the header is row 1
+        for block in blocks:
+            magnitudes.check_magnitudes(str(path), block, context.robot, row)
             row += len(block)
             yield block
     except OSError as error:
@@ -116,52 +137,53 @@ def _blocks(path: Path, patient: Patient) -> Iterator[Block]:
         ) from error
 
 
-def _sized(blocks: Iterator[Block], rows: int) -> Iterator[tuple[Block, bool]]:
-    """Blocks of `rows` rows each but the last, which may hold up to twice as many; True with the
-    last."""
+def _regrouped(blocks: Iterator[Block], rows: int) -> Iterator[tuple[Block, bool]]:
+    """Yield blocks of `rows` rows, the last of up to twice as many, and True with the last."""
     waiting: list[Block] = []
     for block in blocks:
         waiting.append(block)
         while sum(map(len, waiting)) >= 2 * rows:
-            full = joined(waiting)
+            full = concatenate(waiting)
             yield full.rows(slice(0, rows)), False
             waiting = [
                 Block(full.t[rows:], {name: value[rows:] for name, value in full.values.items()})
             ]
     if waiting:
-        yield joined(waiting), True
+        yield concatenate(waiting), True
 
 
-def _windows(source: str, blocks: Iterator[tuple[Block, bool]], overlap: int) -> Iterator[Window]:
-    """Ordered rows of each block between context before and held rows behind."""
+def _windows(
+    source: str, blocks: Iterator[tuple[Block, bool]], overlap: int
+) -> Iterator[RowWindow]:
+    """Yield ordered rows of each block, with context before and rows that wait behind."""
     kept: Block | None = None
-    done, pending, last = -np.inf, list[Remark](), False
-    for block, last in blocks:
+    done, pending, is_last = -np.inf, list[Remark](), False
+    for block, is_last in blocks:
         earliest = float(np.fmin.reduce(block.t, initial=np.inf))
         if earliest < done:
             raise UnusableInput(
                 f"{source}: time goes back to {earliest:.6g} s after {done:.6g} s; sort the rows, "
                 "or give each recording its own file"
             )
-        ordered, remarks = order(source, block if kept is None else joined([kept, block]))
+        ordered, remarks = sort_rows(source, block if kept is None else concatenate([kept, block]))
         pending += remarks
-        fresh = int(np.searchsorted(ordered.t, done, side="right"))
-        if len(ordered) <= fresh + HOLD and not last:  # all but a few rows were repeats
+        first_new = int(np.searchsorted(ordered.t, done, side="right"))
+        if len(ordered) <= first_new + DELAY_ROWS and not is_last:  # nearly all rows were repeated
             kept = ordered
             continue
-        end = np.inf if last else float(ordered.t[-1 - HOLD])
+        end = np.inf if is_last else float(ordered.t[-1 - DELAY_ROWS])
         cut = int(np.searchsorted(ordered.t, end, side="right"))
         start = (
-            float(ordered.t[max(fresh - overlap, 0)])
-            if overlap and fresh
+            float(ordered.t[max(first_new - overlap, 0)])
+            if overlap and first_new
             else float(np.nextafter(done, np.inf))
         )
-        yield Window(ordered.rows(slice(0, cut + CONTEXT)), start, end, done, tuple(pending))
-        tail = ordered.rows(slice(max(cut - overlap - CONTEXT, 0), None))
-        kept, done, pending = (
-            Block(tail.t.copy(), {name: value.copy() for name, value in tail.values.items()}),
-            end,
-            [],
+        yield RowWindow(
+            ordered.rows(slice(0, cut + CONTEXT_ROWS)), start, end, done, tuple(pending)
         )
-    if not last:
+        tail = ordered.rows(slice(max(cut - overlap - CONTEXT_ROWS, 0), None))
+        # copies, so that the window's arrays can be freed
+        kept = Block(tail.t.copy(), {name: value.copy() for name, value in tail.values.items()})
+        done, pending = end, []
+    if not is_last:
         raise UnusableInput(f"{source}: has no rows; record again")

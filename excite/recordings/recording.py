@@ -9,51 +9,68 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray, IntArray
 from ..errors import UnusableInput
 from ..robot.samples import Samples
-from . import encoder
+from . import encoder_resolution
 from .block import QUANTITIES
 from .remark import Remark
 from .sidecar import Sidecar
-from .time_axis import pieces
+from .time_axis import gap_free_slices
 
-Array = np.ndarray
-BAND_HZ = 20.0
-SHORTEST = 16
-"""Rows below which a piece is too short to be filtered."""
+DEFAULT_CUTOFF_HZ = 20.0
+"""Cutoff frequency of `Recording.samples` [Hz]."""
+MAX_CUTOFF_PER_RATE = 0.45
+"""Cutoff frequency over the sampling rate from which `Recording.samples` does not filter [1]."""
+FILTER_ORDER = 4
+"""Order of the low-pass filter of `Recording.samples`, which is applied forward and backward."""
+MIN_ROWS = 16
+"""Number of rows below which a segment is too short to be filtered."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What was measured, checked and on an even grid but for gaps. Shapes (N, n); a column is NaN
-    where a joint lacks the quantity.
+    """Measured signals, checked, repaired and evenly spaced but for gaps.
 
-    t: Shape (N,) [s]. q: position [rad or m]. dq: velocity [rad/s]. tau: torque [N m or N].
-        current: of the motor [A].
-    qref: commanded position. qlink: position by the encoder behind the gear. temperature: [°C].
-    remarks: what the health check found and did. own_times: times of the file's rows, in order,
-        each once: N rows or, where the rows were put on an even grid, another number. Shape (M,)
-        [s]. steps: standard deviation of positions by their encoders' steps, as they were read.
-        Shape (n,); None where q is as it was read. smoothed: joints whose q is the smoothest within
-        its encoder's steps. Shape (n,) or, where none is, (1,). run_in: leading rows that repeat
-        the end of the block before (`stream`).
+    A column is NaN where a joint lacks the quantity; a quantity is None where all joints lack it.
+
+    Attributes:
+        source: Name of the recording.
+        joints: Names of the joints.
+        t: Times. Shape (N,) [s].
+        q: Positions. Shape (N, n) [rad or m].
+        dq: Velocities. Shape (N, n) [rad/s or m/s].
+        tau: Torques. Shape (N, n) [N m or N].
+        current: Motor currents. Shape (N, n) [A].
+        qref: Commanded positions. Shape (N, n) [rad or m].
+        qlink: Positions measured on the link's side of the gear. Shape (N, n) [rad or m].
+        temperature: Temperatures. Shape (N, n) [°C].
+        sidecar: Sidecar of the file.
+        remarks: Remarks about its data, and repairs.
+        row_times: Distinct times of the rows in the file, in order. Shape (M,) [s], with M ≠ N
+            where rows were resampled.
+        encoder_noise: Standard deviation of the quantization error of positions as they were read.
+            Shape (n,); None if `q` is as it was read.
+        smoothed: True for joints whose `q` was smoothed within the encoder's resolution. Shape
+            (n,), or (1,) if there are none.
+        run_in: Number of leading rows that repeat the end of the previous block of a `stream`.
     """
 
     source: str
     joints: tuple[str, ...]
-    t: Array
-    q: Array
-    dq: Array | None = None
-    tau: Array | None = None
-    current: Array | None = None
-    qref: Array | None = None
-    qlink: Array | None = None
-    temperature: Array | None = None
+    t: FloatArray
+    q: FloatArray
+    dq: FloatArray | None = None
+    tau: FloatArray | None = None
+    current: FloatArray | None = None
+    qref: FloatArray | None = None
+    qlink: FloatArray | None = None
+    temperature: FloatArray | None = None
     sidecar: Sidecar = field(default_factory=Sidecar)
     remarks: tuple[Remark, ...] = ()
-    own_times: Array = field(default_factory=lambda: np.empty(0))
-    steps: Array | None = None
-    smoothed: Array = field(default_factory=lambda: np.zeros(1, bool))
+    row_times: FloatArray = field(default_factory=lambda: np.empty(0))
+    encoder_noise: FloatArray | None = None
+    smoothed: BoolArray = field(default_factory=lambda: np.zeros(1, bool))
     run_in: int = 0
 
     def __len__(self) -> int:
@@ -65,20 +82,23 @@ class Recording:
         return float(np.median(np.diff(self.t)))
 
     @functools.cached_property
-    def encoder(self) -> Array:
-        """Standard deviation of positions by the encoders' steps, 0 where none shows. Shape
-        (n,)."""
-        return encoder.noise(self.q) if self.steps is None else self.steps
+    def quantization_noise(self) -> FloatArray:
+        """Standard deviation of the quantization error of positions, 0 if unknown. Shape (n,)."""
+        if self.encoder_noise is not None:
+            return self.encoder_noise
+        return encoder_resolution.quantization_noise(self.q)
 
     @property
     def rate(self) -> float:
-        """Rows a second [Hz]."""
+        """Sampling rate [Hz]."""
         return 1.0 / self.step
 
     @property
-    def repeats(self) -> tuple[float, tuple[float, float]] | None:
-        """After how long the motion is stated to repeat, and from when to when: all of the
-        recording, where no window is stated [s]."""
+    def repetition(self) -> tuple[float, tuple[float, float]] | None:
+        """Stated period, and the window in which the motion repeats [s]; None if not stated.
+
+        Without a stated window it is the complete recording.
+        """
         period = self.sidecar.period
         return (
             None
@@ -89,17 +109,19 @@ class Recording:
     def check_period(
         self, period: float, periodic: tuple[float, float] | None, stated_by: str
     ) -> None:
-        """Raise UnusableInput for a period of fewer than SHORTEST rows, or a window in which the
-        recording has no row.
+        """Check that a period and a window fit the recording.
 
         Args:
             period: Period of the motion [s].
-            periodic: Window in which the motion repeats [s]; None: the whole recording.
-            stated_by: Option or file that says so, for messages.
+            periodic: Window in which the motion repeats [s]; None: the complete recording.
+            stated_by: Option or file that states them, for messages.
+
+        Raises:
+            UnusableInput: The period has fewer than MIN_ROWS rows, or the window has none.
         """
-        if period < SHORTEST * self.step:
+        if period < MIN_ROWS * self.step:
             raise UnusableInput(
-                f"{stated_by}: the period {period:g} s has fewer than {SHORTEST} rows of "
+                f"{stated_by}: the period {period:g} s has fewer than {MIN_ROWS} rows of "
                 f"{self.source}, {self.step:.3g} s apart; correct it"
             )
         if periodic is not None and not (periodic[0] < self.t[-1] and periodic[1] > self.t[0]):
@@ -111,27 +133,28 @@ class Recording:
 
     @property
     def quantities(self) -> int:
-        """Number of quantities that were measured, positions included."""
+        """Number of measured quantities, positions included."""
         return sum(getattr(self, name) is not None for name in QUANTITIES)
 
     def has(self, quantity: str, joint: str) -> bool:
-        """Whether a quantity of a joint was measured at all."""
+        """Return True if a quantity of a joint was measured in at least one row."""
         values = getattr(self, quantity)
         return values is not None and bool(np.isfinite(values[:, self.joints.index(joint)]).any())
 
     @property
-    def torque(self) -> Array:
-        """Measured torque: `tau` of a joint, or else its current times its drive gain. Shape (N, n)
-        [N m].
+    def torque(self) -> FloatArray:
+        """Measured torque: `tau` of a joint, else its current times its drive gain. Shape (N, n)
+        [N m or N].
 
-        Raises UnusableInput, naming the joint, where there is neither or no gain.
+        Raises:
+            UnusableInput: A joint has neither, or a current without a drive gain.
         """
         out = np.empty(self.q.shape)
         for i, joint in enumerate(self.joints):
             if self.tau is not None and self.has("tau", joint):
                 out[:, i] = self.tau[:, i]
             elif self.current is not None and self.has("current", joint):
-                out[:, i] = self.current[:, i] * self._gain(joint)
+                out[:, i] = self.current[:, i] * self._drive_gain(joint)
             else:
                 raise UnusableInput(
                     f"{self.source}: joint '{joint}' has no torque; record tau.{joint}, or "
@@ -139,25 +162,32 @@ class Recording:
                 )
         return out
 
-    def _gain(self, joint: str) -> float:
+    def _drive_gain(self, joint: str) -> float:
+        """Drive gain of a joint [N m/A]."""
         if joint not in self.sidecar.drive_gain:
             raise UnusableInput(
                 f"{self.source}: joint '{joint}' has a current but no drive gain; put "
-                f'"drive_gain": {{"{joint}": N m/A}} into the .json beside the recording ("schema": "excite.recording/1")'  # noqa: E501
+                f'"drive_gain": {{"{joint}": N m/A}} into the recording\'s .json file ("schema": '
+                '"excite.recording/1")'
             )
         return self.sidecar.drive_gain[joint]
 
-    def rows(self, which: Array | slice) -> Recording:
-        """The rows that `which` selects, with the remarks as they are."""
-        chosen = {
+    def rows(self, which: IntArray | BoolArray | slice) -> Recording:
+        """Return the rows of an index, a mask or a slice, with all remarks."""
+        selected = {
             name: value[which] for name in QUANTITIES if (value := getattr(self, name)) is not None
         }
-        return dataclasses.replace(self, t=self.t[which], **chosen)
+        return dataclasses.replace(self, t=self.t[which], **selected)
 
     def between(self, start: float, end: float) -> Recording:
-        """The rows with start ≤ t ≤ end [s], and what was remarked of that time or of no time.
+        """Return the rows with start ≤ t ≤ end and the remarks that concern them.
 
-        Raises UnusableInput where there are none.
+        Args:
+            start: First time [s].
+            end: Last time [s].
+
+        Raises:
+            UnusableInput: There are no rows.
         """
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
@@ -170,52 +200,63 @@ class Recording:
             for r in self.remarks
             if r.start is None or r.end is None or (r.start <= end and r.end >= start)
         )
-        own = self.own_times[(self.own_times >= start) & (self.own_times <= end)]
-        repeated = int(inside[: self.run_in].sum())
+        row_times = self.row_times[(self.row_times >= start) & (self.row_times <= end)]
+        run_in = int(inside[: self.run_in].sum())
         return dataclasses.replace(
-            self.rows(inside), remarks=remarks, own_times=own, run_in=repeated
+            self.rows(inside), remarks=remarks, row_times=row_times, run_in=run_in
         )
 
-    def segments(self, shortest: int = SHORTEST) -> Iterator[Recording]:
-        """Pieces without a gap, evenly sampled; those of fewer than `shortest` rows are left
-        out."""
-        for piece in pieces(self.t, self.step):
-            if piece.stop - piece.start >= shortest:
-                yield dataclasses.replace(
-                    self.rows(piece),
-                    run_in=min(max(self.run_in - piece.start, 0), piece.stop - piece.start),
-                )
+    def segments(self, min_rows: int = MIN_ROWS) -> Iterator[Recording]:
+        """Yield the evenly sampled segments between gaps, without those of fewer rows."""
+        for rows in gap_free_slices(self.t, self.step):
+            count = rows.stop - rows.start
+            if count >= min_rows:
+                run_in = min(max(self.run_in - rows.start, 0), count)
+                yield dataclasses.replace(self.rows(rows), run_in=run_in)
 
-    def samples(self, band: float = BAND_HZ) -> Samples:
-        """Positions, velocities and accelerations below `band` [Hz]: a zero-phase low-pass, then
-        central differences, piece by piece."""
+    def samples(self, cutoff: float = DEFAULT_CUTOFF_HZ) -> Samples:
+        """Compute positions, velocities and accelerations of all segments.
+
+        Positions are filtered by a zero-phase low-pass filter, then differentiated by central
+        differences.
+
+        Args:
+            cutoff: Cutoff frequency [Hz].
+
+        Raises:
+            UnusableInput: All segments have fewer than MIN_ROWS rows.
+        """
         from scipy import signal  # slow to import
 
         dt = self.step
-        slow = band * dt >= 0.45  # sampled too slowly for there to be anything above the band
+        is_slow = cutoff * dt >= MAX_CUTOFF_PER_RATE  # nothing above the cutoff is sampled
         filtered = [
-            piece.q
-            if slow
+            segment.q
+            if is_slow
             else signal.sosfiltfilt(
-                signal.butter(4, band, fs=1.0 / dt, output="sos"), piece.q, axis=0
+                signal.butter(FILTER_ORDER, cutoff, fs=1.0 / dt, output="sos"), segment.q, axis=0
             )
-            for piece in self.segments()
+            for segment in self.segments()
         ]
         if not filtered:
             raise UnusableInput(
-                f"{self.source}: has no {SHORTEST} rows without a gap; record again"
+                f"{self.source}: has no {MIN_ROWS} rows without a gap; record again"
             )
         dq = [np.gradient(q, dt, axis=0) for q in filtered]
         ddq = [np.gradient(v, dt, axis=0) for v in dq]
         return Samples(np.concatenate(filtered), np.concatenate(dq), np.concatenate(ddq))
 
 
-def refuse_same(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
-    """Raise UnusableInput where a recording to judge by is one of those that are fitted."""
-    for one in held_out:
-        for other in fitted:
-            if len(one) == len(other) and np.array_equal(one.q, other.q):
+def require_distinct(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
+    """Check that no validation recording is one of the fitted recordings.
+
+    Raises:
+        UnusableInput: Two recordings hold the same positions.
+    """
+    for validation in held_out:
+        for training in fitted:
+            if len(validation) == len(training) and np.array_equal(validation.q, training.q):
                 raise UnusableInput(
-                    f"{one.source}: is the same motion as {other.source}; validate with another "
-                    "recording"
+                    f"{validation.source}: is the same motion as {training.source}; validate with "
+                    "another recording"
                 )

@@ -1,4 +1,4 @@
-"""What the health check found in a recording and what was done about it."""
+"""Remarks about a recording: properties and faults of its data, and how they were repaired."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from enum import Enum
 from typing import Any
 
 
-class Kind(Enum):
-    """What a remark is about. The rule of each is in the docstring of the function that finds
-    it."""
+class RemarkKind(Enum):
+    """Subject of a remark. The function that makes a remark documents its rule."""
 
     ORDER = "order"
     REPEATED = "repeated"
     CLOCK = "clock"
     JITTER = "jitter"
-    WAVER = "waver"
+    TIMESTAMP_JITTER = "waver"
     GAP = "gap"
     MISSING = "missing"
     UNIT = "unit"
@@ -31,10 +30,18 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Remark:
-    """One finding. repaired: the data were changed by the stated rule. start, end: where it happens
-    [s], if anywhere."""
+    """A property or a fault of a recording.
 
-    kind: Kind
+    Attributes:
+        kind: Subject.
+        text: Description for the user.
+        joint: Name of the joint, None if it concerns all.
+        start: First time at which it occurs [s], None if it concerns all of the recording.
+        end: Last time at which it occurs [s], None likewise.
+        repaired: True if the data were changed by the rule of this kind.
+    """
+
+    kind: RemarkKind
     text: str
     joint: str | None = None
     start: float | None = None
@@ -42,7 +49,7 @@ class Remark:
     repaired: bool = False
 
     def document(self) -> dict[str, Any]:
-        """For a `--json` document."""
+        """Entry of a `--json` document."""
         time = None if self.start is None else [self.start, self.end]
         return {
             "kind": self.kind.value,

@@ -1,5 +1,7 @@
-"""ROS bags: sensor_msgs/JointState from a rosbag2 folder, an .mcap, a .db3 or a ROS 1 .bag, without
-ROS (package rosbags)."""
+"""ROS bags: sensor_msgs/JointState messages of a rosbag2 folder, an .mcap, a .db3 or a ROS 1 .bag.
+
+The package rosbags reads them without ROS.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,21 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray, IntArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
 from .column_names import listed, similar
-from .remark import Kind, Remark
-from .sidecar import Sidecar, beside
+from .remark import Remark, RemarkKind
+from .sidecar import Sidecar, sidecar_path
 
-Array = np.ndarray
-ROWS = 20_000
-MESSAGE = "sensor_msgs/msg/JointState"
-ENDINGS = (".mcap", ".db3", ".bag")
+BLOCK_ROWS = 20_000
+"""Number of rows in a block."""
+MESSAGE_TYPE = "sensor_msgs/msg/JointState"
+SUFFIXES = (".mcap", ".db3", ".bag")
+"""Suffixes of single files of bags."""
+SEARCHED_MESSAGES = 100
+"""Number of messages of a topic in which the robot's joints are searched."""
 UNREADABLE = (
     *(
         OSError,
@@ -42,49 +48,68 @@ UNREADABLE = (
     ),
     *(struct.error, sqlite3.Error, zlib.error),
 )
-"""What rosbags, lz4 and sqlite3 raise for damaged files, besides errors of their own."""
+"""Built-in exceptions that rosbags, lz4 and sqlite3 raise for damaged files."""
 
 
 def is_bag(path: Path) -> bool:
-    """A rosbag2 folder or a single file of a bag."""
-    return path.is_dir() or path.suffix in ENDINGS
+    """Return True for a folder or a file with the suffix of a bag."""
+    return path.is_dir() or path.suffix in SUFFIXES
 
 
-def blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
-    """Blocks of the bag's JointState messages that name all of the robot's joints, in whatever
-    order each message has them.
+def read_blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
+    """Read the JointState messages that name all joints of the robot, in any order.
 
-    Time is the header's stamp, or the time of reception where the first stamp is zero; it counts
-    from the first message used. `effort` is taken as torque unless the sidecar says "effort":
-    "current". Messages that lack a joint (a gripper's, on the same topic) are left out. Raises
-    UnusableInput for a bag that cannot be read or in which no or several topics fit.
+    Time is the stamp of the header, or the time of reception if the first stamp is zero; it counts
+    from the first message used. `effort` is torque unless the sidecar states "effort": "current".
+    Messages without one of the joints, such as those of a gripper on the same topic, are skipped.
+
+    Args:
+        path: A rosbag2 folder or a file of a bag.
+        robot: Robot whose joints are recorded.
+        sidecar: Sidecar of the bag.
+
+    Yields:
+        Consecutive blocks of BLOCK_ROWS rows.
+
+    Raises:
+        UnusableInput: The bag cannot be read, or not exactly one topic names all joints.
     """
-    rosbags = _package(path)
+    rosbags = _import_rosbags(path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise UnusableInput(
             f"{path}: is a folder without metadata.yaml; give a rosbag2 folder, or the .mcap in it"
         )
-    # Bags written before ROS 2 Iron hold no definitions; JointState is the same in all.
+    # bags from before ROS 2 Iron hold no definitions; JointState is the same in all versions
     store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
     with ExitStack() as opened:
-        with _refusing(path, rosbags):
+        with _unusable_if_damaged(path, rosbags):
             reader = opened.enter_context(
                 rosbags.highlevel.AnyReader([path], default_typestore=store)
             )
-        yield from _blocks(path, _Bag(path, rosbags, reader), robot, sidecar)
+        yield from _read_messages(path, _Bag(path, rosbags, reader), robot, sidecar)
 
 
 @contextmanager
-def _refusing(path: Path, rosbags: ModuleType) -> Iterator[None]:
-    """Turn what rosbags and its decompressors raise for a damaged file into UnusableInput."""
+def _unusable_if_damaged(path: Path, rosbags: ModuleType) -> Iterator[None]:
+    """Convert exceptions of rosbags and its decompressors for damaged files to UnusableInput."""
     import apsw  # these three come with rosbags
     import ruamel.yaml
     import zstandard
 
-    own = (rosbags.highlevel.AnyReaderError, rosbags.rosbag2.ReaderError, rosbags.serde.SerdeError)
+    reader_errors = (
+        rosbags.highlevel.AnyReaderError,
+        rosbags.rosbag2.ReaderError,
+        rosbags.serde.SerdeError,
+    )
     try:
         yield
-    except (*own, apsw.Error, ruamel.yaml.YAMLError, zstandard.ZstdError, *UNREADABLE) as error:
+    except (
+        *reader_errors,
+        apsw.Error,
+        ruamel.yaml.YAMLError,
+        zstandard.ZstdError,
+        *UNREADABLE,
+    ) as error:
         reason = " ".join(str(error).split()) or "cut short"
         raise UnusableInput(
             f"{path}: cannot be read as a bag ({reason}); record it again or 'ros2 bag reindex'"
@@ -93,7 +118,7 @@ def _refusing(path: Path, rosbags: ModuleType) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Bag:
-    """An open bag; every use of its reader refuses a damaged file."""
+    """An open bag; all methods raise UnusableInput for a damaged file."""
 
     path: Path
     rosbags: ModuleType
@@ -101,16 +126,16 @@ class _Bag:
 
     def topics(self) -> list[str]:
         """Names of the topics of JointState."""
-        return sorted({str(c.topic) for c in self.reader.connections if c.msgtype == MESSAGE})
+        return sorted({str(c.topic) for c in self.reader.connections if c.msgtype == MESSAGE_TYPE})
 
     def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
-        """Messages of a topic and their times of reception [ns]."""
-        with _refusing(self.path, self.rosbags):
+        """Yield the messages of a topic with their times of reception [ns]."""
+        with _unusable_if_damaged(self.path, self.rosbags):
             raw = self.reader.messages(
                 connections=[c for c in self.reader.connections if c.topic == topic]
             )
         while True:
-            with _refusing(self.path, self.rosbags):
+            with _unusable_if_damaged(self.path, self.rosbags):
                 entry = next(raw, None)
                 if entry is None:
                     return
@@ -119,7 +144,7 @@ class _Bag:
             yield message, received
 
 
-def _package(path: Path) -> ModuleType:
+def _import_rosbags(path: Path) -> ModuleType:
     try:
         import rosbags.highlevel
         import rosbags.rosbag2
@@ -132,22 +157,22 @@ def _package(path: Path) -> ModuleType:
     return rosbags
 
 
-def _blocks(path: Path, source: _Bag, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
-    topic = _topic(path, source, robot, sidecar)
+def _read_messages(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
+    topic = _select_topic(path, bag, robot, sidecar)
     table = _Table(path, robot, "current" if sidecar.effort == "current" else "tau")
-    for message, received in source.messages(topic):
+    for message, received in bag.messages(topic):
         table.add(message, received)
-        if len(table.times) == ROWS:
+        if len(table.times) == BLOCK_ROWS:
             yield table.flush()
     yield table.flush(_remarks(path, topic, table, sidecar))
 
 
-def _topic(path: Path, source: _Bag, robot: Robot, sidecar: Sidecar) -> str:
-    """The topic to read: the sidecar's, the only one of JointState, or the only one whose messages
-    name all joints."""
-    topics = source.topics()
+def _select_topic(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> str:
+    """Select the topic that the sidecar states, the only one of JointState, or the only one whose
+    messages name all joints."""
+    topics = bag.topics()
     if not topics:
-        raise UnusableInput(f"{path}: has no topic of {MESSAGE}; record /joint_states")
+        raise UnusableInput(f"{path}: has no topic of {MESSAGE_TYPE}; record /joint_states")
     if sidecar.topic is not None:
         if sidecar.topic not in topics:
             raise UnusableInput(
@@ -157,48 +182,47 @@ def _topic(path: Path, source: _Bag, robot: Robot, sidecar: Sidecar) -> str:
         return sidecar.topic
     if len(topics) == 1:
         return topics[0]
-    named = {topic: _names(source, topic, robot) for topic in topics}
-    fitting = [topic for topic, names in named.items() if set(robot.joints) <= names]
+    fitting = [topic for topic in topics if _names_all_joints(bag, topic, robot)]
     if len(fitting) == 1:
         return fitting[0]
-    many = "several topics with" if fitting else "no topic with"
+    number = "several topics with" if fitting else "no topic with"
     remedy = (
-        f'say which with "topic" in {beside(path).name}'
+        f'select one with "topic" in {sidecar_path(path).name}'
         if fitting
         else "record one that publishes them"
     )
     raise UnusableInput(
-        f"{path}: has {many} all of {', '.join(robot.joints)} among {listed(topics)}; {remedy}"
+        f"{path}: has {number} all of {', '.join(robot.joints)} among {listed(topics)}; {remedy}"
     )
 
 
-def _names(source: _Bag, topic: str, robot: Robot, look: int = 100) -> set[str]:
-    """Joints in the first messages of a topic, up to one that names all."""
-    for message, _ in itertools.islice(source.messages(topic), look):
-        if set(robot.joints) <= set(message.name):
-            return set(message.name)
-    return set()
+def _names_all_joints(bag: _Bag, topic: str, robot: Robot) -> bool:
+    """Return True if one of the first messages of a topic names all joints."""
+    return any(
+        set(robot.joints) <= set(message.name)
+        for message, _ in itertools.islice(bag.messages(topic), SEARCHED_MESSAGES)
+    )
 
 
 class _Table:
-    """Rows gathered from messages until they are handed on as a block."""
+    """Rows collected from messages until they are returned as a block."""
 
     def __init__(self, path: Path, robot: Robot, effort: str) -> None:
         self.path, self.robot = path, robot
         self.fields = {"position": "q", "velocity": "dq", "effort": effort}
         self.times: list[float] = []
-        self.rows: dict[str, list[Array]] = {name: [] for name in self.fields}
-        self.there: set[str] = {"position"}
+        self.rows: dict[str, list[FloatArray]] = {name: [] for name in self.fields}
+        self.recorded: set[str] = {"position"}
         self.skipped = 0
         self.used = 0
         self.start: int | None = None
         self.by_reception = False
-        self._order: tuple[tuple[str, ...], Array | None] = ((), None)
-        self._nothing = np.full(robot.n, np.nan)
+        self._order: tuple[tuple[str, ...], IntArray | None] = ((), None)
+        self._missing = np.full(robot.n, np.nan)
         self.seen: set[str] = set()
 
     def add(self, message: Any, received: int) -> None:
-        """Take the robot's joints from a message, if it names them all."""
+        """Add the robot's joints from a message if it names them all."""
         columns = self._columns(tuple(message.name))
         if columns is None:
             self.skipped += 1
@@ -207,11 +231,11 @@ class _Table:
         if self.start is None:
             self.by_reception = stamp == 0
             self.start = received if self.by_reception else stamp
-            self.there |= {field for field in self.fields if len(getattr(message, field))}
+            self.recorded |= {field for field in self.fields if len(getattr(message, field))}
         now = received if self.by_reception else stamp
-        # A stamp that is missing among others has no time; the health check drops such rows.
+        # a single missing stamp: rows without a time are dropped later
         self.times.append((now - self.start) * 1e-9 if now else np.nan)
-        for field in self.there:
+        for field in self.recorded:
             values = getattr(message, field)
             if len(values) not in (0, len(message.name)):
                 raise UnusableInput(
@@ -219,25 +243,29 @@ class _Table:
                     f"of {field} for "
                     f"{len(message.name)} joints; repair the driver that publishes it"
                 )
-            self.rows[field].append(values[columns] if len(values) else self._nothing)
+            self.rows[field].append(values[columns] if len(values) else self._missing)
         self.used += 1
 
-    def _columns(self, names: tuple[str, ...]) -> Array | None:
+    def _columns(self, names: tuple[str, ...]) -> IntArray | None:
+        """Indices of the robot's joints in a message, None if one is missing."""
         if names != self._order[0]:
             self.seen |= set(names)
-            complete = set(self.robot.joints) <= set(names)
+            is_complete = set(self.robot.joints) <= set(names)
             self._order = (
                 names,
-                np.array([names.index(joint) for joint in self.robot.joints]) if complete else None,
+                np.array([names.index(joint) for joint in self.robot.joints])
+                if is_complete
+                else None,
             )
         return self._order[1]
 
     def flush(self, remarks: tuple[Remark, ...] = ()) -> Block:
-        """The gathered rows as a block."""
+        """Return the collected rows as a block and start a new one."""
         shape = (len(self.times), self.robot.n)
-        there = [field for field in self.fields if field in self.there]
+        recorded = [field for field in self.fields if field in self.recorded]
         values = {
-            self.fields[field]: np.array(self.rows[field], float).reshape(shape) for field in there
+            self.fields[field]: np.array(self.rows[field], float).reshape(shape)
+            for field in recorded
         }
         block = Block(np.array(self.times, float), values, remarks)
         self.times, self.rows = [], {name: [] for name in self.fields}
@@ -259,7 +287,7 @@ def _remarks(path: Path, topic: str, table: _Table, sidecar: Sidecar) -> tuple[R
     if table.skipped:
         out.append(
             Remark(
-                Kind.SKIPPED,
+                RemarkKind.SKIPPED,
                 f"{table.skipped} messages on {topic} that lack some of the robot's joints are "
                 "left out",
                 repaired=True,
@@ -268,15 +296,15 @@ def _remarks(path: Path, topic: str, table: _Table, sidecar: Sidecar) -> tuple[R
     if table.by_reception:
         out.append(
             Remark(
-                Kind.CLOCK,
+                RemarkKind.CLOCK,
                 f"stamps on {topic} are zero; the time of reception is used",
                 repaired=True,
             )
         )
-    if "effort" in table.there and sidecar.effort is None:
+    if "effort" in table.recorded and sidecar.effort is None:
         text = (
             "effort is taken to be in N m; if the driver publishes current, "
-            f'put "effort": "current" and drive_gain into {beside(path).name}'
+            f'put "effort": "current" and drive_gain into {sidecar_path(path).name}'
         )
-        out.append(Remark(Kind.UNIT, text))
+        out.append(Remark(RemarkKind.UNIT, text))
     return tuple(out)

@@ -1,8 +1,7 @@
-"""What a recording's columns cannot say: `<name>.json` beside it."""
+"""Sidecar of a recording: properties that its columns cannot state, in `<name>.json`."""
 
 from __future__ import annotations
 
-import os
 import os.path
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,15 +13,23 @@ from ..schemas.document_file import DocumentFile
 from ..schemas.recording import SCHEMA, SidecarDocument
 
 KEYS = SidecarDocument.__struct_fields__
+"""Keys that a sidecar may have; others are ignored."""
 
 
 @dataclass(frozen=True)
 class Sidecar:
-    """drive_gain: torque per motor current of a joint [N m/A]. period: of the excitation [s].
-    periodic: (start, end) of the window in which it repeats [s]. motor_side: `q` is the motor's
-    encoder over the gear ratio. effort: what JointState's `effort` holds, "torque" [N m] or
-    "current" [A]; None: not said. topic: the bag's topic to read. notes: anything. unknown: keys
-    that no rule reads.
+    """Stated properties of a recording.
+
+    Attributes:
+        drive_gain: Torque per motor current of each joint [N m/A].
+        period: Period of the excitation [s].
+        periodic: Start and end of the window in which it repeats [s].
+        motor_side: True if `q` is the motor encoder divided by the gear ratio.
+        effort: Content of `effort` in JointState messages, "torque" [N m] or "current" [A]; None if
+            not stated.
+        topic: Topic of a bag to read.
+        notes: Free text.
+        unknown: Keys of the file that are ignored.
     """
 
     drive_gain: Mapping[str, float] = field(default_factory=dict)
@@ -35,24 +42,32 @@ class Sidecar:
     unknown: tuple[str, ...] = ()
 
 
-def beside(recording: Path) -> Path:
-    """Where the sidecar of a recording lies: `run.csv` and the folder `run` both have
-    `run.json`."""
+def sidecar_path(recording: Path) -> Path:
+    """Return the path of a recording's sidecar: `run.json` for `run.csv` and for the folder
+    `run`."""
     return (
         recording.parent / f"{recording.name if os.path.isdir(recording) else recording.stem}.json"
     )
 
 
 def read(recording: Path, robot: Robot) -> Sidecar:
-    """The sidecar of a recording; an empty one where there is none.
+    """Read the sidecar of a recording.
 
-    A JSON document of another excite schema (a trajectory beside its CSV) is none.
+    A JSON document of another excite schema, such as the trajectory next to its CSV file, is no
+    sidecar.
+
+    Args:
+        recording: Path of the recording.
+        robot: Robot that it records.
+
+    Returns:
+        The sidecar, an empty one where there is none.
 
     Raises:
         UnusableInput: The file cannot be read, has no schema, breaks a rule of
-            `schemas.recording`, or names a joint that is not there.
+            `schemas.recording`, or names a joint that does not exist.
     """
-    path = beside(recording)
+    path = sidecar_path(recording)
     if path == recording or not os.path.isfile(path):
         return Sidecar()
     file = DocumentFile(
@@ -70,9 +85,8 @@ def read(recording: Path, robot: Robot) -> Sidecar:
     ):
         return Sidecar()
     if schema != SCHEMA:
-        raise UnusableInput(
-            f'{path}: should hold "schema": "{SCHEMA}" to describe {recording.name}; add it, or move the file away'  # noqa: E501
-        )
+        expected = f'"schema": "{SCHEMA}" to describe {recording.name}'
+        raise UnusableInput(f"{path}: should hold {expected}; add it, or move the file away")
     document = file.converted(content, SidecarDocument)
     joints = {*robot.joints, *robot.mimics, *robot.options["locked"]}  # type: ignore[misc]
     for joint in document.drive_gain:
@@ -81,12 +95,11 @@ def read(recording: Path, robot: Robot) -> Sidecar:
                 f"'{joint}' is no joint of {robot.source}, which has {', '.join(robot.joints)}",
                 "drive_gain",
             )
+    window = document.periodic
     return Sidecar(
         drive_gain={joint: float(gain) for joint, gain in document.drive_gain.items()},
         period=None if document.period is None else float(document.period),
-        periodic=None
-        if document.periodic is None
-        else (float(document.periodic[0]), float(document.periodic[1])),
+        periodic=None if window is None else (float(window[0]), float(window[1])),
         motor_side=document.motor_side,
         effort=document.effort,
         topic=document.topic,

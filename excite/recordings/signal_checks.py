@@ -1,176 +1,210 @@
-"""Signs of trouble in single channels: remarked, not changed."""
+"""Checks of single signals for signs of faults, which are remarked and not repaired."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from .._types import FloatArray
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from .block import Block
-from .missing_values import runs
-from .remark import Kind, Remark
+from .missing_values import true_runs
+from .remark import Remark, RemarkKind
 
-Array = np.ndarray
-STILL = {"prismatic": 1e-5}
-"""Motion below which a joint doesn't move [m]; 1e-4 rad for joints that turn."""
-COARSE = {"prismatic": 1e-5}
-"""Resolution above which a position counts as coarse [m]; 1e-4 rad (16 bit a turn) for joints that
-turn."""
-ANGLE = 1e-4
-LOOK = 200_000
-"""Rows looked at for the resolution."""
-ON_GRID = 0.99
-FROZEN = 0.1
-"""Shortest time for which a value that stands still is remarked [s]."""
-FEWEST = 20
-MOVED = 0.01
-"""Share of a joint's range that it should have moved meanwhile."""
-FLAT = 5
-"""Rows in a row at the extreme that make clipping."""
-PILED = 3.0
-"""So many times the rows of a common value pile up at the extreme."""
+ANGLE_TOLERANCE = 1e-4
+"""Motion below which a revolute joint stands still, and resolution above which its position is
+coarse: 16 bits per turn [rad]."""
+LENGTH_TOLERANCE = 1e-5
+"""The same for a prismatic joint [m]."""
+RESOLUTION_ROWS = 200_000
+"""Number of rows in which a grid of positions is searched."""
+MIN_GRID_SHARE = 0.99
+"""Share of values that must lie on the grid [1]."""
+GRID_TOLERANCE = 0.05
+"""Distance from the grid that is allowed, over its spacing [1]."""
+MIN_GRID_STEPS = 5
+"""Smallest number of different steps between values on a grid."""
+MAX_DISTINCT_SHARE = 0.5
+"""Largest share of distinct values on a grid, whose values repeat [1]."""
+RELATIVE_ROUNDING = 1e-9
+"""Difference of two values that counts as rounding, over the largest value [1]."""
+MAX_EXCESS_SHARE = 0.01
+"""Position beyond its limits that is not remarked, over their range [1]."""
+MIN_FROZEN_TIME = 0.1
+"""Shortest time of a frozen value that is remarked [s]."""
+MIN_FROZEN_ROWS = 20
+"""Smallest number of rows with a frozen value that is remarked."""
+MIN_MOTION_SHARE = 0.01
+"""Motion of the joint in that time above which a value counts as frozen, over its range [1]."""
+MIN_CLIPPED_RUN = 5
+"""Length of a run at the extreme value that is clipping [rows]."""
+MIN_CLIPPED_RATIO = 3.0
+"""Number of rows at the extreme value over the number at a neighbouring value above which the
+signal is clipped [1]."""
+NEIGHBOURING_VALUES = 10
+"""Number of distinct values next to the extreme that are compared."""
+MIN_DISTINCT_VALUES = 20
+"""Smallest number of distinct values of a signal that can be clipped."""
 
 
-def look(block: Block, robot: Robot, limits: Limits | None) -> list[Remark]:
-    """All signs, joint by joint."""
+def check_signals(block: Block, robot: Robot, limits: Limits | None) -> list[Remark]:
+    """Check all signals of a recording.
+
+    Args:
+        block: All rows.
+        robot: The robot.
+        limits: Its limits, None: those of the URDF.
+
+    Returns:
+        Remarks, joint by joint.
+    """
     out: list[Remark | None] = []
     for i in range(robot.n):
         out += [
-            still(block, robot, i),
-            coarse(block, robot, i),
-            outside(block, robot, i, limits),
-            frozen_position(block, robot, i),
+            check_still(block, robot, i),
+            check_coarse(block, robot, i),
+            check_outside(block, robot, i, limits),
+            check_frozen_position(block, robot, i),
         ]
         for name in ("tau", "current"):
             if name in block.values and np.isfinite(block.values[name][:, i]).all():
-                flat = clipped(block, robot, i, name)
-                out.append(flat or frozen_torque(block, robot, i, name))
+                clipped = check_clipped(block, robot, i, name)
+                out.append(clipped or check_frozen_torque(block, robot, i, name))
     return [remark for remark in out if remark is not None]
 
 
-def still(block: Block, robot: Robot, i: int) -> Remark | None:
-    """A joint that moves by less than 1e-4 rad (1e-5 m): nothing can be learnt of it alone."""
-    if np.ptp(block.values["q"][:, i]) >= STILL.get(robot.entries[i].kind, ANGLE):
+def _tolerance(robot: Robot, i: int) -> float:
+    return LENGTH_TOLERANCE if robot.entries[i].kind == "prismatic" else ANGLE_TOLERANCE
+
+
+def check_still(block: Block, robot: Robot, i: int) -> Remark | None:
+    """Remark a joint that moves by less than 1e-4 rad or 1e-5 m and cannot be identified alone."""
+    if np.ptp(block.values["q"][:, i]) >= _tolerance(robot, i):
         return None
-    return Remark(Kind.STILL, f"joint '{robot.joints[i]}' never moves", robot.joints[i])
+    return Remark(RemarkKind.STILL, f"joint '{robot.joints[i]}' never moves", robot.joints[i])
 
 
-def resolution(values: Array) -> float | None:
-    """Spacing of the values if 99 % of them lie on a grid and repeat, else None: the smallest
-    difference of distinct values."""
-    values = values[:LOOK]
+def grid_spacing(values: FloatArray) -> float | None:
+    """Find the spacing of a grid on which 99 % of the values lie, with repetitions.
+
+    Args:
+        values: A signal. Shape (N,).
+
+    Returns:
+        The smallest difference of distinct values; None if they lie on no grid.
+    """
+    values = values[:RESOLUTION_ROWS]
     distinct = np.unique(values)
     steps = np.diff(distinct)
-    steps = steps[
-        steps > 1e-9 * max(np.abs(distinct).max(), 1e-300)
-    ]  # not what rounding leaves of equal values
-    if len(steps) < 5 or len(distinct) > 0.5 * len(values):
+    steps = steps[steps > RELATIVE_ROUNDING * max(np.abs(distinct).max(), 1e-300)]
+    if len(steps) < MIN_GRID_STEPS or len(distinct) > MAX_DISTINCT_SHARE * len(values):
         return None
     spacing = float(np.median(steps[steps < 1.5 * steps.min()]))
-    cells = (values - values[0]) / spacing
-    return spacing if np.mean(np.abs(cells - np.round(cells)) < 0.05) >= ON_GRID else None
+    multiple = (values - values[0]) / spacing
+    on_grid = np.abs(multiple - np.round(multiple)) < GRID_TOLERANCE
+    return spacing if np.mean(on_grid) >= MIN_GRID_SHARE else None
 
 
-def coarse(block: Block, robot: Robot, i: int) -> Remark | None:
-    """A position on a grid coarser than 1e-4 rad (1e-5 m)."""
-    spacing = resolution(block.values["q"][:, i])
-    if spacing is None or spacing <= COARSE.get(robot.entries[i].kind, ANGLE):
+def check_coarse(block: Block, robot: Robot, i: int) -> Remark | None:
+    """Remark a position with a resolution coarser than 1e-4 rad or 1e-5 m."""
+    spacing = grid_spacing(block.values["q"][:, i])
+    if spacing is None or spacing <= _tolerance(robot, i):
         return None
-    joint = robot.joints[i]
-    return Remark(
-        Kind.COARSE,
-        f"joint '{joint}': positions are multiples of {spacing:.3g} {robot.entries[i].unit('rad')}",
-        joint,
-    )
+    joint, unit = robot.joints[i], robot.entries[i].unit("rad")
+    text = f"joint '{joint}': positions are multiples of {spacing:.3g} {unit}"
+    return Remark(RemarkKind.COARSE, text, joint)
 
 
-def outside(block: Block, robot: Robot, i: int, limits: Limits | None) -> Remark | None:
-    """Positions beyond the limits by more than 1 % of their range."""
+def check_outside(block: Block, robot: Robot, i: int, limits: Limits | None) -> Remark | None:
+    """Remark positions beyond the limits by more than 1 % of their range."""
     stated = robot.entries[i].position if limits is None else tuple(limits.position[i])
     if stated is None or not np.isfinite(stated).all():
         return None
     q = block.values["q"][:, i]
     lower, upper = stated
-    beyond = np.maximum(q - upper, lower - q)
-    if beyond.max() <= 0.01 * (upper - lower):
+    excess = np.maximum(q - upper, lower - q)
+    if excess.max() <= MAX_EXCESS_SHARE * (upper - lower):
         return None
-    at = int(np.argmax(beyond))
-    text = f"joint '{robot.joints[i]}' is at {q[at]:.4g}, outside its limits [{lower:.4g}, {upper:.4g}]"  # noqa: E501
-    return Remark(Kind.OUTSIDE, text, robot.joints[i], float(block.t[at]), float(block.t[at]))
+    row = int(np.argmax(excess))
+    joint, time = robot.joints[i], float(block.t[row])
+    text = f"joint '{joint}' is at {q[row]:.4g}, outside its limits [{lower:.4g}, {upper:.4g}]"
+    return Remark(RemarkKind.OUTSIDE, text, joint, time, time)
 
 
-def _longest_constant(values: Array) -> tuple[int, int]:
-    """First and last row of the longest run of one value."""
-    found = runs(np.diff(values) == 0.0)
-    if not len(found):
+def _longest_constant_run(values: FloatArray) -> tuple[int, int]:
+    """First and last row of the longest run of the same value."""
+    runs = true_runs(np.diff(values) == 0.0)
+    if not len(runs):
         return 0, 0
-    start, end = found[np.argmax(found[:, 1] - found[:, 0])]
+    start, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
     return int(start), int(end)
 
 
-def _stood(block: Block, values: Array) -> slice | None:
-    start, end = _longest_constant(values)
-    long = end - start + 1 >= FEWEST and block.t[end] - block.t[start] >= FROZEN
-    return slice(start, end + 1) if long else None
+def _frozen_rows(block: Block, values: FloatArray) -> slice | None:
+    """Rows of the longest run of the same value, None if it is short."""
+    start, end = _longest_constant_run(values)
+    is_long = (
+        end - start + 1 >= MIN_FROZEN_ROWS and block.t[end] - block.t[start] >= MIN_FROZEN_TIME
+    )
+    return slice(start, end + 1) if is_long else None
 
 
-def frozen_torque(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
-    """A torque or current that keeps its exact value for 0.1 s and 20 rows while the joint moves
-    through 1 % of its range."""
-    run = _stood(block, block.values[name][:, i])
+def check_frozen_torque(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
+    """Remark a torque or current that is constant for 0.1 s and 20 rows while the joint moves by 1
+    % of its range."""
+    rows = _frozen_rows(block, block.values[name][:, i])
     q = block.values["q"][:, i]
-    if run is None or np.ptp(q[run]) <= MOVED * np.ptp(q):
+    if rows is None or np.ptp(q[rows]) <= MIN_MOTION_SHARE * np.ptp(q):
         return None
-    return _frozen(block, robot.joints[i], name, run)
+    return _frozen_remark(block, robot.joints[i], name, rows)
 
 
-def frozen_position(block: Block, robot: Robot, i: int) -> Remark | None:
-    """A position that keeps its exact value for 0.1 s and 20 rows while qref, or the integral of
-    |dq|, goes through 1 % of its range."""
+def check_frozen_position(block: Block, robot: Robot, i: int) -> Remark | None:
+    """Remark a position that is constant for 0.1 s and 20 rows while qref, or the integral of |dq|,
+    changes by 1 % of the range."""
     q = block.values["q"][:, i]
-    run = _stood(block, q)
-    if run is None:
+    rows = _frozen_rows(block, q)
+    if rows is None:
         return None
-    moved = 0.0
+    motion = 0.0
     if "qref" in block.values:
-        moved = float(np.ptp(block.values["qref"][run, i]))
+        motion = float(np.ptp(block.values["qref"][rows, i]))
     if "dq" in block.values:
-        moved = np.fmax(
-            moved,
-            abs(float(np.mean(block.values["dq"][run, i])))
-            * float(block.t[run][-1] - block.t[run][0]),
-        )
-    return (
-        _frozen(block, robot.joints[i], "q", run)
-        if moved > MOVED * np.ptp(q) and moved > ANGLE
-        else None
+        duration = float(block.t[rows][-1] - block.t[rows][0])
+        motion = np.fmax(motion, abs(float(np.mean(block.values["dq"][rows, i]))) * duration)
+    is_frozen = motion > MIN_MOTION_SHARE * np.ptp(q) and motion > ANGLE_TOLERANCE
+    return _frozen_remark(block, robot.joints[i], "q", rows) if is_frozen else None
+
+
+def _frozen_remark(block: Block, joint: str, name: str, rows: slice) -> Remark:
+    start, end = float(block.t[rows.start]), float(block.t[rows.stop - 1])
+    text = (
+        f"joint '{joint}': {name} is constant from {start:.4g} to {end:.4g} s while the joint moves"
     )
+    return Remark(RemarkKind.FROZEN, text, joint, start, end)
 
 
-def _frozen(block: Block, joint: str, name: str, run: slice) -> Remark:
-    start, end = float(block.t[run.start]), float(block.t[run.stop - 1])
-    return Remark(
-        Kind.FROZEN,
-        f"joint '{joint}': {name} stands still from {start:.4g} to {end:.4g} s while the joint "
-        "moves",
-        joint,
-        start,
-        end,
-    )
+def check_clipped(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
+    """Remark a torque or current that is clipped at its largest or smallest value.
 
-
-def clipped(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
-    """A torque or current with a run of 5 rows exactly at its largest or smallest value, where
-    three times as many rows lie as at the commonest of the ten values next to it.
+    It has a run of 5 rows at the extreme value, and three times as many rows there as at the most
+    frequent of the ten values next to it.
     """
     values = block.values[name][:, i]
     distinct, counts = np.unique(values, return_counts=True)
-    for at, near in ((-1, slice(-11, -1)), (0, slice(1, 11))):
-        if len(distinct) < 20 or counts[at] < max(PILED * counts[near].max(), FLAT):
+    k = NEIGHBOURING_VALUES
+    for extreme, neighbours in ((-1, slice(-1 - k, -1)), (0, slice(1, 1 + k))):
+        if len(distinct) < MIN_DISTINCT_VALUES or counts[extreme] < max(
+            MIN_CLIPPED_RATIO * counts[neighbours].max(), MIN_CLIPPED_RUN
+        ):
             continue
-        flat = runs(values == distinct[at])
-        if (flat[:, 1] - flat[:, 0]).max() >= FLAT:
-            start, end = float(block.t[flat[0, 0]]), float(block.t[flat[-1, 1] - 1])
-            text = f"joint '{robot.joints[i]}': {name} is clipped at {distinct[at]:.5g} in {counts[at]} rows"  # noqa: E501
-            return Remark(Kind.CLIPPED, text, robot.joints[i], start, end)
+        runs = true_runs(values == distinct[extreme])
+        if (runs[:, 1] - runs[:, 0]).max() >= MIN_CLIPPED_RUN:
+            joint = robot.joints[i]
+            start, end = float(block.t[runs[0, 0]]), float(block.t[runs[-1, 1] - 1])
+            text = (
+                f"joint '{joint}': {name} is clipped at {distinct[extreme]:.5g} in "
+                f"{counts[extreme]} rows"
+            )
+            return Remark(RemarkKind.CLIPPED, text, joint, start, end)
     return None

@@ -1,4 +1,4 @@
-"""The time axis: its unit, order, repeats, jitter and gaps."""
+"""Time axis of a recording: order and repetition of rows, unit, time step, gaps and resampling."""
 
 from __future__ import annotations
 
@@ -7,197 +7,223 @@ from itertools import pairwise
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from .block import Block
-from .remark import Kind, Remark
+from .remark import Remark, RemarkKind
 
-Array = np.ndarray
-EVEN = 0.02
-"""Steps that deviate less than this share from the usual one count as even."""
-GAP = 5
-"""Time that more than so many usual steps leave out is a gap; fewer are interpolated."""
-SLOWEST = 0.5
-"""Longest plausible step of a recording [s]: 2 rows a second."""
-FASTEST = 1e-6
-"""Shortest plausible step of a recording [s]: a million rows a second."""
-BACK = 50
-"""Rows may be late by so many usual steps; a longer way back is a clock that starts again."""
-CLOSE = 0.2
-"""Share of the step below which two times are too close for interpolation."""
-MOST_BAD = 0.1
-MOST_REPEATED = 0.2
-MOST_GAPS = 0.01
+STEP_TOLERANCE = 0.02
+"""Relative deviation from the usual time step up to which a step counts as even [1]."""
+MAX_FILLED_STEPS = 5
+"""Number of usual steps above which a step is a gap; fewer missing rows are interpolated."""
+MAX_STEP = 0.5
+"""Longest plausible time step of a recording [s]: 2 rows a second."""
+MIN_STEP = 1e-6
+"""Shortest plausible time step of a recording [s]: a million rows a second."""
+UNITS = (("ms", 1e3, 2e2), ("µs", 1e6, 2e5), ("ns", 1e9, np.inf))
+"""Units of time other than the second, their number in a second, and the largest plausible step."""
+MAX_DELAYED_STEPS = 50
+"""Number of usual steps by which a row may be out of order; more is a clock that starts again."""
+MIN_SPACING = 0.2
+"""Distance of two rows over the time step below which interpolation amplifies noise [1]."""
+MAX_UNTIMED_SHARE = 0.1
+"""Largest share of rows without a time [1]."""
+MAX_REPEATED_SHARE = 0.2
+"""Largest share of rows that repeat a time with other positions [1]."""
+MAX_GAP_SHARE = 0.01
+"""Largest share of steps that are gaps [1]."""
+MIN_TOLERATED_GAPS = 3
+"""Number of gaps that is tolerated in any recording."""
+GRID_ROUNDING = 1e-6
+"""Distance of a row from the grid that counts as rounding, over the time step [1]."""
 
 
 @dataclass(frozen=True)
-class Clock:
-    """The even grid t = origin + k step [s] that a recording's rows are put on."""
+class TimeGrid:
+    """Even grid t_k = origin + k · step.
+
+    Attributes:
+        step: Time step [s].
+        origin: Time of the first row [s].
+    """
 
     step: float
     origin: float
 
 
-def order(source: str, block: Block) -> tuple[Block, list[Remark]]:
-    """Rows with a time, in order, each time once.
+def sort_rows(source: str, block: Block) -> tuple[Block, list[Remark]]:
+    """Sort rows by time and remove repeated times.
 
-    Rows whose time is no number are dropped (an error above 10 %). Late rows are sorted in; an
-    error where a few rows go back by more than 50 steps, as where a clock starts again. Rows that
-    repeat a time with the same positions are dropped; with others too, the first is kept, an error
-    above 20 % (a clock too coarse for the rate).
+    Rows without a time are dropped. Of rows with the same time the first is kept.
+
+    Args:
+        source: Name of the recording, for messages.
+        block: Rows as they were read.
+
+    Raises:
+        UnusableInput: More than 10 % of the rows have no time; few rows go back by more than 50
+            steps, as where a clock starts again; or more than 20 % of the rows repeat a time with
+            other positions, as where a clock is too coarse.
     """
     remarks = []
-    known = np.isfinite(block.t)
-    if not known.all():
-        lost = int((~known).sum())
-        if lost > MOST_BAD * len(known):
+    has_time = np.isfinite(block.t)
+    if not has_time.all():
+        untimed = int((~has_time).sum())
+        if untimed > MAX_UNTIMED_SHARE * len(has_time):
             raise UnusableInput(
-                f"{source}: {lost} of {len(known)} rows have no time; record it with every row"
+                f"{source}: {untimed} of {len(has_time)} rows have no time; record it with every "
+                "row"
             )
-        block = block.rows(known)
-        remarks.append(Remark(Kind.CLOCK, f"{lost} rows without a time are dropped", repaired=True))
+        block = block.rows(has_time)
+        text = f"{untimed} rows without a time are dropped"
+        remarks.append(Remark(RemarkKind.CLOCK, text, repaired=True))
     steps = np.diff(block.t)
-    late = np.flatnonzero(steps < 0.0)
-    if len(late):
+    delayed = np.flatnonzero(steps < 0.0)
+    if len(delayed):
         usual = float(np.median(np.abs(steps)))
-        worst = late[np.argmin(steps[late])]
-        if -steps[worst] > BACK * usual and len(late) <= max(1, len(steps) // 100):
+        worst = delayed[np.argmin(steps[delayed])]
+        is_restart = -steps[worst] > MAX_DELAYED_STEPS * usual
+        if is_restart and len(delayed) <= max(1, len(steps) // 100):
             raise UnusableInput(
                 f"{source}: time goes back from {block.t[worst]:.6g} to {block.t[worst + 1]:.6g} "
-                "s; "
-                "are these two recordings? Give each its own file"
+                "s; are these two recordings? Give each its own file"
             )
-        start, end = float(block.t[late[0]]), float(block.t[late[-1]])
+        start, end = float(block.t[delayed[0]]), float(block.t[delayed[-1]])
         block = block.rows(np.argsort(block.t, kind="stable"))
-        remarks.append(
-            Remark(
-                Kind.ORDER,
-                f"{len(late)} rows out of order are sorted by time",
-                start=start,
-                end=end,
-                repaired=True,
-            )
-        )
-    again = np.flatnonzero(np.diff(block.t) == 0.0) + 1
-    if len(again):
+        text = f"{len(delayed)} rows out of order are sorted by time"
+        remarks.append(Remark(RemarkKind.ORDER, text, start=start, end=end, repaired=True))
+    repeated = np.flatnonzero(np.diff(block.t) == 0.0) + 1
+    if len(repeated):
         q = block.values["q"]
-        differing = int((q[again] != q[again - 1]).any(axis=1).sum())
-        if differing > MOST_REPEATED * len(q):
+        differing = int((q[repeated] != q[repeated - 1]).any(axis=1).sum())
+        if differing > MAX_REPEATED_SHARE * len(q):
             raise UnusableInput(
                 f"{source}: {differing} of {len(q)} rows repeat the time of the row before with "
-                "other positions; "
-                "log the time with more digits"
+                "other positions; log the time with more digits"
             )
-        where = float(block.t[again[0]])
-        block = block.rows(np.setdiff1d(np.arange(len(q)), again, assume_unique=True))
-        text = (
-            f"{len(again)} rows that repeat a time are dropped ({differing} with other positions)"
-        )
-        remarks.append(Remark(Kind.REPEATED, text, start=where, end=where, repaired=True))
+        first = float(block.t[repeated[0]])
+        block = block.rows(np.setdiff1d(np.arange(len(q)), repeated, assume_unique=True))
+        text = f"{len(repeated)} rows that repeat a time are dropped "
+        text += f"({differing} with other positions)"
+        remarks.append(Remark(RemarkKind.REPEATED, text, start=first, end=first, repaired=True))
     return block, remarks
 
 
-def measure(source: str, t: Array) -> Clock:
-    """The usual step of increasing times: the median, then the mean over the rows without gaps.
+def find_grid(source: str, t: FloatArray) -> TimeGrid:
+    """Estimate the time step: the median, then the mean over the rows without gaps.
 
-    A median step above 0.5 s is no rate of a robot: an error that says by what the time should be
-    divided. So is one below 1 µs, and a clock of which more than 1 % of the steps are gaps, as
-    where stamps come in bunches.
+    Args:
+        source: Name of the recording, for messages.
+        t: Increasing times. Shape (N,) [s].
+
+    Raises:
+        UnusableInput: The median is longer than 0.5 s, which is another unit of time, or shorter
+            than 1 µs; or more than 1 % of the steps are gaps, as where stamps are those of arrival.
     """
     steps = np.diff(t)
     if not len(steps):
-        raise UnusableInput(f"{source}: has {len(t)} rows with a time of their own; record more")
+        raise UnusableInput(f"{source}: has {len(t)} rows with distinct times; record more")
     usual = float(np.median(steps))
-    if usual > SLOWEST:
-        unit, factor = next(
-            (u, f)
-            for u, f, most in (("ms", 1e3, 2e2), ("µs", 1e6, 2e5), ("ns", 1e9, np.inf))
-            if usual <= most
-        )
+    if usual > MAX_STEP:
+        unit, factor = next((u, f) for u, f, largest in UNITS if usual <= largest)
         raise UnusableInput(
             f"{source}: the usual time step is {usual:g}; is time in {unit}? Divide it by "
             f"{factor:g}, seconds are needed"
         )
-    if usual < FASTEST:
+    if usual < MIN_STEP:
         raise UnusableInput(
             f"{source}: the usual time step is {usual:g} s, more than a million rows a second; is "
             "time in another unit? Seconds are needed"
         )
-    short = steps <= (GAP + 0.5) * usual
-    if (~short).sum() > max(MOST_GAPS * len(steps), 3):
+    is_gap = ~(steps <= (MAX_FILLED_STEPS + 0.5) * usual)
+    if is_gap.sum() > max(MAX_GAP_SHARE * len(steps), MIN_TOLERATED_GAPS):
         raise UnusableInput(
-            f"{source}: {int((~short).sum())} of {len(steps)} time steps are longer than {GAP} "
-            f"usual ones ({usual:.3g} s); "
+            f"{source}: {int(is_gap.sum())} of {len(steps)} time steps are longer than "
+            f"{MAX_FILLED_STEPS} usual ones ({usual:.3g} s); "
             "use the time of measurement, not of arrival"
         )
-    counted = np.maximum(np.round(steps[short] / usual), 0.0).sum()
-    return Clock(float(steps[short].sum() / counted), float(t[0]))
+    short = steps[~is_gap]
+    counted = np.maximum(np.round(short / usual), 0.0).sum()
+    return TimeGrid(float(short.sum() / counted), float(t[0]))
 
 
-def pieces(t: Array, step: float) -> list[slice]:
-    """Runs of rows between gaps: no step in them is longer than 5 usual ones."""
-    cuts = np.flatnonzero(np.diff(t) > (GAP + 0.5) * step) + 1
+def gap_free_slices(t: FloatArray, step: float) -> list[slice]:
+    """Return the slices of rows between gaps.
+
+    Args:
+        t: Increasing times. Shape (N,) [s].
+        step: Usual time step [s].
+    """
+    cuts = np.flatnonzero(np.diff(t) > (MAX_FILLED_STEPS + 0.5) * step) + 1
     bounds = [0, *cuts.tolist(), len(t)]
     return [slice(a, b) for a, b in pairwise(bounds)]
 
 
-def even(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
-    """Rows on the clock's grid, piece by piece; gaps stay.
+def resample(block: Block, grid: TimeGrid) -> tuple[Block, list[Remark]]:
+    """Resample rows on an even grid, separately between gaps.
 
-    Where no step within a piece deviates by more than 2 % the rows are kept as they are. Else all
-    are interpolated by cubic splines, which also fills up to 5 missing rows. Beforehand rows closer
-    than a fifth of a step to the one before are dropped: the slope between such is noise, and a
-    spline would follow it. A piece of one row is dropped.
+    Rows are kept as they are if no step between gaps deviates by more than 2 %. Otherwise all are
+    interpolated by cubic splines, which also fills up to 5 missing rows. Rows closer than a fifth
+    of a step to the row before are dropped first because a spline would follow the noise of their
+    slope. A single row between gaps is dropped.
+
+    Args:
+        block: Rows with increasing times.
+        grid: The grid.
     """
-    runs = pieces(block.t, clock.step)
-    remarks = _gaps(block.t, runs)
+    runs = gap_free_slices(block.t, grid.step)
+    remarks = _gap_remarks(block.t, runs)
     steps = np.concatenate([np.diff(block.t[run]) for run in runs])
-    uneven = np.flatnonzero(np.abs(steps / clock.step - 1.0) > EVEN)
+    uneven = np.flatnonzero(np.abs(steps / grid.step - 1.0) > STEP_TOLERANCE)
     if not len(uneven):
         return block, remarks
-    lost = int(np.round(steps.sum() / clock.step)) - len(steps)
-    text = f"time steps from {steps.min():.4g} to {steps.max():.4g} s are put on an even grid of {clock.step:.6g} s by interpolation"  # noqa: E501
-    where = block.t[:-1][np.diff(block.t) <= (GAP + 0.5) * clock.step][uneven[[0, -1]]]
-    text += f"; {lost} missing rows are filled" if lost > 0 else ""
+    missing = int(np.round(steps.sum() / grid.step)) - len(steps)
+    steps_range = f"{steps.min():.4g} to {steps.max():.4g} s"
+    text = f"time steps from {steps_range} are resampled on an even grid of {grid.step:.6g} s"
+    text += f"; {missing} missing rows are filled" if missing > 0 else ""
+    is_short = np.diff(block.t) <= (MAX_FILLED_STEPS + 0.5) * grid.step
+    start, end = block.t[:-1][is_short][uneven[[0, -1]]]
     remarks.append(
-        Remark(Kind.JITTER, text, start=float(where[0]), end=float(where[1]), repaired=True)
+        Remark(RemarkKind.JITTER, text, start=float(start), end=float(end), repaired=True)
     )
-    filled = [_on_grid(block.rows(run), clock) for run in runs if run.stop - run.start > 1]
-    t = np.concatenate([part.t for part in filled])
-    values = {name: np.concatenate([part.values[name] for part in filled]) for name in block.values}
+    parts = [_interpolate(block.rows(run), grid) for run in runs if run.stop - run.start > 1]
+    t = np.concatenate([part.t for part in parts])
+    values = {name: np.concatenate([part.values[name] for part in parts]) for name in block.values}
     return Block(t, values, block.remarks), remarks
 
 
-def _gaps(t: Array, runs: list[slice]) -> list[Remark]:
+def _gap_remarks(t: FloatArray, runs: list[slice]) -> list[Remark]:
     if len(runs) == 1:
         return []
     starts, ends = t[[run.stop - 1 for run in runs[:-1]]], t[[run.start for run in runs[1:]]]
     longest = int(np.argmax(ends - starts))
     number = "1 gap" if len(starts) == 1 else f"{len(starts)} gaps"
-    text = f"{number} of more than {GAP} rows, the longest {ends[longest] - starts[longest]:.4g} s, split the recording"  # noqa: E501
-    return [
-        Remark(
-            Kind.GAP, text, start=float(starts[longest]), end=float(ends[longest]), repaired=True
-        )
-    ]
+    text = (
+        f"{number} of more than {MAX_FILLED_STEPS} rows, the longest "
+        f"{ends[longest] - starts[longest]:.4g} s, split the recording"
+    )
+    start, end = float(starts[longest]), float(ends[longest])
+    return [Remark(RemarkKind.GAP, text, start=start, end=end, repaired=True)]
 
 
-def _on_grid(block: Block, clock: Clock) -> Block:
+def _interpolate(block: Block, grid: TimeGrid) -> Block:
+    """Interpolate rows without a gap on the grid by cubic splines."""
     from scipy.interpolate import CubicSpline  # slow to import
 
-    block = block.rows(np.diff(block.t, prepend=-np.inf) >= CLOSE * clock.step)
-    first = np.ceil((block.t[0] - clock.origin) / clock.step - 1e-6)
-    last = np.floor((block.t[-1] - clock.origin) / clock.step + 1e-6)
-    t = clock.origin + clock.step * np.arange(first, last + 1)
+    block = block.rows(np.diff(block.t, prepend=-np.inf) >= MIN_SPACING * grid.step)
+    first = np.ceil((block.t[0] - grid.origin) / grid.step - GRID_ROUNDING)
+    last = np.floor((block.t[-1] - grid.origin) / grid.step + GRID_ROUNDING)
+    t = grid.origin + grid.step * np.arange(first, last + 1)
     inside = np.clip(t, block.t[0], block.t[-1])
     values = {}
     for name, value in block.values.items():
         out = np.full((len(t), value.shape[1]), np.nan)
         for i, column in enumerate(value.T):
-            there = np.isfinite(column)
-            if there.sum() < 2:
+            known = np.isfinite(column)
+            if known.sum() < 2:
                 continue
-            out[:, i] = CubicSpline(block.t[there], column[there], bc_type="natural")(inside)
-            if not there.all():  # a longer lack stays one
-                out[np.interp(inside, block.t, there.astype(float)) < 1.0, i] = np.nan
+            out[:, i] = CubicSpline(block.t[known], column[known], bc_type="natural")(inside)
+            if not known.all():  # longer runs of missing values stay missing
+                out[np.interp(inside, block.t, known.astype(float)) < 1.0, i] = np.nan
         values[name] = out
     return Block(t, values, block.remarks)

@@ -1,16 +1,19 @@
-"""A clock that wavers unseen: rows stamped evenly, but read at instants that differ from their
-stamps, of all joints together.
+"""Timestamp jitter: rows with even stamps whose positions were read at other times, the same for
+all joints.
 
-q_j = x_j + ẋ_j δ, with one error δ of the instant in all joints (a logger's loop is late, and every
-encoder with it). In one joint it looks like an encoder's noise; differentiated twice it is most of
-what a model can't explain. Above the motion's frequencies nothing but δ makes all joints differ in
-the ratio of their speeds: there it shows, and how large it is. Below, the likeliest is taken away,
+    q_j = x_j + ẋ_j δ,
+
+with motion x_j and one timing error δ per row for all joints, as where the loop of a logger is
+late. In a single joint it looks like encoder noise; after two derivatives it dominates the residual
+of a model. Above the frequencies of the motion only δ moves all joints in the ratio of their
+velocities; there it is detected and its variance σ² estimated. Below, its maximum a posteriori
+estimate is
 
     δ̂ = argmin Σ_j ‖S_j^(-1/2) (q_j − ẋ_j δ)‖² + ‖δ‖²/σ²,
 
-S_j the spectrum of the motion x_j, found in turn with δ (a Wiener filter along a direction that
-turns, by conjugate gradients). Torque stays as it was read: its own error, τ̇ δ, is differentiated
-by nobody.
+with the spectra S_j of the motion, which are estimated in turn with δ (a Wiener filter along a
+time-varying direction, solved by conjugate gradients). Torque is not corrected: its error τ̇ δ is
+not amplified by derivatives.
 """
 
 from __future__ import annotations
@@ -22,145 +25,187 @@ from typing import Any
 
 import numpy as np
 
-from .padding import reflected
-from .time_axis import pieces
+from .._types import FloatArray
+from .padding import pad_by_reflection
+from .time_axis import gap_free_slices
 
-Array = np.ndarray
-SLOW, ABOVE, TOP = 10.0, 30.0, 45.0
-"""Frequencies up to which a speed is the motion's, above which positions are no motion, and up to
-which the likeliest is sought [Hz]."""
-LEAST = 2.0
-"""Frequency below which nothing is sought: it is the motion [Hz]."""
-ROOM = 4.0
-"""Times ABOVE that a recording must have rows a second."""
-SHARED = 0.5
-"""Share of what a joint does above the motion that the others must foretell, of two joints at the
-least: of noise of its own they foretell less than nothing."""
-SLIGHT, ROUNDED = 5e-6, 1e-12
-"""An error of instants that nobody needs to take out [s]; and of positions, what a filter's
-rounding leaves of a joint that stands."""
-FAINT = 1e-3
-"""Of the mean square of speeds, what is added to it: where all stand, no δ is told."""
-AGAIN, ROUNDS, CLOSE = 4, 300, 1e-6
-"""Times that spectra are found; steps of conjugate gradients at the most, and their residual."""
-NARROW, OWN = 0.2, 0.05
-"""Part of a frequency over which a spectrum is smoothed either way; and of it, what is the motion's
-own at the least, to begin with."""
-LOOKED = 3
-"""Stretches that tell whether a clock wavers."""
-REACH, LONGEST, EDGE = 1.0, 60.0, 0.2
-"""How far a stretch is continued at its ends, how long it may be, and how much of its ends a filter
-spoils [s]."""
+MOTION_HZ = 10.0
+"""Frequency up to which velocities are estimated [Hz]."""
+NOISE_HZ = 30.0
+"""Frequency above which positions hold no motion [Hz]."""
+MAX_CORRECTED_HZ = 45.0
+"""Frequency up to which the maximum a posteriori estimate is computed [Hz]."""
+MIN_CORRECTED_HZ = 2.0
+"""Frequency below which no jitter is estimated, as it cannot be told from the motion [Hz]."""
+MIN_RATE_RATIO = 4.0
+"""Smallest sampling rate over NOISE_HZ [1]."""
+MIN_PREDICTED_SHARE = 0.5
+"""Share of a joint's power above NOISE_HZ that the other joints must predict, in two joints at
+least [1]. Of independent noise they predict less than nothing."""
+MIN_JITTER = 5e-6
+"""Standard deviation of jitter that is not worth a correction [s]."""
+RELATIVE_ROUNDING = 1e-12
+"""High-pass filtered positions over the largest position below which they are rounding errors
+[1]."""
+VELOCITY_REGULARIZATION = 1e-3
+"""Term added to the squared velocities, as a share of their mean: where all joints stand, δ is not
+observable [1]."""
+SPECTRUM_ITERATIONS = 4
+"""Number of times that the spectra are estimated."""
+MAX_CG_ITERATIONS = 300
+"""Largest number of conjugate gradient iterations."""
+CG_TOLERANCE = 1e-6
+"""Relative residual at which they stop [1]."""
+SMOOTHING_BANDWIDTH = 0.2
+"""Half width over which a spectrum is smoothed, as a share of the frequency [1]."""
+MIN_MOTION_SHARE = 0.05
+"""Share of a spectrum that is attributed to the motion at least, in the first iteration [1]."""
+TESTED_STRETCHES = 3
+"""Number of stretches in which jitter is detected."""
+PADDING_TIME = 1.0
+"""Time by which a stretch is continued at its ends [s]."""
+MAX_STRETCH_TIME = 60.0
+"""Longest stretch that is processed at once [s]."""
+EDGE_TIME = 0.2
+"""Time at the ends of a stretch that filters distort [s]."""
+TINY = 1e-300
+"""Term that keeps divisors positive."""
 
 
 @dataclass(frozen=True)
-class Waver:
-    """late: by how much each row was read after its stamp, as far as it is told. speed: of the
-    motion then. rms: of all of it [s].
+class TimestampJitter:
+    """Estimated timing error of each row.
 
-    Shapes (N,) [s], (N, n).
+    Attributes:
+        delay: Time by which each row was read after its stamp. Shape (N,) [s].
+        velocity: Velocities of the motion. Shape (N, n) [rad/s or m/s].
+        rms: Standard deviation of the error, including what `delay` does not resolve [s].
     """
 
-    late: Array
-    speed: Array
+    delay: FloatArray
+    velocity: FloatArray
     rms: float
 
-    def taken(self, q: Array) -> Array:
-        """Positions at their stamps. Shape (N, n)."""
-        return np.asarray(q - self.speed * self.late[:, None])
+    def corrected(self, q: FloatArray) -> FloatArray:
+        """Return positions at their stamps. Shape (N, n) [rad or m]."""
+        return np.asarray(q - self.velocity * self.delay[:, None])
 
 
-def found(t: Array, q: Array, step: float) -> Waver | None:
-    """By how much rows were read late; None where joints don't agree that they were. Shapes (N,),
-    (N, n)."""
-    if ROOM * ABOVE * step > 1.0:
+def estimate_jitter(t: FloatArray, q: FloatArray, step: float) -> TimestampJitter | None:
+    """Estimate timestamp jitter.
+
+    Args:
+        t: Stamps, even but for gaps. Shape (N,) [s].
+        q: Positions. Shape (N, n) [rad or m].
+        step: Time step [s].
+
+    Returns:
+        The jitter; None if it is insignificant or the joints do not agree on it.
+    """
+    if MIN_RATE_RATIO * NOISE_HZ * step > 1.0:
         return None
     stretches = list(_stretches(t, step))
-    seen = [_Seen(q[rows], step) for rows in stretches[:LOOKED]]
-    if not seen or np.sum(np.sum([one.foretold for one in seen], axis=0) > SHARED * len(seen)) < 2:
+    tested = [_StretchJitter(q[rows], step) for rows in stretches[:TESTED_STRETCHES]]
+    if not tested:
         return None
-    variance = float(np.mean([one.variance for one in seen]))
-    if variance < SLIGHT**2:
+    predicted_share = np.sum([stretch.predicted_share for stretch in tested], axis=0)
+    if np.sum(predicted_share > MIN_PREDICTED_SHARE * len(tested)) < 2:
         return None
-    late, speed = np.zeros(len(q)), np.zeros(q.shape)
+    variance = float(np.mean([stretch.variance for stretch in tested]))
+    if variance < MIN_JITTER**2:
+        return None
+    delay, velocity = np.zeros(len(q)), np.zeros(q.shape)
     for number, rows in enumerate(stretches):
-        one = seen[number] if number < LOOKED else _Seen(q[rows], step)
-        late[rows], speed[rows] = one.late(variance), one.speed
-    return Waver(late, speed, float(np.sqrt(variance)))
+        stretch = tested[number] if number < len(tested) else _StretchJitter(q[rows], step)
+        delay[rows], velocity[rows] = stretch.estimate_delay(variance), stretch.velocity
+    return TimestampJitter(delay, velocity, float(np.sqrt(variance)))
 
 
-def _stretches(t: Array, step: float) -> Iterator[slice]:
-    """Rows without a gap, none too long to be worked on at once."""
-    for run in pieces(t, step):
+def _stretches(t: FloatArray, step: float) -> Iterator[slice]:
+    """Slices without a gap and not longer than MAX_STRETCH_TIME."""
+    for run in gap_free_slices(t, step):
         count = run.stop - run.start
-        if count * step > 3.0 * REACH:
-            ends = np.linspace(
-                run.start, run.stop, int(np.ceil(count * step / LONGEST)) + 1
-            ).astype(int)
+        if count * step > 3.0 * PADDING_TIME:
+            parts = int(np.ceil(count * step / MAX_STRETCH_TIME))
+            ends = np.linspace(run.start, run.stop, parts + 1).astype(int)
             yield from (slice(int(a), int(b)) for a, b in pairwise(ends))
 
 
-class _Seen:
-    """What an even stretch shows above its motion. q: Shape (N, n). foretold: share of each joint's
-    square there that the others foretell.
+class _StretchJitter:
+    """Jitter in a stretch of even rows, estimated above the frequencies of the motion.
 
-    variance: of δ [s²]. grain: of each joint's own noise. Shape (n,).
+    Attributes:
+        q: Positions. Shape (N, n) [rad or m].
+        step: Time step [s].
+        velocity: Velocities of the motion. Shape (N, n).
+        predicted_share: Share of each joint's power above NOISE_HZ that the other joints predict.
+            Shape (n,) [1].
+        fast_delay: δ above NOISE_HZ. Shape (N,) [s].
+        variance: Variance of δ [s²].
+        noise: Variance of each joint's independent noise. Shape (n,).
     """
 
-    def __init__(self, q: Array, step: float) -> None:
+    def __init__(self, q: FloatArray, step: float) -> None:
         self.q, self.step = q, step
-        self.speed = np.gradient(_low(q, SLOW, step), step, axis=0)
-        high = q - _low(q, ABOVE, step)
-        edge = int(EDGE / step)
+        self.velocity = np.gradient(_low_pass(q, MOTION_HZ, step), step, axis=0)
+        high = q - _low_pass(q, NOISE_HZ, step)
+        edge = int(EDGE_TIME / step)
         high[:edge] = high[-edge:] = 0.0
-        square = np.mean(high**2, axis=0)
-        weight = np.divide(
-            1.0,
-            square,
-            out=np.zeros_like(square),
-            where=square > (ROUNDED * np.abs(q).max(axis=0)) ** 2,
+        power = np.mean(high**2, axis=0)
+        rounding = RELATIVE_ROUNDING * np.abs(q).max(axis=0)
+        weight = np.divide(1.0, power, out=np.zeros_like(power), where=power > rounding**2)
+        # weighted least squares of δ at each row: its right-hand side and matrix, per joint
+        target, matrix = weight * self.velocity * high, weight * self.velocity**2
+        regularization = VELOCITY_REGULARIZATION * float(matrix.sum(axis=1).mean()) + TINY
+        by_others = (target.sum(axis=1)[:, None] - target) / (
+            matrix.sum(axis=1)[:, None] - matrix + regularization
         )
-        told, known = weight * self.speed * high, weight * self.speed**2
-        faint = FAINT * float(known.sum(axis=1).mean()) + 1e-300
-        others = (told.sum(axis=1)[:, None] - told) / (known.sum(axis=1)[:, None] - known + faint)
-        self.foretold = (weight > 0.0) - np.mean(weight * (high - self.speed * others) ** 2, axis=0)
-        self.above = told.sum(axis=1) / (known.sum(axis=1) + faint)
-        seen = (1.0 - 2.0 * ABOVE * step) * (1.0 - 2.0 * edge / len(q))  # of white noise
+        residual = high - self.velocity * by_others
+        self.predicted_share = (weight > 0.0) - np.mean(weight * residual**2, axis=0)
+        self.fast_delay = target.sum(axis=1) / (matrix.sum(axis=1) + regularization)
+        # share of the power of white noise that is above NOISE_HZ and not at the edges
+        white_share = (1.0 - 2.0 * NOISE_HZ * step) * (1.0 - 2.0 * edge / len(q))
+        information = matrix.sum(axis=1)
         self.variance = float(
-            (self.above**2) @ known.sum(axis=1) / max(float(known.sum()), 1e-300) / seen
+            (self.fast_delay**2) @ information / max(float(matrix.sum()), TINY) / white_share
         )
-        self.grain = np.mean((high - self.speed * self.above[:, None]) ** 2, axis=0) / seen
+        independent = high - self.velocity * self.fast_delay[:, None]
+        self.noise = np.mean(independent**2, axis=0) / white_share
 
-    def late(self, variance: float) -> Array:
-        """δ̂ at every row: the likeliest up to TOP, above it what the joints say together. Shape
-        (N,) [s]."""
+    def estimate_delay(self, variance: float) -> FloatArray:
+        """Estimate δ at every row: a posteriori up to MAX_CORRECTED_HZ, above by least squares.
+
+        Args:
+            variance: Variance of δ [s²].
+
+        Returns:
+            δ̂. Shape (N,) [s].
+        """
         from scipy.interpolate import CubicSpline  # slow to import
 
-        every = max(1, int(0.4 / (TOP * self.step)))
-        head = int(REACH / self.step) // every * every
-        q, speed = (reflected(x, head, head) for x in (self.q, self.speed))
-        fade = np.ones(len(q))
-        fade[:head] = 0.5 - 0.5 * np.cos(np.pi * np.arange(head) / head)
-        fade[-head:] = fade[:head][::-1]
-        low = _low(q, TOP, self.step)[::every]
-        low = (low - np.linspace(low[0], low[-1], len(low))) * fade[::every, None]
-        below = _likeliest(
+        decimation = max(1, int(0.4 / (MAX_CORRECTED_HZ * self.step)))
+        head = int(PADDING_TIME / self.step) // decimation * decimation
+        q, velocity = (pad_by_reflection(x, head, head) for x in (self.q, self.velocity))
+        window = np.ones(len(q))
+        window[:head] = 0.5 - 0.5 * np.cos(np.pi * np.arange(head) / head)
+        window[-head:] = window[:head][::-1]
+        low = _low_pass(q, MAX_CORRECTED_HZ, self.step)[::decimation]
+        low = (low - np.linspace(low[0], low[-1], len(low))) * window[::decimation, None]
+        slow_delay = _maximum_a_posteriori(
             low,
-            (speed * fade[:, None])[::every],
-            every * self.step,
-            variance / every,
-            self.grain / every,
+            velocity[::decimation] * window[::decimation, None],
+            decimation * self.step,
+            variance / decimation,
+            self.noise / decimation,
         )
         rows = np.arange(head, head + len(self.q))
-        return np.asarray(
-            CubicSpline(np.arange(len(below)) * every, below)(rows)
-            + self.above
-            - _low(self.above, TOP, self.step)
-        )
+        spline = CubicSpline(np.arange(len(slow_delay)) * decimation, slow_delay)
+        resolved = _low_pass(self.fast_delay, MAX_CORRECTED_HZ, self.step)
+        return np.asarray(spline(rows) + self.fast_delay - resolved)
 
 
-def _low(x: Array, hertz: float, step: float) -> Array:
-    """Below a frequency, without phase. Shape (N, …)."""
+def _low_pass(x: FloatArray, hertz: float, step: float) -> FloatArray:
+    """Zero-phase low-pass filter along the first axis. Shape (N, …)."""
     from scipy import signal  # slow to import
 
     return np.asarray(
@@ -168,42 +213,64 @@ def _low(x: Array, hertz: float, step: float) -> Array:
     )
 
 
-def _likeliest(x: Array, speed: Array, step: float, variance: float, grain: Array) -> Array:
-    """δ̂ of a closed loop of positions below TOP, spectra found in turn with it. variance, grain:
-    white. Shapes (L, n) -> (L,)."""
+def _maximum_a_posteriori(
+    x: FloatArray, velocity: FloatArray, step: float, variance: float, noise: FloatArray
+) -> FloatArray:
+    """Estimate δ̂ of a periodic stretch, with spectra of the motion estimated in turn.
+
+    Args:
+        x: Positions below MAX_CORRECTED_HZ. Shape (L, n).
+        velocity: Velocities of the motion. Shape (L, n).
+        step: Time step [s].
+        variance: Variance of δ per row [s²].
+        noise: Variance of each joint's noise per row. Shape (n,).
+
+    Returns:
+        δ̂. Shape (L,) [s].
+    """
     from scipy.sparse.linalg import LinearOperator, cg  # slow to import
 
     count, frequency = len(x), np.fft.rfftfreq(len(x), step)
-    sought = (frequency >= LEAST) & (frequency < TOP)
-    wavered, late = np.sum(speed**2, axis=0) * variance, np.zeros(count)
-    for number in range(AGAIN):
-        power = _smoothed(np.abs(np.fft.rfft(x - speed * late[:, None], axis=0)) ** 2)
-        if number == 0:
-            power = np.maximum(power - wavered, OWN * power)
-        trust = np.where(sought[:, None], count / np.maximum(power, grain * count + 1e-300), 0.0)
-        root = np.sqrt(
-            np.sum(speed**2 * trust.max(axis=0), axis=1) + 1.0 / variance
-        )  # evens out fast and slow rows
+    in_band = (frequency >= MIN_CORRECTED_HZ) & (frequency < MAX_CORRECTED_HZ)
+    jitter_power, delay = np.sum(velocity**2, axis=0) * variance, np.zeros(count)
+    for iteration in range(SPECTRUM_ITERATIONS):
+        motion = x - velocity * delay[:, None]
+        power = _smoothed_spectrum(np.abs(np.fft.rfft(motion, axis=0)) ** 2)
+        if iteration == 0:
+            power = np.maximum(power - jitter_power, MIN_MOTION_SHARE * power)
+        inverse = count / np.maximum(power, noise * count + TINY)
+        precision = np.where(in_band[:, None], inverse, 0.0)
+        # diagonal preconditioner: rows differ in their velocities
+        scale = np.sqrt(np.sum(velocity**2 * precision.max(axis=0), axis=1) + 1.0 / variance)
 
-        def white(z: Array, trust: Array = trust) -> Array:
-            return np.asarray(
-                np.sum(speed * np.fft.irfft(trust * np.fft.rfft(z, axis=0), count, axis=0), axis=1)
-            )
+        def projected(z: FloatArray, precision: FloatArray = precision) -> FloatArray:
+            filtered = np.fft.irfft(precision * np.fft.rfft(z, axis=0), count, axis=0)
+            return np.asarray(np.sum(velocity * filtered, axis=1))
 
-        def normal(y: Any, root: Array = root, white: Any = white) -> Array:
-            z = np.ravel(y) / root
-            return np.asarray((white(speed * z[:, None]) + z / variance) / root)
+        def normal_equations(
+            y: Any, scale: FloatArray = scale, projected: Any = projected
+        ) -> FloatArray:
+            z = np.ravel(y) / scale
+            return np.asarray((projected(velocity * z[:, None]) + z / variance) / scale)
 
-        operator = LinearOperator((count, count), matvec=normal, dtype=float)
-        late = cg(operator, white(x) / root, x0=late * root, rtol=CLOSE, maxiter=ROUNDS)[0] / root
-    return late
+        operator = LinearOperator((count, count), matvec=normal_equations, dtype=float)
+        solution, _ = cg(
+            operator,
+            projected(x) / scale,
+            x0=delay * scale,
+            rtol=CG_TOLERANCE,
+            maxiter=MAX_CG_ITERATIONS,
+        )
+        delay = solution / scale
+    return delay
 
 
-def _smoothed(power: Array) -> Array:
-    """Means over a part of each frequency, that of zero left out. Shape (F, n)."""
+def _smoothed_spectrum(power: FloatArray) -> FloatArray:
+    """Mean of a power spectrum over a share of each frequency, without frequency 0. Shape (F,
+    n)."""
     sums = np.vstack([np.zeros((1, power.shape[1])), np.cumsum(power, axis=0)])
     bins = np.arange(len(power))
-    reach = np.maximum(3, (NARROW * bins).astype(int))
-    high = np.minimum(bins + reach + 1, len(power))
-    low = np.minimum(np.maximum(bins - reach, 1), high - 1)
+    half_width = np.maximum(3, (SMOOTHING_BANDWIDTH * bins).astype(int))
+    high = np.minimum(bins + half_width + 1, len(power))
+    low = np.minimum(np.maximum(bins - half_width, 1), high - 1)
     return np.asarray((sums[high] - sums[low]) / (high - low)[:, None])

@@ -1,84 +1,119 @@
-"""Wrong units: degrees, millimetres, milliseconds."""
+"""Detection of wrong units: degrees, millimetres, milliseconds."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from .block import Block
-from .remark import Kind, Remark
+from .remark import Remark, RemarkKind
 
-Array = np.ndarray
-FAR = 2.0
-"""A revolute joint is far beyond its limits at twice their larger magnitude; a prismatic one at ten
-times."""
-FAR_LENGTH = 10.0
-SLACK = 1.1
-"""Converted positions may exceed the limits by a tenth."""
-LEAST, LEAST_LENGTH = 1.0, 0.05
-"""Reach of a joint whose limits are narrower [rad], [m]: a limit tightened for a design says
-nothing of units."""
-TURNS = 4.0 * np.pi
+MAX_ANGLE_RATIO = 2.0
+"""Largest position of a revolute joint over its reach [1]."""
+MAX_LENGTH_RATIO = 10.0
+"""Largest position of a prismatic joint over its reach [1]."""
+CONVERTED_RATIO = 1.1
+"""Largest position over the reach that is plausible after a conversion [1]."""
+MIN_ANGLE_REACH = 1.0
+"""Smallest reach of a revolute joint [rad]: a position limit that is tightened for a design says
+nothing about units."""
+MIN_LENGTH_REACH = 0.05
+"""Smallest reach of a prismatic joint [m]."""
+DEFAULT_ANGLE_REACH = 4.0 * np.pi
 """Reach of a revolute joint without position limits [rad]."""
-CLEAR = 0.7
-"""Correlation above which a slope and a velocity can be compared."""
-RATIOS = (
+MIN_CORRELATION = 0.7
+"""Correlation of dq and the slope of q from which their ratio is compared with 1 [1]."""
+UNIT_RATIOS = (
     (180.0 / np.pi, "q is in degrees but dq in rad/s; convert q to rad"),
     (np.pi / 180.0, "dq is in degrees/s but q in rad; convert dq to rad/s"),
     (1e-3, "time is in ms; divide it by 1000"),
     (1e-6, "time is in µs; divide it by 1e6"),
     (1e-9, "time is in ns; divide it by 1e9"),
 )
+"""Ratios of the slope of q to dq by mixed units, with their remedies."""
+UNIT_RATIO_TOLERANCE = 1.2
+"""Factor within which a ratio counts as one of UNIT_RATIOS [1]."""
+PLAUSIBLE_RATIOS = (0.8, 1.25)
+"""Ratios of the slope of q to dq that are not remarked [1]."""
 
 
-def reach(robot: Robot, limits: Limits | None) -> Array:
-    """Largest |position| that the limits or the URDF allow, at least 1 rad or 0.05 m. Shape (n,)
-    [rad or m].
+def reach(robot: Robot, limits: Limits | None) -> FloatArray:
+    """Return the largest |position| that the limits or the URDF allow.
 
-    4π for a revolute joint without limits; inf for other joints without.
+    Args:
+        robot: The robot.
+        limits: Its limits, None: those of the URDF.
+
+    Returns:
+        At least 1 rad or 0.05 m; 4π for a revolute joint without limits, ∞ for other joints
+        without. Shape (n,) [rad or m].
     """
     out = np.full(robot.n, np.inf)
     for i, entry in enumerate(robot.entries):
         stated = [*(entry.position or ()), *(() if limits is None else limits.position[i])]
         if stated and np.isfinite(stated).all():
-            out[i] = max(np.abs(stated).max(), LEAST_LENGTH if entry.kind == "prismatic" else LEAST)
+            smallest = MIN_LENGTH_REACH if entry.kind == "prismatic" else MIN_ANGLE_REACH
+            out[i] = max(np.abs(stated).max(), smallest)
         elif entry.kind == "revolute":
-            out[i] = TURNS
+            out[i] = DEFAULT_ANGLE_REACH
     return out
 
 
 def check_positions(source: str, block: Block, robot: Robot, limits: Limits | None) -> None:
-    """UnusableInput where positions are not in rad or m.
+    """Check that positions are in rad or m.
 
-    Rule: a revolute joint beyond twice its reach is in degrees when that brings every joint within
-        1.1 times its reach, else in a unit of its own, encoder counts say. A prismatic joint beyond
-        ten times its reach is in mm when a thousandth lies within it.
+    A revolute joint beyond twice its reach is in degrees if degrees put all joints within 1.1 times
+    their reach, else in another unit such as encoder counts. A prismatic joint beyond ten times its
+    reach is in mm if a thousandth is within its reach.
+
+    Args:
+        source: Name of the recording, for messages.
+        block: Rows of it.
+        robot: The robot.
+        limits: Its limits, None: those of the URDF.
+
+    Raises:
+        UnusableInput: Positions are in another unit.
     """
     largest = np.nanmax(np.abs(block.values["q"]), axis=0)
     bounds = reach(robot, limits)
-    turning = np.array([entry.kind != "prismatic" for entry in robot.entries])
-    far = np.flatnonzero(largest > np.where(turning, FAR, FAR_LENGTH) * bounds)
-    if not len(far):
+    is_angle = np.array([entry.kind != "prismatic" for entry in robot.entries])
+    beyond = largest > np.where(is_angle, MAX_ANGLE_RATIO, MAX_LENGTH_RATIO) * bounds
+    if not beyond.any():
         return
-    i = far[0]
-    said = f"{source}: joint '{robot.joints[i]}' reaches {largest[i]:.4g}, far beyond {bounds[i]:.4g} {'rad' if turning[i] else 'm'}"  # noqa: E501
-    if turning[i] and (np.deg2rad(largest) <= SLACK * bounds)[turning].all():
-        raise UnusableInput(f"{said}; its positions are in degrees, convert them to rad")
-    if not turning[i] and largest[i] / 1000.0 <= SLACK * bounds[i]:
-        raise UnusableInput(f"{said}; its positions are in mm, convert them to m")
+    i = int(np.argmax(beyond))
+    unit = "rad" if is_angle[i] else "m"
+    fault = (
+        f"{source}: joint '{robot.joints[i]}' reaches {largest[i]:.4g}, far beyond "
+        f"{bounds[i]:.4g} {unit}"
+    )
+    if is_angle[i] and (np.deg2rad(largest) <= CONVERTED_RATIO * bounds)[is_angle].all():
+        raise UnusableInput(f"{fault}; its positions are in degrees, convert them to rad")
+    if not is_angle[i] and largest[i] / 1000.0 <= CONVERTED_RATIO * bounds[i]:
+        raise UnusableInput(f"{fault}; its positions are in mm, convert them to m")
     raise UnusableInput(
-        f"{said}; convert its positions from the encoder's unit, or correct the limits"
+        f"{fault}; convert its positions from the encoder's unit, or correct the limits"
     )
 
 
 def check_velocities(source: str, block: Block, robot: Robot) -> list[Remark]:
-    """Compare dq with the slope of q: their ratio betrays mixed units.
+    """Compare dq with the slope of q, whose ratio shows mixed units.
 
-    Rule: where slope and dq of a joint correlate by more than 0.7, their regression coefficient
-        should be 1. Within 20 % of 180/π, π/180, 1e-3, 1e-6 or 1e-9 it is a unit: UnusableInput.
-        Else, outside 0.8 … 1.25, a remark.
+    Where both correlate by more than 0.7, their regression coefficient should be 1.
+
+    Args:
+        source: Name of the recording, for messages.
+        block: Rows of it.
+        robot: The robot.
+
+    Returns:
+        A remark for each joint with a ratio outside 0.8 … 1.25.
+
+    Raises:
+        UnusableInput: A ratio is within 20 % of one of UNIT_RATIOS.
     """
     remarks: list[Remark] = []
     if "dq" not in block.values or len(block) < 3:
@@ -86,23 +121,22 @@ def check_velocities(source: str, block: Block, robot: Robot) -> list[Remark]:
     for i, joint in enumerate(robot.joints):
         slope = np.diff(block.values["q"][:, i]) / np.diff(block.t)
         dq = 0.5 * (block.values["dq"][1:, i] + block.values["dq"][:-1, i])
-        fine = np.isfinite(dq) & np.isfinite(slope)
-        slope, dq = slope[fine], dq[fine]
-        power, size = float(dq @ dq), float(slope @ slope)
-        if power == 0.0 or size == 0.0 or abs(slope @ dq) < CLEAR * np.sqrt(power * size):
+        known = np.isfinite(dq) & np.isfinite(slope)
+        slope, dq = slope[known], dq[known]
+        dq_power, slope_power = float(dq @ dq), float(slope @ slope)
+        if (
+            dq_power == 0.0
+            or slope_power == 0.0
+            or abs(slope @ dq) < MIN_CORRELATION * np.sqrt(dq_power * slope_power)
+        ):
             continue
-        ratio = float(slope @ dq) / power
-        for unit, remedy in RATIOS:
-            if 1 / 1.2 < ratio / unit < 1.2:
+        ratio = float(slope @ dq) / dq_power
+        for unit, remedy in UNIT_RATIOS:
+            if 1 / UNIT_RATIO_TOLERANCE < ratio / unit < UNIT_RATIO_TOLERANCE:
                 raise UnusableInput(
                     f"{source}: joint '{joint}': the slope of q is {ratio:.4g} times dq; {remedy}"
                 )
-        if not 0.8 < ratio < 1.25:
-            remarks.append(
-                Remark(
-                    Kind.INCONSISTENT,
-                    f"joint '{joint}': the slope of q is {ratio:.4g} times dq",
-                    joint,
-                )
-            )
+        if not PLAUSIBLE_RATIOS[0] < ratio < PLAUSIBLE_RATIOS[1]:
+            text = f"joint '{joint}': the slope of q is {ratio:.4g} times dq"
+            remarks.append(Remark(RemarkKind.INCONSISTENT, text, joint))
     return remarks

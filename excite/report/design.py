@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ..collision.continuous_check import Near
+from ..collision.continuous_check import PairDistance
 from ..collision.workcell import Cell
 from ..designer.certificate import CLEARANCE
 from ..designer.experiment_comparison import Scenario, compare_scenarios
@@ -88,7 +88,7 @@ def design_page(
     cases: Sequence[Scenario] | None = None,
     second: Trajectory | None = None,
     cell: Cell | None = None,
-    near: Sequence[Near] = (),
+    near: Sequence[PairDistance] = (),
 ) -> str:
     """Render the report of a design as HTML.
 
@@ -378,7 +378,7 @@ def _path_section(subject: _Subject) -> Section:
 
 
 def _collision_section(
-    trajectory: Trajectory, cell: Cell | None, nearest: Sequence[Near]
+    trajectory: Trajectory, cell: Cell | None, nearest: Sequence[PairDistance]
 ) -> Section:
     """Least distances, and what was not checked."""
     question, answer = "Does it touch anything?", f"{capitalized(trajectory.collision)}."
@@ -408,7 +408,7 @@ def _collision_section(
     return Section("collision", question, answer, data, "bad" if is_violated else "")
 
 
-def _distance_table(distance: str, nearest: Sequence[Near]) -> Table:
+def _distance_table(distance: str, nearest: Sequence[PairDistance]) -> Table:
     """Table of the distances between pairs of bodies."""
     rows = [
         (

@@ -1,4 +1,4 @@
-"""The cell in a trajectory: shapes, and which pairs of bodies need not keep apart."""
+"""The cell in a trajectory: shapes, and pairs of bodies that need not keep the clearance."""
 
 from __future__ import annotations
 
@@ -6,21 +6,29 @@ from typing import Literal
 
 import msgspec
 
-from .quantities import Angle, Clearance, FilePath, Length, Name, Sha256, Size, Text, shown
+from .quantities import Angle, ClearanceDistance, FilePath, Length, Name, Sha256, Size, Text, shown
 
-ShapeKind = Literal["sphere", "capsule", "cylinder", "box", "mesh", "floor"]
+ShapeKindName = Literal["sphere", "capsule", "cylinder", "box", "mesh", "floor"]
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "mesh": 3, "floor": 0}
-"""How many numbers the size of each kind of shape has."""
+"""Number of dimensions of each kind of shape."""
 
 
 class ShapeDocument(msgspec.Struct):
-    """A shape in the frame of a link, or in the base frame.
+    """A shape; `collision.geometry.Shape.document` writes it.
 
-    A mesh states its file and the digest of that file.
+    Attributes:
+        name: Name of the body that it is part of.
+        kind: Kind of the shape.
+        size: Dimensions as `collision.geometry.ShapeKind` states them.
+        position: Origin of the shape [m].
+        rotation: Roll, pitch and yaw about the fixed axes [rad].
+        link: Link whose frame it is fixed in; None: the base frame.
+        file: Path of a mesh.
+        sha256: Digest of that file.
     """
 
     name: Name
-    kind: ShapeKind
+    kind: ShapeKindName
     size: list[Size]
     position: tuple[Length, Length, Length]
     rotation: tuple[Angle, Angle, Angle]
@@ -51,7 +59,7 @@ def check_floor(floor: float | bool | None) -> None:
 
 
 class ExceptedDocument(msgspec.Struct):
-    """A pair of bodies that is not held to the clearance, and why."""
+    """A pair of bodies that need not keep the clearance, with the reason."""
 
     first: Name
     second: Name
@@ -59,22 +67,22 @@ class ExceptedDocument(msgspec.Struct):
 
 
 class RecipeDocument(msgspec.Struct):
-    """From which files and options a cell was made."""
+    """Files and options from which a cell was built; see `collision.workcell.Recipe`."""
 
     packages: list[FilePath] = []
     scene: FilePath | None = None
     srdf: FilePath | None = None
     floor: float | bool | None = None
-    clearance: Clearance | None = None
+    clearance: ClearanceDistance | None = None
 
     def __post_init__(self) -> None:
         check_floor(self.floor)
 
 
 class CellDocument(msgspec.Struct):
-    """A cell; `collision.cell.Cell.document` writes it."""
+    """A cell; `collision.workcell.Cell.document` writes it."""
 
-    margin: Clearance
+    margin: ClearanceDistance
     shapes: list[ShapeDocument]
     disabled: list[tuple[Name, Name]] = []
     excepted: list[ExceptedDocument] = []

@@ -1,9 +1,9 @@
 """JSON, TOML and YAML files, read within bounds and checked against a schema.
 
-The parsers of Python take what no document of ours holds: files without end, thousands of nested
-lists, integers of thousands of digits, NaN and Infinity, a key twice in one table, YAML aliases
-that unfold to gigabytes. Each of them is refused here, in one line that names the file and the key;
-the schema then checks the rest.
+Python's parsers accept content that no valid document holds: files without end, thousands of nested
+lists, integers of thousands of digits, NaN and Infinity, repeated keys, YAML aliases that expand to
+gigabytes. This module refuses it in one line that names the file and the key. The schema then
+checks the values.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from .quantities import shown
 T = TypeVar("T")
 Key = str | int
 LARGEST_JSON = 1 << 25
-"""Bytes of a JSON file that are read: 32 MiB. The model of a robot with 60 joints has 15 MB."""
+"""Largest JSON file [bytes]: 32 MiB. The model of a robot with 60 joints has 15 MB."""
 LARGEST_TOML = 1 << 20
-"""Bytes of a TOML file that are read: 1 MiB. The limits of 60 joints take 20 kB."""
+"""Largest TOML file [bytes]: 1 MiB. The limits of 60 joints take 20 kB."""
 LARGEST_YAML = 1 << 18
-"""Bytes of a YAML file that are read: 256 KiB, which PyYAML parses in 5 s.
+"""Largest YAML file [bytes]: 256 KiB, which PyYAML parses in 5 s.
 
 The limits of 60 joints take 30 kB.
 """
 DEEPEST = 40
 """Deepest nesting of tables and lists. A trajectory nests 7 deep."""
 LONGEST_INTEGER = 19
-"""Digits of an integer; a longer one becomes a float, so that the range of its key refuses it."""
-MOST_KNOWN_KEYS = 12
-"""Keys that a message lists."""
+"""Longest integer [digits]; a longer one becomes a float, which the range of its key refuses."""
+MAX_LISTED_KEYS = 12
+"""Largest number of keys that a message lists."""
 
 
 class _Flaw(Exception):
-    """A fault of a plain value: the problem, and the keys that lead to it."""
+    """A fault of a plain value, with the path of keys to it."""
 
     def __init__(self, problem: str) -> None:
         super().__init__(problem)
@@ -60,8 +60,8 @@ class DocumentFile:
     Attributes:
         path: The file.
         kind: The kind with its article, for messages: "a trajectory".
-        remedy: What to do about a value that does not fit: "design it again".
-        origin: What to give instead of a file of another kind: "the trajectory.json of
+        remedy: Advice for a value that does not fit: "design it again".
+        origin: File to give instead of one of another kind: "the trajectory.json of
             'excite design'".
     """
 
@@ -71,17 +71,17 @@ class DocumentFile:
     origin: str
 
     def error(self, problem: str, where: str = "") -> UnusableInput:
-        """The error of a value in this file, in one line: file, key, problem, remedy."""
+        """Build the error for a value in this file: file, key, problem, remedy."""
         return UnusableInput(f"{self.path}: {where}{': ' if where else ''}{problem}; {self.remedy}")
 
     def unreadable(self, reason: str) -> UnusableInput:
-        """The error of a file that is no document of this kind."""
+        """Build the error for a file that is no document of this kind."""
         return UnusableInput(
             f"{self.path}: cannot be read as {self.kind} ({reason}); give {self.origin}"
         )
 
     def json(self) -> Any:
-        """The plain value of a JSON file.
+        """Parse a JSON file to plain values.
 
         Raises:
             UnusableInput: The file cannot be read, is no strict JSON in UTF-8, or breaks a bound
@@ -90,15 +90,19 @@ class DocumentFile:
         return self._parsed(LARGEST_JSON, _json)
 
     def toml(self) -> Any:
-        """The plain value of a TOML file; raises as `json` does."""
+        """Parse a TOML file to plain values; raises as `json` does."""
         return self._parsed(LARGEST_TOML, _toml)
 
     def yaml(self) -> Any:
-        """The plain value of a YAML file, keys as texts; raises as `json` does."""
+        """Parse a YAML file to plain values with keys as texts; raises as `json` does."""
         return self._parsed(LARGEST_YAML, _yaml)
 
     def schema(self, document: Any, schemas: Sequence[str]) -> str:
-        """The schema that a document states. Raises UnusableInput unless it is one of `schemas`."""
+        """Return the schema that a document states.
+
+        Raises:
+            UnusableInput: It is none of `schemas`.
+        """
         stated = document.get("schema") if isinstance(document, dict) else None
         if not isinstance(stated, str) or stated not in schemas:
             problem = f"its schema is {shown(stated)}, not {schemas[0]!r}"
@@ -106,7 +110,7 @@ class DocumentFile:
         return stated
 
     def converted(self, document: Any, schema: type[T]) -> T:
-        """Check a plain value against a schema and make it one.
+        """Convert a plain value to a struct of a schema.
 
         Raises:
             UnusableInput: The value does not fit the schema.
@@ -149,7 +153,7 @@ class DocumentFile:
 
 
 def written(keys: Sequence[Key]) -> str:
-    """A path of keys as messages show it: `limits.velocity.joint_1.value`, `segments[3].start`."""
+    """Format a path of keys: `limits.velocity.joint_1.value`, `segments[3].start`."""
     out = ""
     for key in keys:
         if isinstance(key, int):
@@ -212,7 +216,7 @@ def _yaml(text: str) -> Any:
 
 
 def _yaml_loader() -> Any:
-    """The safe loader without aliases and with keys as texts.
+    """Build the safe loader without aliases and with keys as texts.
 
     It knows the tags !degrees and !radians of Universal Robots' own files.
     """
@@ -305,7 +309,7 @@ _WORDS = {
     "array": "a list",
     "null": "null",
 }
-"""Names of types in msgspec's messages, in words."""
+"""Descriptions of the types in msgspec's messages."""
 
 
 _PROBLEMS: tuple[tuple[str, Callable[[re.Match[str], Any, Any], str]], ...] = (
@@ -329,11 +333,11 @@ _PROBLEMS: tuple[tuple[str, Callable[[re.Match[str], Any, Any], str]], ...] = (
         lambda match, value, kind: f"{shown(value)} should be {_in_words(match[1])}",
     ),
 )
-"""Messages of msgspec, and how to say the same by the value and its type."""
+"""Patterns of msgspec's messages, each with a function that formats ours from value and type."""
 
 
 def _explained(document: Any, schema: type, message: str) -> tuple[str, str]:
-    """Key and problem of an error of msgspec, "<problem> - at `$.a[...].b[0]`"."""
+    """Return key and problem of an error of msgspec, "<problem> - at `$.a[...].b[0]`"."""
     problem, _, path = message.rpartition(" - at `") if " - at `" in message else (message, "", "")
     keys = _keys(document, schema, message, re.findall(r"\.([^.\[`]+)|\[(\d+|\.\.\.)\]", path))
     where, value = written(keys), document
@@ -354,21 +358,21 @@ def _in_words(types_of_msgspec: str) -> str:
 
 
 def _keys(document: Any, schema: type, message: str, parts: Sequence[tuple[str, str]]) -> list[Key]:
-    """Keys of the value that an error is about.
+    """Return the path of keys to the value of an error.
 
     msgspec writes `[...]` for any key of a table with free keys.
     """
     keys: list[Key] = []
     for name, index in parts:
         if index == "...":
-            keys.append(_culprit(document, schema, message, keys))
+            keys.append(_faulty_key(document, schema, message, keys))
         else:
             keys.append(name or int(index))
     return keys
 
 
-def _culprit(document: Any, schema: type, message: str, keys: Sequence[Key]) -> str:
-    """The key of the table at `keys` whose value is refused.
+def _faulty_key(document: Any, schema: type, message: str, keys: Sequence[Key]) -> str:
+    """Find the key of the table at `keys` whose value is refused.
 
     It is the first key without which the same error does not arise, found by bisection.
     """
@@ -382,15 +386,15 @@ def _culprit(document: Any, schema: type, message: str, keys: Sequence[Key]) -> 
         part = {name: table[name] for name in names[: middle + 1]}
         try:
             _converted(_replaced(document, keys, part), schema)
-            arises = False
+            recurs = False
         except msgspec.ValidationError as error:
-            arises = str(error) == message
-        low, high = (low, middle) if arises else (middle + 1, high)
+            recurs = str(error) == message
+        low, high = (low, middle) if recurs else (middle + 1, high)
     return str(names[low])
 
 
 def _replaced(document: Any, keys: Sequence[Key], value: Any) -> Any:
-    """A copy of a plain value in which another value stands at `keys`."""
+    """Copy a plain value with another value at a path of keys."""
     if not keys:
         return value
     out: Any = dict(document) if isinstance(document, dict) else list(document)
@@ -399,7 +403,7 @@ def _replaced(document: Any, keys: Sequence[Key], value: Any) -> Any:
 
 
 def _type_at(schema: Any, keys: Sequence[Key]) -> Any:
-    """The type that a schema has at a path of keys; None where it cannot be told."""
+    """Return the type that a schema has at a path of keys; None if it is unknown."""
     for key in keys:
         schema = _without_null(schema)
         if isinstance(schema, type) and issubclass(schema, msgspec.Struct):
@@ -423,7 +427,7 @@ def _type_at(schema: Any, keys: Sequence[Key]) -> Any:
 
 
 def _without_null(schema: Any) -> Any:
-    """The first alternative of a union that is not null; another type as it is."""
+    """Return the first alternative of a union that is not null; other types unchanged."""
     if typing.get_origin(schema) in (typing.Union, types.UnionType):
         return next(
             part
@@ -434,8 +438,8 @@ def _without_null(schema: Any) -> Any:
 
 
 def _alternatives(schema: Any) -> str:
-    """The keys that a struct knows, for a message."""
+    """List the keys of a struct for a message."""
     if not (isinstance(schema, type) and issubclass(schema, msgspec.Struct)):
         return ""
     names = [field.encode_name for field in msgspec.structs.fields(schema)]
-    return f"; it may have {', '.join(names)}" if len(names) <= MOST_KNOWN_KEYS else ""
+    return f"; it may have {', '.join(names)}" if len(names) <= MAX_LISTED_KEYS else ""

@@ -1,7 +1,7 @@
 """The effects in a model: their nonlinear parameters with ranges, and numbers of coefficients.
 
 The forms are those of the catalogue in `excite.effects`; tests/test_document_schemas.py compares
-every shape of the catalogue with them.
+every candidate model of the catalogue with them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .quantities import ClockTime, Coefficient, Name, Text, shown
 
 Values = Mapping[str, float]
 FLAG = Range(1.0, 1.0, "1")
-"""A form that is stated by the presence of its key."""
+"""Value of a key whose presence selects a variant."""
 SWITCH = Range(0.0, 1.0, "1")
 COUNT = Range(1.0, 100.0, "1")
 POSITIVE = Range(1e-12, 1e9, "1")
@@ -35,13 +35,13 @@ STIFFNESS = Range(1e-6, 1e12, "N m/rad or N/m")
 DAMPING_RATIO = Range(1e-6, 10.0, "1")
 WAVE_MULTIPLES = {"twice": FLAG, "thrice": FLAG}
 DELAYED = {"late": DELAY, "lagging": FLAG, "late_joint": Range(0.0, 1000.0, "1")}
-"""What any effect may have whose torque is recorded later than the position."""
+"""Optional values of any effect whose torque is recorded later than the position."""
 INTEGERS = ("late_joint", "waves", "knots", "springs", "way", "form", "link", "count")
-"""Values that are whole numbers."""
+"""Values that are integers."""
 AXES_OF_WAYS = (2, 2, 1, 1, 1)
-"""How many coordinates each way has in which a base can move."""
+"""Number of coordinates of each mode in which a base can move."""
 COLUMNS_OF_FORMS = (1, 2, 2, 3, 4)
-"""How many columns each form of a spring has."""
+"""Number of columns of each form of a spring."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,12 @@ class EffectForm:
     """One form of an effect.
 
     Attributes:
-        needed: Nonlinear parameters that it has, with their ranges.
-        optional: Further ones that it may have.
-        coefficients: How many coefficients it has, given its values.
-        joint: Whether it needs a joint, True; must have none, False; or may have one, None.
-        other: Whether it comes from another joint.
-        interval: Whether it needs an interval of time and a recording.
+        needed: Required nonlinear parameters, with their ranges.
+        optional: Optional nonlinear parameters.
+        coefficients: Function from its values to its number of coefficients.
+        joint: True if it needs a joint, False if it has none, None if both are allowed.
+        other: True if it comes from another joint.
+        interval: True if it needs an interval of time and a recording.
     """
 
     needed: Mapping[str, Range] = field(default_factory=dict)
@@ -66,7 +66,7 @@ class EffectForm:
 
 
 def _waves(values: Values) -> int:
-    """A cosine and a sine of the order and of each multiple that is stated."""
+    """Number of coefficients: a cosine and a sine of the order and of each stated multiple."""
     return 2 * (1 + len(WAVE_MULTIPLES.keys() & values.keys()))
 
 
@@ -184,7 +184,7 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
 
 
 class EffectDocument(msgspec.Struct):
-    """An effect in a model: a shape of the catalogue with its coefficients."""
+    """An effect in a model: a candidate model of the catalogue with its coefficients."""
 
     effect: Name
     joint: Name | None
@@ -219,7 +219,7 @@ class EffectDocument(msgspec.Struct):
 
 
 def _form(effect: str, values: Values) -> EffectForm:
-    """The form that has the given values. Raises ValueError where none has."""
+    """Find the form with the given values; raise ValueError without one."""
     forms = FORMS[effect]
     for form in forms:
         if form.needed.keys() <= values.keys() <= {*form.needed, *form.optional, *DELAYED}:

@@ -18,56 +18,56 @@ from .quantities import (
 
 
 class BrakingDocument(msgspec.Struct, forbid_unknown_fields=True):
-    """A velocity limit that falls towards a position stop; see `robot.limits.Braking`."""
+    """A velocity limit that decreases towards a position limit; see `robot.limits.Braking`."""
 
     offset: VelocityOffset
     rate: AccelerationLimit
     stop: tuple[Position, Position]
 
     def __post_init__(self) -> None:
-        ordered("stop", self.stop)
+        require_ordered("stop", self.stop)
 
 
 class PositionEntry(msgspec.Struct):
-    """A position limit of a trajectory, and where it came from."""
+    """A position limit of a trajectory and its source."""
 
     value: tuple[Position, Position]
     source: Text = Text("")
 
     def __post_init__(self) -> None:
-        ordered("value", self.value)
+        require_ordered("value", self.value)
 
 
 class VelocityEntry(msgspec.Struct):
-    """A velocity limit of a trajectory, and where it came from."""
+    """A velocity limit of a trajectory and its source."""
 
     value: VelocityLimit
     source: Text = Text("")
 
 
 class AccelerationEntry(msgspec.Struct):
-    """An acceleration limit of a trajectory, and where it came from."""
+    """An acceleration limit of a trajectory and its source."""
 
     value: AccelerationLimit
     source: Text = Text("")
 
 
 class JerkEntry(msgspec.Struct):
-    """A jerk limit of a trajectory, and where it came from."""
+    """A jerk limit of a trajectory and its source."""
 
     value: JerkLimit
     source: Text = Text("")
 
 
 class TorqueEntry(msgspec.Struct):
-    """A torque limit of a trajectory, and where it came from."""
+    """A torque limit of a trajectory and its source."""
 
     value: TorqueLimit
     source: Text = Text("")
 
 
 class StatedLimits(msgspec.Struct):
-    """The limits in a trajectory, joint by joint; an absent limit is absent.
+    """The limits in a trajectory, joint by joint; a missing key means no limit.
 
     `robot.limits.Limits.document` writes them.
     """
@@ -81,7 +81,7 @@ class StatedLimits(msgspec.Struct):
 
 
 class JointLimits(msgspec.Struct, forbid_unknown_fields=True):
-    """The limits of one joint in a TOML file; None where it states none."""
+    """The limits of a joint in a TOML file; None for a limit that is not stated."""
 
     position: tuple[Position, Position] | None = None
     velocity: VelocityLimit | None = None
@@ -92,11 +92,11 @@ class JointLimits(msgspec.Struct, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if self.position is not None:
-            ordered("position", self.position)
+            require_ordered("position", self.position)
 
 
 class Margin(msgspec.Struct, forbid_unknown_fields=True):
-    """Shares of the limits that a design keeps free; None where the file states none."""
+    """Shares of the limits that a design keeps free; None where not stated."""
 
     velocity: Share | None = None
     acceleration: Share | None = None
@@ -119,19 +119,23 @@ class LimitsFile(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Mounting(msgspec.Struct, forbid_unknown_fields=True):
-    """How a built-in model stands. floor: height of the plane under its base, in the base frame."""
+    """Mounting of a built-in model.
+
+    Attributes:
+        floor: Height of the mounting plane in the base frame [m].
+    """
 
     floor: Length
 
 
 class BuiltinLimitsFile(LimitsFile, forbid_unknown_fields=True):
-    """The table of a built-in model, which states its mounting too."""
+    """A limits file of a built-in model, with its mounting."""
 
     mounting: Mounting | None = None
 
 
 class MoveItSwitches(msgspec.Struct):
-    """The switches of one joint of MoveIt's `joint_limits.yaml`, each of which turns a value on."""
+    """The switches of a joint in MoveIt's `joint_limits.yaml`, each of which enables values."""
 
     has_position_limits: bool = False
     has_velocity_limits: bool = False
@@ -141,7 +145,7 @@ class MoveItSwitches(msgspec.Struct):
 
 
 class MoveItValues(msgspec.Struct):
-    """The values of one joint of MoveIt's `joint_limits.yaml` that are switched on."""
+    """The enabled values of a joint in MoveIt's `joint_limits.yaml`."""
 
     min_position: Position | None = None
     max_position: Position | None = None
@@ -152,7 +156,7 @@ class MoveItValues(msgspec.Struct):
 
     def __post_init__(self) -> None:
         if self.min_position is not None and self.max_position is not None:
-            ordered("position", (self.min_position, self.max_position))
+            require_ordered("position", (self.min_position, self.max_position))
 
 
 class MoveItSwitchesFile(msgspec.Struct):
@@ -162,7 +166,7 @@ class MoveItSwitchesFile(msgspec.Struct):
 
 
 class MoveItValuesFile(msgspec.Struct):
-    """The values of all joints of a `joint_limits.yaml` that are switched on."""
+    """The enabled values of all joints of a `joint_limits.yaml`."""
 
     joint_limits: dict[str, MoveItValues]
 
@@ -174,15 +178,15 @@ MOVEIT_VALUES = {
     "has_jerk_limits": ("max_jerk",),
     "has_effort_limits": ("max_effort",),
 }
-"""The values that each switch of MoveIt's `joint_limits.yaml` turns on."""
+"""The values that each switch of MoveIt's `joint_limits.yaml` enables."""
 MOVEIT_UNUSED = ("has_deceleration_limits", "max_deceleration", "has_soft_limits")
-"""Further switches and values of MoveIt and ros2_control, which nothing here uses.
+"""Further switches and values of MoveIt and ros2_control, which are not used.
 
-Other keys that begin like a limit are misspelt.
+Other keys that begin like a limit are spelling errors.
 """
 
 
-def ordered(key: str, pair: tuple[float, float]) -> None:
+def require_ordered(key: str, pair: tuple[float, float]) -> None:
     """Raise ValueError unless the first of two bounds is below the second."""
     if not pair[0] < pair[1]:
         order = f"the lower bound {pair[0]:g} is not below the upper bound {pair[1]:g}"

@@ -26,8 +26,8 @@ from .quantities import (
 from .trajectory import Drive
 
 SCHEMA = "excite.model/1"
-TEN = 10
-"""Inertial parameters of a link: mass, three first moments, six elements of the inertia tensor."""
+LINK_PARAMETERS = 10
+"""Inertial parameters of a link: mass, first moments, elements of the inertia tensor."""
 DRIVE_RANGES = {
     "rotor_inertia": RotorInertia.accepted,
     "viscous": ViscousFriction.accepted,
@@ -37,7 +37,7 @@ DRIVE_RANGES = {
 
 
 class ModelRobotDocument(msgspec.Struct):
-    """The robot that was identified; locked joints and the payload are in the model's own URDF."""
+    """The identified robot; locked joints and the payload are part of the model's URDF."""
 
     name: Name
     source: FilePath
@@ -46,7 +46,7 @@ class ModelRobotDocument(msgspec.Struct):
 
 
 class ParameterDocument(msgspec.Struct):
-    """A standard parameter: its name, what it belongs to, and its identified value."""
+    """A standard parameter: its name, its link or joint, and its identified value."""
 
     name: Text
     value: InertialParameter
@@ -56,8 +56,15 @@ class ParameterDocument(msgspec.Struct):
 class ModelDocument(msgspec.Struct):
     """The keys that a prediction reads.
 
-    urdf: the identified robot. standard_parameters: ten of each link, then those of each kind in
-    `drive`, joint by joint.
+    Attributes:
+        urdf: Description of the identified robot.
+        joints: Names of the joints.
+        links: Names of the links that they move.
+        drive: Kinds of joint parameters.
+        standard_parameters: Ten of each link, then those of each kind in `drive`, joint by joint.
+        coulomb_width: Velocity over which Coulomb friction changes sign [rad/s or m/s].
+        band_hz: Cutoff frequency of the identification [Hz].
+        effects: Effects beyond the base model.
     """
 
     schema: Literal["excite.model/1"]
@@ -94,16 +101,16 @@ class ModelDocument(msgspec.Struct):
 def _check_parameters(document: ModelDocument) -> None:
     """Raise ValueError unless the standard parameters fit the links and joints.
 
-    Masses are not negative, and friction does not push.
+    Masses, friction coefficients and rotor inertias must not be negative.
     """
     if len(set(document.drive)) < len(document.drive):
         raise ValueError("drive: a parameter is named twice")
-    edge, n = TEN * len(document.links), len(document.joints)
+    edge, n = LINK_PARAMETERS * len(document.links), len(document.joints)
     count, stated = edge + n * len(document.drive), document.standard_parameters
     if len(stated) != count:
         expected = f"should hold {count} values for these links and joints"
         raise ValueError(f"standard_parameters: {expected}, not {len(stated)}")
-    accepted = {i: Mass.accepted for i in range(0, edge, TEN)}
+    accepted = {i: Mass.accepted for i in range(0, edge, LINK_PARAMETERS)}
     for k, kind in enumerate(document.drive):
         accepted |= dict.fromkeys(range(edge + k * n, edge + (k + 1) * n), DRIVE_RANGES[kind])
     for i, allowed in accepted.items():

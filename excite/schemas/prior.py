@@ -12,7 +12,7 @@ SCHEMA = "excite.prior/1"
 
 
 class PriorJoint(msgspec.Struct, forbid_unknown_fields=True):
-    """Joint parameters that are right as they stand; None where one is to be estimated."""
+    """Known parameters of a joint; None for a parameter that is to be estimated."""
 
     rotor_inertia: RotorInertia | None = None
     viscous: ViscousFriction | None = None
@@ -21,7 +21,7 @@ class PriorJoint(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class PriorDocument(msgspec.Struct, forbid_unknown_fields=True):
-    """The whole file."""
+    """The complete file."""
 
     schema: Literal["excite.prior/1"]
     trust_prior: bool

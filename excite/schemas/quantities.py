@@ -15,17 +15,19 @@ from .. import physical_ranges as ranges
 from ..physical_ranges import Range
 
 LONGEST_NAME = 1000
-"""Characters of a name. The longest joint name among 100 published URDFs has 60."""
+"""Longest name [characters]. The longest joint name among 100 published URDFs has 60."""
 LONGEST_TEXT = 100_000
-"""Characters of any other text but the URDF in a model: notes, sources, statements."""
-LONGEST_PATH, LONGEST_FILE_NAME = 4096, 255
-"""Bytes of a path (PATH_MAX of Linux) and of a part of it (NAME_MAX of common file systems)."""
-SHOWN = 40
-"""Characters of a value that a message repeats."""
+"""Longest text other than the URDF in a model [characters]: notes, sources, statements."""
+LONGEST_PATH = 4096
+"""Longest path [bytes]: PATH_MAX of Linux."""
+LONGEST_FILE_NAME = 255
+"""Longest part of a path [bytes]: NAME_MAX of common file systems."""
+MAX_SHOWN = 40
+"""Longest part of a value that a message repeats [characters]."""
 
 
-def shown(value: Any, longest: int = SHOWN) -> str:
-    """A value as a message repeats it: printable, on one line, of at most `longest` characters."""
+def shown(value: Any, longest: int = MAX_SHOWN) -> str:
+    """Format a value for a message: printable, on one line, of at most `longest` characters."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, dict):
@@ -34,7 +36,7 @@ def shown(value: Any, longest: int = SHOWN) -> str:
         return f"a list of {len(value)}"
     if (
         isinstance(value, int) and value.bit_length() > 100
-    ):  # turning it into digits may take long, or be refused
+    ):  # Python refuses to convert it, or takes long
         return f"an integer of about {int(value.bit_length() * math.log10(2.0)) + 1} digits"
     text = repr(value)
     printable = "".join(
@@ -44,13 +46,17 @@ def shown(value: Any, longest: int = SHOWN) -> str:
 
 
 def _positive(accepted: Range, smallest: float | None = None) -> Range:
-    """The part of a range above zero."""
+    """Restrict a range to positive numbers."""
     least = accepted.smallest if smallest is None else smallest
     return Range(least, accepted.upper, accepted.unit)
 
 
 class Quantity(float):
-    """A finite number with a unit. Attributes: accepted: its range."""
+    """A finite number with a unit.
+
+    Attributes:
+        accepted: Its range, with the unit.
+    """
 
     accepted: ClassVar[Range] = Range(-1e15, 1e15, "1")
 
@@ -66,7 +72,7 @@ class Position(Quantity):
 
 
 class Velocity(Quantity):
-    """A joint velocity; of a ramp at rest it may be a rounding residue."""
+    """A joint velocity; at rest it may be a rounding error."""
 
     accepted = Range(ranges.VELOCITY.lower, ranges.VELOCITY.upper, ranges.VELOCITY.unit)
 
@@ -120,19 +126,19 @@ class Torque(Quantity):
 
 
 class TorqueNoise(Quantity):
-    """A standard deviation of torque; 0 would weight a row infinitely."""
+    """A standard deviation of torque; it is a divisor, hence not 0."""
 
     accepted = Range(1e-12, ranges.EFFORT.upper, ranges.EFFORT.unit)
 
 
 class CoulombFriction(Quantity):
-    """Coulomb friction, which never pushes."""
+    """Coulomb friction, which dissipates energy: not negative."""
 
     accepted = Range(0.0, ranges.COULOMB_FRICTION.upper, ranges.COULOMB_FRICTION.unit)
 
 
 class ViscousFriction(Quantity):
-    """Viscous friction, which never pushes."""
+    """Viscous friction, which dissipates energy: not negative."""
 
     accepted = Range(0.0, ranges.VISCOUS_FRICTION.upper, ranges.VISCOUS_FRICTION.unit)
 
@@ -179,8 +185,8 @@ class Size(Quantity):
     accepted = ranges.SIZE
 
 
-class Clearance(Quantity):
-    """A distance to keep."""
+class ClearanceDistance(Quantity):
+    """A distance that bodies must keep."""
 
     accepted = Range(0.0, ranges.LENGTH.upper, "m")
 
@@ -222,7 +228,7 @@ class Period(Quantity):
 
 
 class Rate(Quantity):
-    """Rows a second."""
+    """Sampling rate."""
 
     accepted = ranges.RATE
 
@@ -236,31 +242,31 @@ class AngularFrequency(Quantity):
 
 
 class Band(Quantity):
-    """The corner frequency of a low-pass filter, which takes some periods of it to settle."""
+    """Cutoff frequency of a low-pass filter."""
 
     accepted = ranges.RATE
 
 
 class FrictionWidth(Quantity):
-    """The speed over which Coulomb friction changes its sign."""
+    """Velocity over which Coulomb friction changes its sign."""
 
     accepted = Range(1e-12, ranges.VELOCITY.upper, ranges.VELOCITY.unit)
 
 
 class Share(Quantity):
-    """A share that is kept free of a limit, below 1."""
+    """Share of a limit that is kept free, below 1."""
 
     accepted = Range(0.0, math.nextafter(1.0, 0.0), "1")
 
 
 class Speed(Quantity):
-    """A share of full speed, above 0."""
+    """Share of full speed, above 0."""
 
     accepted = Range(1e-6, 1.0, "1")
 
 
 class Uncertainty(Quantity):
-    """The radius of the ball of robots for which torque limits hold, in the metric H₀."""
+    """Radius, in the metric H₀, of the ball of parameters for which torque limits hold."""
 
     accepted = Range(0.0, 1e3, "1")
 
@@ -272,13 +278,13 @@ class DriveGain(Quantity):
 
 
 class Statistic(Quantity):
-    """A figure that is reported and not computed with."""
+    """A number that is reported and not used in a computation."""
 
     accepted = Range(-math.inf, math.inf, "1")
 
 
 class Name(str):
-    """A name of a robot, a joint, a link or a frame; see `name_fault`."""
+    """Name of a robot, a joint, a link or a frame; see `name_fault`."""
 
 
 class Text(str):
@@ -286,7 +292,7 @@ class Text(str):
 
 
 class FilePath(str):
-    """A path that the operating system can be asked for."""
+    """A path that is valid for the operating system."""
 
 
 class Sha256(str):
@@ -294,14 +300,14 @@ class Sha256(str):
 
 
 def unprintable(text: str) -> str | None:
-    """The first control character or line separator of a text, None where it has none."""
+    """Return the first control character or line separator of a text, None without one."""
     return next(
         (letter for letter in text if unicodedata.category(letter) in ("Cc", "Zl", "Zp")), None
     )
 
 
 def name_fault(text: str) -> str | None:
-    """Why a text is no name, None where it is one."""
+    """Describe why a text is no valid name; None if it is one."""
     if not text.strip():
         return "the name is empty"
     if len(text) > LONGEST_NAME:
@@ -332,10 +338,10 @@ def _text(kind: type, value: str) -> str:
 
 
 def converted(kind: type, value: Any) -> Any:
-    """Make a plain value one of this module's types.
+    """Convert a plain value to one of this module's types.
 
     Raises:
-        ValueError: The value is of another type or outside the range; the text is for a message.
+        ValueError: The value is of another type or outside the range.
         NotImplementedError: `kind` is none of this module's types.
     """
     if issubclass(kind, Quantity):

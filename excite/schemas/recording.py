@@ -10,12 +10,12 @@ from .quantities import ClockTime, DriveGain, Name, Period, Text
 
 SCHEMA = "excite.recording/1"
 SHORTEST_WINDOW = 0.5
-"""Shortest window over the period [1]. A recording of one period may lack its transient; half of it
-is no window in which anything repeats."""
+"""Shortest window over the period [1]. A recording of a single period may lack its transient;
+nothing repeats in half a period."""
 
 
 class SidecarDocument(msgspec.Struct):
-    """The whole file; keys that are not known are reported and ignored."""
+    """The complete file; unknown keys are reported and ignored."""
 
     schema: Literal["excite.recording/1"]
     drive_gain: dict[str, DriveGain] = {}

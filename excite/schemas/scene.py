@@ -5,13 +5,18 @@ from __future__ import annotations
 import msgspec
 
 from .cell import check_floor
-from .quantities import Angle, Clearance, FilePath, Length, MeshScale, Name, Size
+from .quantities import Angle, ClearanceDistance, FilePath, Length, MeshScale, Name, Size
 
 
 class _Placed(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """The place of a shape: in the frame of `link`, or in the base frame.
+    """Name and place of a shape.
 
-    ignore: bodies that it may touch.
+    Attributes:
+        name: Name of the shape.
+        position: Origin of the shape [m].
+        rotation: Roll, pitch and yaw about the fixed axes [rad].
+        link: Link whose frame it is fixed in; None: the base frame.
+        ignore: Names of bodies that it may touch.
     """
 
     name: Name | None = None
@@ -21,30 +26,35 @@ class _Placed(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ignore: list[Name] = []
 
 
-class Sphere(_Placed, forbid_unknown_fields=True, kw_only=True):
+class SphereEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
     """A sphere."""
 
     radius: Size
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return (self.radius,)
 
 
-class Capsule(_Placed, forbid_unknown_fields=True, kw_only=True):
-    """A capsule along its z axis. length: between the centres of its ends."""
+class CapsuleEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
+    """A capsule along its z axis.
+
+    Attributes:
+        radius: Radius [m].
+        length: Distance between the centres of its ends [m].
+    """
 
     radius: Size
     length: Size
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return self.radius, self.length
 
 
-class Cylinder(_Placed, forbid_unknown_fields=True, kw_only=True):
+class CylinderEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
     """A cylinder along its z axis."""
 
     radius: Size
@@ -52,46 +62,56 @@ class Cylinder(_Placed, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return self.radius, self.length
 
 
-class Box(_Placed, forbid_unknown_fields=True, kw_only=True):
+class BoxEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
     """A box."""
 
     size: tuple[Size, Size, Size]
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return self.size
 
 
-class Mesh(_Placed, forbid_unknown_fields=True, kw_only=True):
-    """A mesh. file: relative to the scene file, or absolute."""
+class MeshEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
+    """A mesh.
+
+    Attributes:
+        file: Path, absolute or relative to the scene file.
+        scale: Factors along x, y and z.
+    """
 
     file: FilePath
     scale: tuple[MeshScale, MeshScale, MeshScale] = (MeshScale(1.0), MeshScale(1.0), MeshScale(1.0))
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return self.scale
 
 
-StatedShape = Sphere | Capsule | Cylinder | Box | Mesh
+ShapeEntry = SphereEntry | CapsuleEntry | CylinderEntry | BoxEntry | MeshEntry
 
 
 class SceneFile(msgspec.Struct, forbid_unknown_fields=True):
-    """The whole file. floor: its height [m], or false for none."""
+    """The complete file.
 
-    sphere: list[Sphere] = []
-    capsule: list[Capsule] = []
-    cylinder: list[Cylinder] = []
-    box: list[Box] = []
-    mesh: list[Mesh] = []
+    Attributes:
+        floor: Height of the floor [m], or false for none.
+        clearance: Distance that bodies must keep [m].
+    """
+
+    sphere: list[SphereEntry] = []
+    capsule: list[CapsuleEntry] = []
+    cylinder: list[CylinderEntry] = []
+    box: list[BoxEntry] = []
+    mesh: list[MeshEntry] = []
     floor: float | bool | None = None
-    clearance: Clearance | None = None
+    clearance: ClearanceDistance | None = None
 
     def __post_init__(self) -> None:
         check_floor(self.floor)

@@ -42,21 +42,21 @@ SCHEMA = "excite.trajectory/1"
 SegmentKind = Literal["approach", "ramp_in", "fourier", "ramp_out", "return"]
 """Kinds of segments of a motion."""
 ORDER: tuple[str, ...] = get_args(SegmentKind)
-"""The order in which they may follow each other; approach and return may take several segments."""
+"""Order of the segments; approach and return may consist of several."""
 Drive = Literal["rotor_inertia", "viscous", "coulomb", "offset"]
-MOST_ROWS = 1_000_000
-"""Most rows of the exported motion, over which the criterion is computed again.
+MAX_ROWS = 1_000_000
+"""Largest number of rows of the exported motion, over which the criterion is recomputed.
 
 The regressor of a robot with 6 joints then takes 3 GB.
 """
-TIMING = 1e-6
+TIME_TOLERANCE = 1e-6
 """Tolerance of the times in a file [s]; half the shortest control cycle in use is 60 µs."""
-FREQUENCY = 1e-9
-"""By which share `base_frequency` may differ from 2π over `period` [1]."""
+FREQUENCY_TOLERANCE = 1e-9
+"""Relative difference of `base_frequency` and 2π over `period` that is tolerated [1]."""
 
 
 class PayloadDocument(msgspec.Struct):
-    """A body at a link."""
+    """A body that is attached to a link."""
 
     link: Name
     mass: PositiveMass
@@ -65,7 +65,7 @@ class PayloadDocument(msgspec.Struct):
 
 
 class RobotDocument(msgspec.Struct):
-    """The robot that a document is about, and how it was loaded."""
+    """The robot of a document and the options with which it was loaded."""
 
     name: Name
     source: FilePath
@@ -78,8 +78,11 @@ class RobotDocument(msgspec.Struct):
 class ProfileDocument(msgspec.Struct):
     """A ramp of piecewise constant jerk.
 
-    position, velocity, acceleration: the state at its start. pieces: (duration, jerk) of each
-    piece, joint by joint.
+    Attributes:
+        position: Positions at its start [rad or m].
+        velocity: Velocities at its start.
+        acceleration: Accelerations at its start.
+        pieces: For each joint the duration [s] and the jerk of its pieces.
     """
 
     position: list[Position]
@@ -89,7 +92,7 @@ class ProfileDocument(msgspec.Struct):
 
 
 class SegmentDocument(msgspec.Struct):
-    """One part of a motion; the Fourier part has no profile."""
+    """A segment of a motion; the Fourier segment has no profile."""
 
     kind: SegmentKind
     start: Time
@@ -108,7 +111,7 @@ class SegmentDocument(msgspec.Struct):
 
 
 class BoxDocument(msgspec.Struct):
-    """A box that the origin of a frame stays in."""
+    """A box in which the origin of a frame stays."""
 
     frame: Name
     lower: tuple[Length, Length, Length]
@@ -116,7 +119,7 @@ class BoxDocument(msgspec.Struct):
 
 
 class DesignDocument(msgspec.Struct):
-    """The options of a design that verification reads; further notes are left as they are."""
+    """The options of a design that verification reads; other keys are kept."""
 
     criterion: Literal["a", "d", "e", "cond", "cond_regressor"] | None = None
     plain: bool = False
@@ -160,7 +163,7 @@ class CriteriaDocument(msgspec.Struct):
 
 
 class MarginDocument(msgspec.Struct):
-    """How near a joint comes to a limit."""
+    """The margin of a joint to a limit."""
 
     limit: Text
     joint: Text
@@ -171,7 +174,7 @@ class MarginDocument(msgspec.Struct):
 
 
 class TrajectoryDocument(msgspec.Struct):
-    """The whole file."""
+    """The complete file."""
 
     schema: Literal["excite.trajectory/1"]
     robot: RobotDocument
@@ -204,9 +207,9 @@ class TrajectoryDocument(msgspec.Struct):
         for key in set(self.design.margin) - {"velocity", "acceleration", "jerk", "torque"}:
             raise ValueError(f"design.margin: {shown(key)} is no kind of limit")
         _check_count("seed", self.seed, ranges.SEED)
-        if self.segments[-1].end * self.rate > MOST_ROWS:
+        if self.segments[-1].end * self.rate > MAX_ROWS:
             length = f"{self.segments[-1].end:.4g} s at {self.rate:g} Hz"
-            raise ValueError(f"rate: {length} are more than {MOST_ROWS} rows")
+            raise ValueError(f"rate: {length} are more than {MAX_ROWS} rows")
 
 
 def _check_count(key: str, count: int, accepted: Range) -> None:
@@ -240,7 +243,7 @@ def _check_series(document: TrajectoryDocument) -> None:
         raise ValueError(
             f"offset: should hold {n} numbers, one a joint, not {len(document.offset)}"
         )
-    if abs(document.base_frequency * document.period / (2.0 * math.pi) - 1.0) > FREQUENCY:
+    if abs(document.base_frequency * document.period / (2.0 * math.pi) - 1.0) > FREQUENCY_TOLERANCE:
         frequency, period = f"{document.base_frequency:g} rad/s", f"{document.period:g} s"
         raise ValueError(f"base_frequency: {frequency} is not 2π over the period of {period}")
 
@@ -254,16 +257,16 @@ def _check_segments(document: TrajectoryDocument) -> None:
     parts = [i for i, segment in enumerate(segments) if segment.kind == "fourier"]
     if len(parts) != 1:
         raise ValueError(f"segments: should hold one Fourier part, not {len(parts)}")
-    if abs(segments[0].start) > TIMING:
+    if abs(segments[0].start) > TIME_TOLERANCE:
         raise ValueError(f"segments[0].start: {segments[0].start:g} s should be 0")
     for i, (before, after) in enumerate(pairwise(segments), start=1):
         if ORDER.index(after.kind) < ORDER.index(before.kind):
             raise ValueError(f"segments[{i}].kind: {after.kind} cannot follow {before.kind}")
-        if abs(after.start - before.end) > TIMING:
+        if abs(after.start - before.end) > TIME_TOLERANCE:
             end = f"where {before.kind} ends, {before.end:g} s"
             raise ValueError(f"segments[{i}].start: {after.start:g} s is not {end}")
     length = segments[parts[0]].end - segments[parts[0]].start
-    if abs(length - expected) > TIMING:
+    if abs(length - expected) > TIME_TOLERANCE:
         stated = f"{document.periods} periods of {document.period:g} s"
         raise ValueError(
             f"segments[{parts[0]}]: lasts {length:g} s, but {stated} last {expected:g} s"
@@ -292,7 +295,7 @@ def _check_limits(limits: StatedLimits, joints: Sequence[str]) -> None:
 def _check_keys(
     where: str, table: dict[str, Any], joints: Collection[str], *, optional: bool = False
 ) -> None:
-    """Raise ValueError for a joint that a table does not name, or a name in it that is no joint."""
+    """Raise ValueError for a joint without an entry, or an entry that is no joint."""
     for name in table:
         if name not in joints:
             raise ValueError(f"{where}: {shown(name)} is none of the joints")

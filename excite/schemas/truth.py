@@ -14,13 +14,13 @@ SCHEMA = "excite.truth/1"
 
 
 class SimulationRate(Quantity):
-    """Rows a second that the simulator records: its own step is 0.5 to 2 ms."""
+    """Sampling rate of the simulator, whose time step is 0.5 to 2 ms."""
 
     accepted = Range(125.0, 1000.0, "Hz")
 
 
 class RelativeNoise(Quantity):
-    """A standard deviation of torque over the torque limit, or the error of the URDF's links."""
+    """A standard deviation of torque over the torque limit, or a relative error of the URDF."""
 
     accepted = Range(0.0, 10.0, "1")
 
@@ -44,7 +44,7 @@ class Gain(Quantity):
 
 
 class ForwardShare(Quantity):
-    """The share of the model's torque that the simulated controller feeds forward."""
+    """Share of the model's torque that the simulated controller feeds forward."""
 
     accepted = Range(0.0, 10.0, "1")
 
@@ -79,7 +79,7 @@ class ControlDocument(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class SettingDocument(msgspec.Struct, forbid_unknown_fields=True):
-    """How the simulated robot is made and measured."""
+    """Settings of the simulated robot and its measurement."""
 
     seed: int
     rate: SimulationRate
@@ -109,7 +109,13 @@ class EffectParameterDocument(msgspec.Struct):
 class HiddenEffectDocument(msgspec.Struct):
     """A hidden effect.
 
-    parameters, details: by name; the details are parameters that CONTRACT does not name.
+    Attributes:
+        effect: Name of the effect.
+        joint: Joint on which it acts.
+        family: Family of similar effects.
+        parameters: Parameters that the catalogue names.
+        details: Further parameters.
+        source: Joint from which a coupling comes.
     """
 
     effect: Name

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..._types import FloatArray
-from ...collision.continuous_check import Near
+from ...collision.continuous_check import PairDistance
 from ...collision.distance_query import Body
-from ...collision.geometry import Kind, Shape
+from ...collision.geometry import Shape, ShapeKind
 from ...collision.workcell import Cell
 from ...trajectory.rest_to_rest import Motion
 from .drawing import BLUE, GREY, INK, RED, axes_grid, limit_ticks, render_svg
@@ -25,12 +25,14 @@ DISTANCE_SAMPLES = 500
 """Times at which distances are drawn."""
 
 
-def draw_distances(cell: Cell, nearest: Sequence[Near], motion: Motion) -> str:
+def draw_distances(cell: Cell, nearest: Sequence[PairDistance], motion: Motion) -> str:
     """Draw the distance of the nearest pairs over time, with the clearance to keep [mm]."""
     t = np.linspace(0.0, motion.duration, DISTANCE_SAMPLES)
-    drawn, probe = nearest[:DRAWN_PAIRS], cell.probe()
+    drawn, query = nearest[:DRAWN_PAIRS], cell.distance_query()
     numbers = [cell.pairs.index(entry.pair) for entry in drawn]
-    values = 1e3 * np.array([[probe.to(q).distance(k) for k in numbers] for q in motion.at(t)])
+    values = 1e3 * np.array(
+        [[query.set_configuration(q).distance(k) for k in numbers] for q in motion.at(t)]
+    )
     panels = [
         CurvePanel(f"{entry.names} [mm]", t, values[:, i], (1e3 * entry.pair.margin, np.inf))
         for i, entry in enumerate(drawn)
@@ -40,7 +42,7 @@ def draw_distances(cell: Cell, nearest: Sequence[Near], motion: Motion) -> str:
     )
 
 
-def draw_nearest_moment(cell: Cell, near: Near) -> str:
+def draw_nearest_moment(cell: Cell, near: PairDistance) -> str:
     """Draw the robot in its surroundings at the moment when a pair of bodies is nearest."""
     pair = {near.pair.first, near.pair.second}
 
@@ -49,7 +51,7 @@ def draw_nearest_moment(cell: Cell, near: Near) -> str:
         middle, reach = _frame(cell, near.pose)
         for axes, (view, name) in zip(panels.flat, VIEWS, strict=True):
             for number, body in enumerate(cell.bodies):
-                color = RED if number in pair else GREY if body.around else BLUE
+                color = RED if number in pair else GREY if body.is_surrounding else BLUE
                 fill_polygons(
                     axes,
                     outlines(cell, body, near.pose, view),
@@ -94,7 +96,7 @@ def outlines(cell: Cell, body: Body, q: FloatArray, view: tuple[int, int]) -> It
     data = cell.robot.model.createData()
     pin.forwardKinematics(cell.robot.model, data, cell.robot.expand(q))
     for shape, placement in zip(body.shapes, body.placements, strict=True):
-        if shape.kind is Kind.FLOOR:
+        if shape.kind is ShapeKind.FLOOR:
             if 2 in view:
                 height = float(placement.translation[2])
                 yield np.array(
@@ -103,7 +105,7 @@ def outlines(cell: Cell, body: Body, q: FloatArray, view: tuple[int, int]) -> It
             continue
         at = data.oMi[body.joint] * placement
         points = (_points(shape) @ at.rotation.T + at.translation)[:, view]
-        if shape.kind in (Kind.SPHERE, Kind.CAPSULE):
+        if shape.kind in (ShapeKind.SPHERE, ShapeKind.CAPSULE):
             ring = shape.size[0] * np.column_stack([np.cos(CIRCLE_ANGLES), np.sin(CIRCLE_ANGLES)])
             points = (points[:, None] + ring).reshape(-1, 2)
         try:
@@ -114,16 +116,16 @@ def outlines(cell: Cell, body: Body, q: FloatArray, view: tuple[int, int]) -> It
 
 def _points(shape: Shape) -> FloatArray:
     """Points whose convex hull, plus the radius of a round shape, is the shape. Shape (m, 3)."""
-    if shape.kind is Kind.SPHERE:
+    if shape.kind is ShapeKind.SPHERE:
         return np.zeros((1, 3))
-    if shape.kind is Kind.CAPSULE:
+    if shape.kind is ShapeKind.CAPSULE:
         return np.array([[0.0, 0.0, -0.5 * shape.size[1]], [0.0, 0.0, 0.5 * shape.size[1]]])
     return shape.triangles().reshape(-1, 3)
 
 
 def _frame(cell: Cell, q: FloatArray) -> tuple[FloatArray, float]:
     """Middle, shape (3,), and half width of a cube around the robot at a pose q, shape (n,) [m]."""
-    robot_bodies = [body for body in cell.bodies if not body.around]
+    robot_bodies = [body for body in cell.bodies if not body.is_surrounding]
     side, top = (
         np.vstack([p for body in robot_bodies for p in outlines(cell, body, q, view)])
         for view in ((0, 2), (0, 1))

@@ -213,7 +213,7 @@ def draw_path(scene: MotionScene) -> tuple[str, FloatArray]:
                         axes,
                         outlines(scene.cell, body, poses[0], (a, b)),
                         GREY,
-                        0.35 if body.around else 0.2,
+                        0.35 if body.is_surrounding else 0.2,
                     )
             for k in range(len(poses)):
                 _sticks(axes, robot, (joints[k], tips[k]), (a, b), 1.0 if k == 0 else 0.28)

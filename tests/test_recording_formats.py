@@ -1,4 +1,4 @@
-"""Recordings in: every format, every repair, every refusal."""
+"""Formats of recordings, sidecars, units, and checks of signals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_fixtures import (
     JOINTS,
-    Array,
     assert_refused,
     read_with_warnings,
     remark_kinds,
@@ -23,8 +22,9 @@ from recording_fixtures import (
 )
 
 from excite import recordings
+from excite._types import FloatArray
 from excite.errors import UnusableInput
-from excite.recordings import Kind, csv_parse
+from excite.recordings import RemarkKind, csv_reader
 from excite.robot.limits import resolve
 from excite.robot.robot import load
 
@@ -33,9 +33,7 @@ REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 
 
 @given(seed=st.integers(0, 10**6), separator=st.sampled_from([",", ";", "\t", " ", ", "]))
-def test_a_csv_comes_back_whatever_its_separator_and_order(
-    two_link, tmp_path_factory, seed, separator
-):
+def test_csv_round_trip_in_any_separator_and_order(two_link, tmp_path_factory, seed, separator):
     rng = np.random.default_rng(seed)
     columns = two_joint_motion() | {"flag.mode": np.ones(400)}
     path = write_columns(
@@ -44,26 +42,26 @@ def test_a_csv_comes_back_whatever_its_separator_and_order(
         separator,
         list(rng.permutation(list(columns))),
     )
-    found = recordings.read(path, two_link)
-    for name, values in (("q", found.q), ("dq", found.dq), ("tau", found.tau)):
+    recording = recordings.read(path, two_link)
+    for name, values in (("q", recording.q), ("dq", recording.dq), ("tau", recording.tau)):
         assert (values == np.column_stack([columns[f"{name}.{joint}"] for joint in JOINTS])).all()
-    assert (found.t == columns["t"]).all() and (found.own_times == found.t).all()
+    assert (recording.t == columns["t"]).all() and (recording.row_times == recording.t).all()
     assert (
-        found.current is None
-        and found.qref is None
-        and found.joints == JOINTS
-        and not found.remarks
+        recording.current is None
+        and recording.qref is None
+        and recording.joints == JOINTS
+        and not recording.remarks
     )
     assert (
-        found.rate == pytest.approx(100.0)
-        and len(found) == 400
-        and (found.torque == found.tau).all()
+        recording.rate == pytest.approx(100.0)
+        and len(recording) == 400
+        and (recording.torque == recording.tau).all()
     )
 
 
-def test_a_csv_of_a_spreadsheet(two_link, tmp_path):
-    """Byte order mark, quoted names, CRLF, semicolons, decimal commas, no newline at the end, text
-    in a column nobody reads."""
+def test_csv_of_a_spreadsheet(two_link, tmp_path):
+    """Byte order mark, quoted names, CRLF, semicolons, decimal commas, no final newline, and text
+    in a column that is not read."""
     columns = two_joint_motion()
     rows = ["\ufeff" + ";".join(f'"{name}"' for name in [*columns, "state"])]
     rows += [
@@ -76,25 +74,44 @@ def test_a_csv_of_a_spreadsheet(two_link, tmp_path):
 
 
 @given(
-    seed=st.integers(0, 10**6), noise=st.binary(min_size=1, max_size=3), at=st.integers(0, 10**6)
+    seed=st.integers(0, 10**6), noise=st.binary(min_size=1, max_size=3), place=st.integers(0, 10**6)
 )
-def test_fast_and_tolerant_parsing_agree_or_refuse(seed, noise, at):
+def test_plain_and_tolerant_parser_agree(seed, noise, place):
     rng = np.random.default_rng(seed)
     table = rng.normal(size=(20, 3)) * 10.0 ** rng.integers(-12, 12, (20, 3))
     text = "\n".join(",".join(repr(float(v)) for v in row) for row in table).encode() + b"\n"
     assert (
-        csv_parse.plain(text, 3)
-        and (csv_parse.rows(text, ",", 3, [2, 0]) == table[:, [2, 0]]).all()
+        csv_reader.is_plain(text, 3)
+        and (csv_reader.parse_numbers(text, ",", 3, [2, 0]) == table[:, [2, 0]]).all()
     )
-    at %= len(text)
-    damaged = text[:at] + noise + text[at + 1 :]
-    if csv_parse.plain(damaged, 3):
-        slow = csv_parse._tolerant(damaged, 3, [0, 1, 2])
-        assert np.array_equal(csv_parse.rows(damaged, ",", 3, [0, 1, 2]), slow)
+    place %= len(text)
+    damaged = text[:place] + noise + text[place + 1 :]
+    if csv_reader.is_plain(damaged, 3):
+        tolerant = csv_reader._parse_tolerant(damaged, 3, [0, 1, 2])
+        assert np.array_equal(csv_reader.parse_numbers(damaged, ",", 3, [0, 1, 2]), tolerant)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_numbers_with_plus_signs_are_plain(separator):
+    table = np.random.default_rng(0).normal(size=(20, 3))
+    lines = (",".join(f"{value:+.17e}" for value in row) for row in table)
+    text = "\n".join(lines).encode() + b"\n"
+    assert csv_reader.is_plain(text, 3)
+    text = text.replace(b",", separator.encode())
+    assert (csv_reader.parse_numbers(text, separator, 3, [0, 1, 2]) == table).all()
+
+
+@pytest.mark.parametrize(
+    "text", [b"1,+\n", b"+,1\n", b"+-1,1\n", b"++1,1\n", b"1,+e5\n", b"1,2+\n"]
+)
+def test_plus_signs_without_a_number_are_refused(text):
+    assert not csv_reader.is_plain(text, 2)
+    with pytest.raises(ValueError, match="at row 0"):
+        csv_reader.parse_numbers(text, ",", 2, [0, 1])
 
 
 @pytest.mark.parametrize("cell", ["2024-01-02", "1.2.3", "0x10", "1_0", "1e5.0", "2x", "1-2"])
-def test_what_starts_like_a_number_is_not_taken_for_one(two_link, tmp_path, cell):
+def test_cells_that_begin_like_numbers_are_refused(two_link, tmp_path, cell):
     path = write_columns(tmp_path / "r.csv", two_joint_motion())
     lines = path.read_text().splitlines()
     cells = lines[7].split(",")
@@ -105,9 +122,9 @@ def test_what_starts_like_a_number_is_not_taken_for_one(two_link, tmp_path, cell
 
 @pytest.mark.parametrize("compress", [True, False])
 @pytest.mark.parametrize("form", ["columns", "matrices", "by column"])
-def test_archives(two_link, tmp_path, compress, form):
+def test_archives_are_read(two_link, tmp_path, compress, form):
     columns = two_joint_motion()
-    arrays: dict[str, Array] = dict(columns)
+    arrays: dict[str, FloatArray] = dict(columns)
     if form != "columns":
         order = JOINTS[::-1]
         arrays = {"t": columns["t"], "joints": np.array(["other", *order])}
@@ -117,15 +134,15 @@ def test_archives(two_link, tmp_path, compress, form):
                 np.asfortranarray(value) if form == "by column" else value.astype(np.float64)
             )
     (np.savez_compressed if compress else np.savez)(tmp_path / "r.npz", **arrays)
-    found = recordings.read(tmp_path / "r.npz", two_link)
+    recording = recordings.read(tmp_path / "r.npz", two_link)
     assert (
-        found.tau is not None
-        and (found.q[:, 1] == columns["q.joint_2"]).all()
-        and (found.tau[:, 0] == columns["tau.joint_1"]).all()
+        recording.tau is not None
+        and (recording.q[:, 1] == columns["q.joint_2"]).all()
+        and (recording.tau[:, 0] == columns["tau.joint_1"]).all()
     )
 
 
-def rtde(rows: int = 300) -> dict[str, Array]:
+def rtde(rows: int = 300) -> dict[str, FloatArray]:
     t = 1000.0 + np.arange(rows) / 500.0
     fields = (
         "target_q",
@@ -149,19 +166,19 @@ def test_recordings_of_ur_rtde(tmp_path, separator):
     robot = load("ur5e")
     columns = rtde()
     path = write_columns(tmp_path / "r.csv", columns, separator)
-    found = recordings.read(path, robot)
-    assert found.joints == robot.joints and found.tau is None
+    recording = recordings.read(path, robot)
+    assert recording.joints == robot.joints and recording.tau is None
     for value, field in (
-        (found.q, "actual_q"),
-        (found.current, "actual_current"),
-        (found.qref, "target_q"),
+        (recording.q, "actual_q"),
+        (recording.current, "actual_current"),
+        (recording.qref, "target_q"),
     ):
         assert value is not None and (value[:, 5] == columns[f"{field}_5"]).all()
-    assert found.temperature is not None and found.dq is not None
+    assert recording.temperature is not None and recording.dq is not None
     with pytest.raises(
         UnusableInput, match=f"joint '{robot.joints[0]}' has a current but no drive gain"
     ):
-        _ = found.torque
+        _ = recording.torque
     gains = {name: 10.0 + i for i, name in enumerate(robot.joints)}
     (tmp_path / "r.json").write_text(
         json.dumps({"schema": "excite.recording/1", "drive_gain": gains})
@@ -169,13 +186,17 @@ def test_recordings_of_ur_rtde(tmp_path, separator):
     assert (recordings.read(path, robot).torque[:, 2] == 12.0 * columns["actual_current_2"]).all()
 
 
-def test_rtde_repeats_a_state_where_the_recorder_is_faster_than_the_robot(tmp_path):
+def test_repeated_states_of_rtde_are_dropped(tmp_path):
     columns = {name: np.repeat(values, 4) for name, values in rtde().items()}
-    found, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), load("ur5e"))
-    assert remark_kinds(found) == [Kind.REPEATED] and "900 rows" in texts[0] and len(found) == 300
+    recording, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), load("ur5e"))
+    assert (
+        remark_kinds(recording) == [RemarkKind.REPEATED]
+        and "900 rows" in texts[0]
+        and len(recording) == 300
+    )
 
 
-def test_rtde_has_no_names_to_leave_joints_out_by(tmp_path):
+def test_rtde_must_record_the_moving_joints(tmp_path):
     robot = load("ur5e", joints=("elbow_joint", "wrist_1_joint"))
     assert_refused(
         write_columns(tmp_path / "r.csv", rtde()),
@@ -197,14 +218,17 @@ def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
     columns["i.joint_2"] = columns.pop("tau.joint_2")
     path = write_columns(tmp_path / "r.csv", columns)
     (tmp_path / "r.json").write_text(
-        '{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, "motor_side": true}'  # noqa: E501
+        '{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, '
+        '"motor_side": true}'
     )
-    found = recordings.read(path, two_link)
+    recording = recordings.read(path, two_link)
     assert (
-        found.torque == np.column_stack([columns["tau.joint_1"], -2.5 * columns["i.joint_2"]])
+        recording.torque == np.column_stack([columns["tau.joint_1"], -2.5 * columns["i.joint_2"]])
     ).all()
     assert (
-        found.sidecar.period == 2.0 and found.sidecar.motor_side and found.sidecar.periodic is None
+        recording.sidecar.period == 2.0
+        and recording.sidecar.motor_side
+        and recording.sidecar.periodic is None
     )
     del columns["i.joint_2"]
     with pytest.raises(UnusableInput, match=r"joint 'joint_2' has no torque; record tau\.joint_2"):
@@ -214,7 +238,7 @@ def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
 # -- refusals --------------------------------------------------------------------------------------
 
 
-def test_files_that_are_no_recordings(two_link, tmp_path):
+def test_files_that_are_no_recordings_are_refused(two_link, tmp_path):
     assert_refused(tmp_path / "nowhere.csv", two_link, "no such file")
     for name, content, word in (
         ("empty.csv", b"", "no column 't' but nothing"),
@@ -239,7 +263,7 @@ def test_files_that_are_no_recordings(two_link, tmp_path):
         list(recordings.stream(tmp_path / "header.csv", two_link))
 
 
-def test_a_missing_joint_comes_with_what_is_like_it(two_link, tmp_path):
+def test_missing_joint_is_reported_with_similar_names(two_link, tmp_path):
     columns = two_joint_motion()
     columns["q.joint2"] = columns.pop("q.joint_2")
     assert_refused(
@@ -252,10 +276,10 @@ def test_a_missing_joint_comes_with_what_is_like_it(two_link, tmp_path):
     )
     path = tmp_path / "s.csv"
     path.write_text("t,q.joint_1,q.joint_1\n0,0,0\n")
-    assert_refused(path, two_link, "'q.joint_1' stands twice")
+    assert_refused(path, two_link, "'q.joint_1' occurs twice")
 
 
-def test_archives_that_do_not_fit(two_link, tmp_path):
+def test_inconsistent_archives_are_refused(two_link, tmp_path):
     columns = two_joint_motion()
     t, q = columns["t"], np.column_stack([columns["q.joint_1"], columns["q.joint_2"]])
     names = np.array(JOINTS)
@@ -304,16 +328,16 @@ def test_sidecars_are_checked(two_link, tmp_path, text, word):
     assert str(caught.value).startswith(str(tmp_path / "r.json"))
 
 
-def test_a_trajectory_beside_its_csv_is_no_sidecar_and_unknown_keys_are_told(two_link, tmp_path):
+def test_trajectory_is_no_sidecar_and_unknown_keys_are_remarked(two_link, tmp_path):
     path = write_columns(tmp_path / "r.csv", two_joint_motion())
     (tmp_path / "r.json").write_text('{"schema": "excite.trajectory/1", "period": 3}')
     assert recordings.read(path, two_link).sidecar == recordings.Sidecar()
     (tmp_path / "r.json").write_text('{"schema": "excite.recording/1", "gains": 3}')
-    found = recordings.read(path, two_link)
+    recording = recordings.read(path, two_link)
     assert (
-        remark_kinds(found) == [Kind.SKIPPED]
-        and "'gains'" in found.remarks[0].text
-        and not found.remarks[0].repaired
+        remark_kinds(recording) == [RemarkKind.SKIPPED]
+        and "'gains'" in recording.remarks[0].text
+        and not recording.remarks[0].repaired
     )
 
 
@@ -321,7 +345,7 @@ def test_a_trajectory_beside_its_csv_is_no_sidecar_and_unknown_keys_are_told(two
 
 
 @pytest.mark.parametrize("stated", [True, False])
-def test_degrees(two_link, tmp_path, damage, stated):
+def test_degrees_are_refused(two_link, tmp_path, damage, stated):
     for name in JOINTS:
         damage.columns[f"q.{name}"] = np.rad2deg(damage.columns[f"q.{name}"])
         damage.columns[f"dq.{name}"] = np.rad2deg(damage.columns[f"dq.{name}"])
@@ -336,14 +360,14 @@ def test_degrees(two_link, tmp_path, damage, stated):
     )
 
 
-def test_limits_tightened_for_a_design_say_nothing_of_units(two_link, tmp_path, damage):
+def test_tightened_limits_do_not_suggest_other_units(two_link, tmp_path, damage):
     table = resolve(two_link)
     tight = replace(table, position=0.02 * table.position)
-    found = recordings.read(write_columns(tmp_path / "r.csv", damage.columns), two_link, tight)
-    assert remark_kinds(found) == [Kind.OUTSIDE, Kind.OUTSIDE]
+    recording = recordings.read(write_columns(tmp_path / "r.csv", damage.columns), two_link, tight)
+    assert remark_kinds(recording) == [RemarkKind.OUTSIDE, RemarkKind.OUTSIDE]
 
 
-def test_mixed_units_and_counts(two_link, tmp_path, damage):
+def test_mixed_units_and_encoder_counts(two_link, tmp_path, damage):
     columns = dict(damage.columns)
     for name in JOINTS:
         columns[f"dq.{name}"] = np.rad2deg(columns[f"dq.{name}"])
@@ -356,11 +380,14 @@ def test_mixed_units_and_counts(two_link, tmp_path, damage):
         "encoder",
     )
     columns = damage.columns | {"dq.joint_2": -2.0 * damage.columns["dq.joint_2"]}
-    found = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
-    assert remark_kinds(found) == [Kind.INCONSISTENT] and "-0.5 times dq" in found.remarks[0].text
+    recording = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert (
+        remark_kinds(recording) == [RemarkKind.INCONSISTENT]
+        and "-0.5 times dq" in recording.remarks[0].text
+    )
 
 
-def test_reach_of_joints_without_limits_and_of_sliding_ones(tmp_path):
+def test_reach_of_prismatic_joints_and_of_joints_without_limits(tmp_path):
     columns = {"t": np.arange(100) / 100.0, "q.swing": np.linspace(0.0, 100.0, 100)}
     path = write_columns(tmp_path / "r.csv", columns)
     assert not recordings.read(path, loaded(pendulum(kind="continuous"))).remarks
@@ -376,17 +403,22 @@ def test_reach_of_joints_without_limits_and_of_sliding_ones(tmp_path):
     assert_refused(path, slide, "beyond 2.5 m", "in mm")
 
 
-# -- signs -----------------------------------------------------------------------------------------
+# -- signals ---------------------------------------------------------------------------------------
 
 
-def test_channels_that_look_wrong_are_remarked_and_left(two_link, tmp_path):
+def test_suspicious_signals_are_remarked_and_kept(two_link, tmp_path):
     columns = two_joint_motion(1000)
     columns["tau.joint_1"] = np.clip(columns["tau.joint_1"], -2.0, 2.0)
     columns["tau.joint_2"][300:340] = columns["tau.joint_2"][300]
     columns["q.joint_2"] = np.round(columns["q.joint_2"] / 2e-3) * 2e-3
-    found = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
-    assert remark_kinds(found) == [Kind.CLIPPED, Kind.COARSE, Kind.FROZEN, Kind.ROUNDED]
-    clipped, coarse, frozen, rounded = found.remarks
+    recording = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert remark_kinds(recording) == [
+        RemarkKind.CLIPPED,
+        RemarkKind.COARSE,
+        RemarkKind.FROZEN,
+        RemarkKind.ROUNDED,
+    ]
+    clipped, coarse, frozen, rounded = recording.remarks
     assert rounded.repaired and not any(r.repaired for r in (clipped, coarse, frozen))
     assert "'joint_2'" in rounded.text and "'joint_1'" not in rounded.text
     assert "clipped at 2" in clipped.text and clipped.joint == "joint_1"
@@ -394,23 +426,23 @@ def test_channels_that_look_wrong_are_remarked_and_left(two_link, tmp_path):
     assert (frozen.start, frozen.end) == pytest.approx((3.0, 3.39)) and frozen.document()[
         "time"
     ] == [frozen.start, frozen.end]
-    assert found.tau is not None and (found.tau[:, 1] == columns["tau.joint_2"]).all()
+    assert recording.tau is not None and (recording.tau[:, 1] == columns["tau.joint_2"]).all()
 
 
-def test_joints_that_stand_still_freeze_or_leave_their_limits(two_link, tmp_path):
+def test_still_frozen_and_outside_positions_are_remarked(two_link, tmp_path):
     columns = two_joint_motion()
     columns["q.joint_1"] = np.full(400, 0.3)
     columns["q.joint_2"][100:150] = columns["q.joint_2"][100]
     columns["q.joint_2"] += 3.0
-    found = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
-    assert {(r.kind, r.joint) for r in found.remarks} >= {
-        (Kind.STILL, "joint_1"),
-        (Kind.FROZEN, "joint_2"),
-        (Kind.OUTSIDE, "joint_2"),
+    recording = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert {(r.kind, r.joint) for r in recording.remarks} >= {
+        (RemarkKind.STILL, "joint_1"),
+        (RemarkKind.FROZEN, "joint_2"),
+        (RemarkKind.OUTSIDE, "joint_2"),
     }
 
 
-# -- real ones -------------------------------------------------------------------------------------
+# -- real recordings ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -419,7 +451,7 @@ def test_joints_that_stand_still_freeze_or_leave_their_limits(two_link, tmp_path
         ("emps", "emps", 1000.0, set()),
         ("tx40", "tx40", 1000.0, set()),
         ("kuka_kr300", "kuka_kr300", 250.0, set()),
-        ("laas_cogging", "motor", 1000.0, {Kind.JITTER}),
+        ("laas_cogging", "motor", 1000.0, {RemarkKind.JITTER}),
     ],
 )
 def test_real_recordings(folder, urdf, rate, expected):
@@ -429,11 +461,13 @@ def test_real_recordings(folder, urdf, rate, expected):
         )
     robot = load(str(REAL / folder / f"{urdf}.urdf"))
     for path in sorted((REAL / folder).glob("*.csv")):
-        found, _ = read_with_warnings(path, robot)
-        assert found.rate == pytest.approx(rate, rel=1e-3) and expected <= set(
-            remark_kinds(found)
-        ) <= expected | {Kind.GAP}
-        assert np.isfinite(found.torque).all() and len(found.samples()) > 0.99 * len(found)
-        assert (found.qlink is not None) == (folder == "kuka_kr300")
-        if found.qlink is not None:
-            assert not found.has("qlink", "axis_6") and found.has("qlink", "axis_1")
+        recording, _ = read_with_warnings(path, robot)
+        assert recording.rate == pytest.approx(rate, rel=1e-3) and expected <= set(
+            remark_kinds(recording)
+        ) <= expected | {RemarkKind.GAP}
+        assert np.isfinite(recording.torque).all() and len(recording.samples()) > 0.99 * len(
+            recording
+        )
+        assert (recording.qlink is not None) == (folder == "kuka_kr300")
+        if recording.qlink is not None:
+            assert not recording.has("qlink", "axis_6") and recording.has("qlink", "axis_1")

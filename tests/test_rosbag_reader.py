@@ -1,4 +1,4 @@
-"""JointState from bags, written here with the same package that reads them."""
+"""JointState messages of bags, written with the package that reads them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 from excite import recordings  # noqa: E402
+from excite._types import FloatArray  # noqa: E402
 from excite.errors import ExciteWarning, UnusableInput  # noqa: E402
-from excite.recordings import Kind  # noqa: E402
+from excite.recordings import RemarkKind  # noqa: E402
 
-Array = np.ndarray
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 JOINTS = ("joint_1", "joint_2")
 START = 1_700_000_000_000_000_000
@@ -30,7 +30,7 @@ DQ = np.column_stack([2.0 * np.cos(2.0 * T), -np.sin(T)])
 TAU = np.column_stack([np.cos(5.0 * T), np.sin(7.0 * T)])
 
 
-def message(t: float, names: Sequence[str], *values: Array, stamped: bool = True):
+def message(t: float, names: Sequence[str], *values: FloatArray, stamped: bool = True):
     types = STORE.types
     nanoseconds = START + round(t * 1e9) if stamped else 0
     stamp = types["builtin_interfaces/msg/Time"](
@@ -42,8 +42,7 @@ def message(t: float, names: Sequence[str], *values: Array, stamped: bool = True
 
 
 def arm(stamped: bool = True):
-    """Messages of the arm, the order of whose joints changes, with a joint that the robot
-    hasn't."""
+    """Messages of an arm with joints in changing order and a joint that the robot does not have."""
     for k, t in enumerate(T):
         order = [1, 0] if k % 3 else [0, 1]
         yield (
@@ -72,7 +71,7 @@ def write(path: Path, topics: dict, storage: StoragePlugin = StoragePlugin.SQLIT
 
 
 @pytest.mark.parametrize("form", ["folder", "mcap folder", "mcap", "db3"])
-def test_bags_come_back_by_name(two_link, tmp_path, form):
+def test_bags_are_read_by_joint_name(two_link, tmp_path, form):
     path = write(
         tmp_path / "bag",
         {"/joint_states": arm()},
@@ -80,16 +79,16 @@ def test_bags_come_back_by_name(two_link, tmp_path, form):
     )
     if "folder" not in form:
         path = next(path.glob(f"*.{form}"))
-    found = recordings.read(path, two_link)
+    recording = recordings.read(path, two_link)
     assert (
-        np.allclose(found.t, T, atol=1e-9)
-        and (found.q == Q).all()
-        and (found.dq == DQ).all()
-        and (found.torque == TAU).all()
+        np.allclose(recording.t, T, atol=1e-9)
+        and (recording.q == Q).all()
+        and (recording.dq == DQ).all()
+        and (recording.torque == TAU).all()
     )
-    assert [r.kind for r in found.remarks] == [
-        Kind.UNIT
-    ] and "effort is taken to be in N m" in found.remarks[0].text
+    assert [r.kind for r in recording.remarks] == [
+        RemarkKind.UNIT
+    ] and "effort is taken to be in N m" in recording.remarks[0].text
     blocks = list(recordings.stream(path, two_link, rows=256, overlap=10))
     assert np.array_equal(np.concatenate([b.q[b.run_in :] for b in blocks]), Q)
 
@@ -102,25 +101,29 @@ def test_effort_may_be_current(two_link, tmp_path):
         "drive_gain": {"joint_1": 2.0, "joint_2": 3.0},
     }
     (tmp_path / "bag.json").write_text(json.dumps(sidecar))
-    found = recordings.read(path, two_link)
-    assert found.tau is None and (found.torque == TAU * [2.0, 3.0]).all() and not found.remarks
+    recording = recordings.read(path, two_link)
+    assert (
+        recording.tau is None
+        and (recording.torque == TAU * [2.0, 3.0]).all()
+        and not recording.remarks
+    )
 
 
-def test_messages_of_others_on_the_topic_are_left_out(two_link, tmp_path):
+def test_messages_of_other_joints_are_skipped(two_link, tmp_path):
     fingers = [(t + 1e-3, message(t, ["finger"], [0.1])) for t in T[::2]]
     path = write(tmp_path / "bag", {"/joint_states": [*arm(), *fingers]})
     with pytest.warns(ExciteWarning, match="150 messages on /joint_states that lack"):
-        found = recordings.read(path, two_link)
-    assert (found.q == Q).all()
+        recording = recordings.read(path, two_link)
+    assert (recording.q == Q).all()
 
 
-def test_time_of_reception_where_stamps_are_zero(two_link, tmp_path):
+def test_time_of_reception_replaces_zero_stamps(two_link, tmp_path):
     path = write(tmp_path / "bag", {"/joint_states": arm(stamped=False)})
     with pytest.warns(ExciteWarning, match="time of reception"):
         assert np.allclose(recordings.read(path, two_link).t, T, atol=1e-9)
 
 
-def test_the_topic_that_fits(two_link, tmp_path):
+def test_selection_of_the_topic(two_link, tmp_path):
     other = [(t, message(t, ["finger"], [0.1])) for t in T]
     path = write(tmp_path / "one", {"/gripper": other, "/arm": arm()})
     assert (recordings.read(path, two_link).q == Q).all()
@@ -140,7 +143,7 @@ def test_the_topic_that_fits(two_link, tmp_path):
         recordings.read(path, two_link)
 
 
-def test_bags_without_the_joints(two_link, tmp_path):
+def test_bags_without_the_joints_are_refused(two_link, tmp_path):
     path = write(
         tmp_path / "bag",
         {"/joint_states": [(t, message(t, ["joint_1", "joint2"], [0.1, 0.2])) for t in T]},
@@ -161,21 +164,21 @@ def test_bags_without_the_joints(two_link, tmp_path):
         recordings.read(path, two_link)
 
 
-def test_positions_alone_and_arrays_that_come_and_go(two_link, tmp_path):
+def test_positions_alone_and_incomplete_arrays(two_link, tmp_path):
     path = write(
         tmp_path / "bag",
         {"/joint_states": [(t, message(t, JOINTS, q)) for t, q in zip(T, Q, strict=True)]},
     )
-    found = recordings.read(path, two_link)
-    assert found.dq is None and found.tau is None and not found.remarks
+    recording = recordings.read(path, two_link)
+    assert recording.dq is None and recording.tau is None and not recording.remarks
     rows = [(t, message(t, JOINTS, Q[k], DQ[k] if k != 50 else [])) for k, t in enumerate(T)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = recordings.read(write(tmp_path / "gone", {"/joint_states": rows}), two_link)
-    assert len(caught) == 2 and found.dq is not None and np.isfinite(found.dq).all()
+        recording = recordings.read(write(tmp_path / "gone", {"/joint_states": rows}), two_link)
+    assert len(caught) == 2 and recording.dq is not None and np.isfinite(recording.dq).all()
 
 
-def test_broken_bags(two_link, tmp_path):
+def test_broken_bags_are_refused(two_link, tmp_path):
     (tmp_path / "folder").mkdir()
     for path, word in (
         (tmp_path / "folder", "without metadata.yaml"),
@@ -185,16 +188,16 @@ def test_broken_bags(two_link, tmp_path):
             path.write_bytes(b"\x89MCAP0\r\n" + bytes(40))
         with pytest.raises(UnusableInput, match=word):
             recordings.read(path, two_link)
-    whole = next(
+    complete = next(
         write(tmp_path / "bag", {"/joint_states": arm()}, StoragePlugin.MCAP).glob("*.mcap")
     ).read_bytes()
-    for size in (9, 60, len(whole) // 2):
-        (tmp_path / "r.mcap").write_bytes(whole[:size])
+    for size in (9, 60, len(complete) // 2):
+        (tmp_path / "r.mcap").write_bytes(complete[:size])
         with pytest.raises(UnusableInput, match="cannot be read as a bag"):
             recordings.read(tmp_path / "r.mcap", two_link)
 
 
-def test_without_the_package(two_link, tmp_path, monkeypatch):
+def test_missing_package_is_reported(two_link, tmp_path, monkeypatch):
     path = write(tmp_path / "bag", {"/joint_states": arm()})
     for name in [name for name in sys.modules if name.split(".")[0] == "rosbags"]:
         monkeypatch.setitem(sys.modules, name, None)
@@ -202,7 +205,7 @@ def test_without_the_package(two_link, tmp_path, monkeypatch):
         recordings.read(path, two_link)
 
 
-def test_bags_of_ros_1(two_link, tmp_path):
+def test_bags_of_ros_1_are_read(two_link, tmp_path):
     from rosbags.rosbag1 import Writer as Writer1
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -215,7 +218,10 @@ def test_bags_of_ros_1(two_link, tmp_path):
             header = types["std_msgs/msg/Header"](seq=k, stamp=stamp, frame_id="")
             state = types[kind](header, list(JOINTS), Q[k], DQ[k], np.empty(0))
             writer.write(connection, now, store.serialize_ros1(state, kind))
-    found = recordings.read(tmp_path / "r.bag", two_link)
+    recording = recordings.read(tmp_path / "r.bag", two_link)
     assert (
-        (found.q == Q).all() and (found.dq == DQ).all() and found.tau is None and not found.remarks
+        (recording.q == Q).all()
+        and (recording.dq == DQ).all()
+        and recording.tau is None
+        and not recording.remarks
     )

@@ -1,4 +1,4 @@
-"""The viewer: every shape can be drawn, and a motion is played."""
+"""`excite view`: drawing of all kinds of shapes, and playback of a motion."""
 
 import json
 from pathlib import Path
@@ -9,30 +9,32 @@ from test_cli import refused, run
 
 from excite.cli import view
 from excite.collision import scene_file
-from excite.collision.geometry import Kind, Shape
+from excite.collision.geometry import Shape, ShapeKind
 from excite.collision.scene_file import Scene
 from excite.robot.limits import resolve
 from excite.robot.robot import load
 
 MOTION = Path(__file__).parent.parent / "trajectories" / "two_link.json"
 KINDS = {
-    Kind.SPHERE: (0.1,),
-    Kind.CAPSULE: (0.1, 0.2),
-    Kind.CYLINDER: (0.1, 0.2),
-    Kind.BOX: (0.1, 0.2, 0.3),
+    ShapeKind.SPHERE: (0.1,),
+    ShapeKind.CAPSULE: (0.1, 0.2),
+    ShapeKind.CYLINDER: (0.1, 0.2),
+    ShapeKind.BOX: (0.1, 0.2, 0.3),
 }
 
 
-def test_every_kind_is_drawn():
+def test_every_kind_of_shape_is_drawn():
     robot = load("two_link")
-    around = tuple(
+    surroundings = tuple(
         Shape(kind.value, kind, size, (2.0, 0.0, float(k)))
         for k, (kind, size) in enumerate(KINDS.items())
     )
-    cell = scene_file.cell(robot, resolve(robot), Scene(around))
+    cell = scene_file.build_cell(robot, resolve(robot), Scene(surroundings))
     drawn = view.geometry(cell).geometryObjects
-    assert all(isinstance(one.geometry, coal.Sphere | coal.Cylinder | coal.Box) for one in drawn)
-    assert {one.name.split("_")[0] for one in drawn} >= {
+    assert all(
+        isinstance(entry.geometry, coal.Sphere | coal.Cylinder | coal.Box) for entry in drawn
+    )
+    assert {entry.name.split("_")[0] for entry in drawn} >= {
         "base",
         "link",
         "floor",
@@ -40,7 +42,7 @@ def test_every_kind_is_drawn():
     }
 
 
-def test_a_motion_is_played(capsys):
+def test_motion_is_played(capsys):
     pytest.importorskip("viser", reason="the extra [view] is not installed")
     code, out, err = run(
         capsys, "view", MOTION, "--once", "--speed", "4", "--port", "8917", "--json"

@@ -1,4 +1,4 @@
-"""Parts of recordings, and streams of them."""
+"""Parts of recordings, and recordings as streams of blocks."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from recording_fixtures import DamagedMotion, remark_kinds, two_joint_motion, wr
 
 from excite import recordings
 from excite.errors import ExciteWarning, UnusableInput
-from excite.recordings import Kind
+from excite.recordings import RemarkKind
 
 
-def test_between(two_link, tmp_path, damage):
-    found, _ = damage.rows(np.setdiff1d(np.arange(400), np.arange(200, 230))).read(
+def test_part_of_a_recording(two_link, tmp_path, damage):
+    recording, _ = damage.rows(np.setdiff1d(np.arange(400), np.arange(200, 230))).read(
         tmp_path, two_link
     )
-    part = found.between(0.5, 1.0)
+    part = recording.between(0.5, 1.0)
     assert (
         len(part) == 51
         and (part.t[0], part.t[-1]) == (0.5, 1.0)
         and not part.remarks
-        and (part.own_times == part.t).all()
+        and (part.row_times == part.t).all()
     )
     assert (
         part.tau is not None
         and part.tau.shape == (51, 2)
-        and remark_kinds(found.between(1.0, 3.0)) == [Kind.GAP]
+        and remark_kinds(recording.between(1.0, 3.0)) == [RemarkKind.GAP]
     )
     with pytest.raises(UnusableInput, match="no rows from 9 to 10 s"):
-        found.between(9.0, 10.0)
+        recording.between(9.0, 10.0)
     with pytest.raises(UnusableInput, match="16 rows without a gap"):
-        found.between(0.0, 0.1).samples()
+        recording.between(0.0, 0.1).samples()
 
 
 @given(
     seed=st.integers(0, 10**6), rows=st.integers(256, 700), overlap=st.sampled_from([0, 1, 50, 300])
 )
-def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows, overlap):
-    """Late rows, repeats, short and long lacks, gaps: repaired across the blocks' borders as in the
-    whole."""
+def test_stream_equals_the_complete_recording(two_link, tmp_path_factory, seed, rows, overlap):
+    """Delayed and repeated rows, short and long runs of missing values, and gaps are repaired
+    across the borders of blocks as in the complete recording."""
     rng = np.random.default_rng(seed)
     columns = two_joint_motion(2000)
     columns["q.joint_1"][rng.integers(20, 1980, 40)] = np.nan
@@ -55,23 +55,23 @@ def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows,
         tmp_path_factory.mktemp("r") / "r.csv",
         DamagedMotion(columns).rows(np.unique(which, return_index=False)).columns,
     )
-    late = write_columns(
-        path.with_name("late.csv"),
+    delayed = write_columns(
+        path.with_name("delayed.csv"),
         DamagedMotion(columns)
         .rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000)))
         .columns,
     )
-    for file in (path, late):
+    for file in (path, delayed):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExciteWarning)
-            whole = recordings.read(file, two_link)
+            complete = recordings.read(file, two_link)
             blocks = list(recordings.stream(file, two_link, rows=rows, overlap=overlap))
         assert blocks[0].run_in == 0
-        assert np.array_equal(np.concatenate([b.t[b.run_in :] for b in blocks]), whole.t)
+        assert np.array_equal(np.concatenate([b.t[b.run_in :] for b in blocks]), complete.t)
         for name in ("q", "dq", "tau"):
             assert np.array_equal(
                 np.concatenate([getattr(b, name)[b.run_in :] for b in blocks]),
-                getattr(whole, name),
+                getattr(complete, name),
                 equal_nan=True,
             )
         for before, after in pairwise(blocks):
@@ -80,20 +80,21 @@ def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows,
             )
             assert np.array_equal(
                 after.q[: after.run_in],
-                np.concatenate([b.q[b.run_in :] for b in blocks])[_before(blocks, after)],
+                np.concatenate([b.q[b.run_in :] for b in blocks])[_repeated_rows(blocks, after)],
             )
 
 
-def _before(blocks: list[recordings.Recording], block: recordings.Recording) -> slice:
-    at = 0
-    for one in blocks:
-        if one is block:
-            return slice(at - block.run_in, at)
-        at += len(one) - one.run_in
+def _repeated_rows(blocks: list[recordings.Recording], block: recordings.Recording) -> slice:
+    """Rows of the complete recording that a block repeats."""
+    start = 0
+    for other in blocks:
+        if other is block:
+            return slice(start - block.run_in, start)
+        start += len(other) - other.run_in
     raise AssertionError
 
 
-def test_a_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
+def test_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
     columns = two_joint_motion(3000)
     t = columns["t"] = columns["t"] + np.random.default_rng(2).uniform(-1e-3, 1e-3, 3000)
     columns["q.joint_1"] = np.sin(2.0 * t)
@@ -111,12 +112,12 @@ def test_a_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
     assert np.allclose(blocks[2].t[: blocks[2].run_in], blocks[1].t[-blocks[2].run_in :])
 
 
-def test_streams_refuse(two_link, tmp_path):
+def test_invalid_streams_are_refused(two_link, tmp_path):
     path = write_columns(tmp_path / "r.csv", two_joint_motion(1000))
     with pytest.raises(UnusableInput, match="at least 256 rows"):
         list(recordings.stream(path, two_link, rows=10))
-    again = write_columns(
+    repeated = write_columns(
         path, DamagedMotion(two_joint_motion(1000)).rows(np.r_[0:1000, 0:1000]).columns
     )
     with pytest.raises(UnusableInput, match="time goes back"):
-        list(recordings.stream(again, two_link, rows=300))
+        list(recordings.stream(repeated, two_link, rows=300))

@@ -41,7 +41,7 @@ MAX_WIDTH_STEP = 0.7
 """Largest change of the logarithm of a Coulomb width in a round."""
 MIN_RIPPLE_EVIDENCE = 5.0
 """Log Bayes factor from which a wave enters the model, after the search over its order."""
-MAX_RIPPLE_ORDER = 100.0
+MAX_RIPPLE_ORDER = 300.0
 """Largest spatial frequency that is searched [1/rad]."""
 ORDER_STEPS = 4.0
 """Grid points over the width of a peak in the order spectrum."""
@@ -125,7 +125,7 @@ def model_columns(
         size = np.sqrt(np.mean(torque**2, axis=(0, 1)) * torque.shape[1])
         prior = std / np.maximum(size, 1e-3 * size.max()) if not model.nonnegative else np.full(k, std)
     else:
-        prior = np.full(k, std)
+        prior = np.full(k, std) * np.array(model.prior_shares or (1.0,) * k)
     nonnegative = np.array(model.nonnegative or (False,) * k)
     return Columns.of(torque, nonnegative, prior)
 
@@ -135,12 +135,17 @@ def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
     return [effect.dense_model(motions, j) for j in range(motions[0].n) for effect in DENSE_EFFECTS]
 
 
-def fit(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:
+def fit(
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    rare: Sequence[CandidateModel] = (),
+) -> JointModel:
     """Fit the joint model to recorded motions.
 
     Args:
         identified: The base model.
         motions: The motions to fit.
+        rare: Further effects.
     """
     coulomb = _coulomb_columns(identified)
     psi, widths = identified.psi, identified.model.widths
@@ -154,9 +159,11 @@ def fit(identified: Identification, motions: Sequence[RecordedMotion]) -> JointM
             for motion, torque in zip(motions, recorded, strict=True)
         ]
         current = renewed(identified, present, psi, widths, coulomb)
-        fitted = _fit_round(identified, current, [*dense_models(current), *waves], delays, psi, weights)
+        fitted = _fit_round(identified, current, [*dense_models(current), *rare, *waves], delays, psi, weights)
         weights = fitted.regression.sigma, fitted.regression.independent_share
         if step == ROUNDS - 1:
+            for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
+                motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
             break
         x = fitted.solution.coefficients
         p, n = identified.model.base.count, fitted.n
@@ -166,6 +173,19 @@ def fit(identified: Identification, motions: Sequence[RecordedMotion]) -> JointM
         if step in RIPPLE_ROUNDS:
             waves += find_waves(fitted)
     return fitted
+
+
+def modelled_torque(model: JointModel) -> list[FloatArray]:
+    """Return the torque of the model at every sample of its motions, shapes (M, n) [N m].
+
+    Effects of measured torque are computed from it: measured noise would be correlated with itself.
+    """
+    total = model.regression.torque - model.regression.residual()
+    parts = recorded_motion.split_by_motion(total, model.motions)
+    return [
+        np.column_stack([np.interp(m.times, m.time, x) for x in part.T])
+        for m, part in zip(model.motions, parts, strict=True)
+    ]
 
 
 def _fit_round(
@@ -332,7 +352,7 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             order, wave = _refined_order(fitted.motions, j, order, r, moving, width)
             r = r - wave
             known.append(order)
-            out.append(torque_ripple.wave_model(j, order))
+            out.append(torque_ripple.wave_model(fitted.motions, j, order))
             weights = weights.copy()
             weights[j] *= sigma2 / float(np.mean(r[moving] ** 2))
     return out

@@ -12,7 +12,7 @@ eliminated by a Schur complement, the others follow from nonnegative least squar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -107,6 +107,8 @@ class JointRegression:
         sigma: RMS residual of each joint, shape (n,) [N m].
         independent_share: Share ρ of independent rows.
         slices: Coefficients of each effect, in the order in which they were added.
+        prior_matrix: Prior information of all coefficients, shape (K, K).
+        nonnegative: Coefficients that cannot be negative, shape (K,).
     """
 
     torque: FloatArray
@@ -115,11 +117,11 @@ class JointRegression:
     sigma: FloatArray
     independent_share: float
     slices: list[slice] = field(default_factory=list)
+    prior_matrix: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    nonnegative: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     _grams: list[_JointGram] = field(default_factory=list)
-    _prior_matrix: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
-    _nonnegative: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     _solution: Solution | None = None
 
     @classmethod
@@ -145,9 +147,9 @@ class JointRegression:
         p = base.shape[2]
         mean, information = prior
         out = cls(torque, moving, p, sigma, independent_share)
-        out._prior_matrix, out._prior_score = information.copy(), information @ mean
+        out.prior_matrix, out._prior_score = information.copy(), information @ mean
         out._prior_power = float(mean @ information @ mean)
-        out._nonnegative = np.zeros(p, bool)
+        out.nonnegative = np.zeros(p, bool)
         for j in range(torque.shape[1]):
             used = np.flatnonzero(np.abs(base[:, j]).max(axis=0) > 0.0)
             x = base[:, j, used] * moving[:, j, None]
@@ -174,15 +176,15 @@ class JointRegression:
 
     def add(self, columns: Columns) -> int:
         """Append the columns of an effect; return its number."""
-        start = len(self._nonnegative)
+        start = len(self.nonnegative)
         places = np.arange(start, start + columns.count)
         for j, values in zip(columns.joints, columns.values, strict=True):
             self._grams[j] = self._grams[j].appended(
                 values * self.moving[:, j, None], places, self.torque[:, j]
             )
-        self._nonnegative = np.concatenate([self._nonnegative, columns.nonnegative])
-        self._prior_matrix = linalg.block_diag(
-            self._prior_matrix, np.diag(1.0 / columns.prior_std**2)
+        self.nonnegative = np.concatenate([self.nonnegative, columns.nonnegative])
+        self.prior_matrix = linalg.block_diag(
+            self.prior_matrix, np.diag(1.0 / columns.prior_std**2)
         )
         self._prior_score = np.concatenate([self._prior_score, np.zeros(columns.count)])
         self.slices.append(slice(start, start + columns.count))
@@ -198,12 +200,12 @@ class JointRegression:
     def solution(self) -> Solution:
         """The minimum of the objective."""
         if self._solution is None:
-            self._solution = self._solve(np.ones(len(self._nonnegative), bool))
+            self._solution = self._solve(np.ones(len(self.nonnegative), bool))
         return self._solution
 
-    def without(self, effects: Sequence[int]) -> Solution:
+    def without(self, effects: Iterable[int]) -> Solution:
         """Return the minimum of the objective without some effects, all others refitted."""
-        used = np.ones(len(self._nonnegative), bool)
+        used = np.ones(len(self.nonnegative), bool)
         for e in effects:
             used[self.slices[e]] = False
         return self._solve(used)
@@ -211,7 +213,7 @@ class JointRegression:
     def _assembled(self) -> tuple[FloatArray, FloatArray, float]:
         """Information matrix A, score b and power of the weighted rows and the priors."""
         matrix, score, power = (
-            self._prior_matrix.copy(),
+            self.prior_matrix.copy(),
             self._prior_score.copy(),
             self._prior_power,
         )
@@ -225,8 +227,8 @@ class JointRegression:
         matrix, score, power = self._assembled()
         scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         a, b = matrix * scale[:, None] * scale, score * scale
-        free = np.flatnonzero(used & ~self._nonnegative)
-        bounded = np.flatnonzero(used & self._nonnegative)
+        free = np.flatnonzero(used & ~self.nonnegative)
+        bounded = np.flatnonzero(used & self.nonnegative)
         factor = linalg.cho_factor(a[np.ix_(free, free)] + RIDGE * np.eye(len(free)), lower=True)
         cross = linalg.cho_solve(factor, np.column_stack([a[np.ix_(free, bounded)], b[free]]))
         x = np.zeros(len(a))
@@ -239,7 +241,7 @@ class JointRegression:
             x[bounded] = nnls(root, target, maxiter=30 * len(bounded))[0]
         x[free] = cross[:, -1] - cross[:, :-1] @ x[bounded]
         x *= scale
-        active = used & (~self._nonnegative | (x > 0.0))
+        active = used & (~self.nonnegative | (x > 0.0))
         objective = 0.5 * (power + x @ matrix @ x) - score @ x
         return Solution(x, active, float(objective), matrix)
 

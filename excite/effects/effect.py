@@ -62,6 +62,7 @@ class CandidateModel:
         nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
         prior_std: Prior standard deviation of the coefficients; None: the friction level of the
             joint.
+        prior_shares: Share of `prior_std` of each coefficient; empty: 1.
         column_noise: RMS noise in columns · coefficients over the torque noise, of columns made of
             measured torque.
         signature: Description of the residual, if it differs from the effect's.
@@ -83,6 +84,7 @@ class CandidateModel:
     max_noise_ratio: float = np.inf
     nonnegative: tuple[bool, ...] = ()
     prior_std: float | None = None
+    prior_shares: tuple[float, ...] = ()
     column_noise: Callable[[FloatArray], float] = lambda c: 0.0
     signature: str = ""
 

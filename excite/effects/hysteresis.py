@@ -35,9 +35,9 @@ MAX_REACH_SHARE = 0.5
 MAX_NEGATIVE_SHARE = 0.05
 """Negative force that one element may have by chance, over the force of all elements."""
 
-DENSE_REACHES = 1e-3 * 2.0 ** np.arange(7)
+DENSE_REACHES = 1e-3 * 2.0 ** np.arange(0.0, 8.0, 0.5)
 """Deflections at which the elements of `dense_model` slip [rad or m]."""
-UNEQUAL_ELEMENTS = [3, 5]
+UNEQUAL_ELEMENTS = [6, 10]
 """Elements of `dense_model` that may have unequal branches."""
 
 

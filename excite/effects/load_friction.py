@@ -23,6 +23,8 @@ WEAKENING_THRESHOLD_FACTOR = 6.0
 """Factor on the evidence for load friction that falls with speed: a coarse encoder's reversal
 error, wherever there is load, looks like it."""
 
+EFFICIENCY_DIFFERENCE = 0.1
+"""Usual difference of load friction between driving and being driven, over the prior of μ."""
 PRIOR_COEFFICIENT = 0.2
 """Prior standard deviation of the friction coefficient; usual ones are 0.03-0.3."""
 
@@ -64,6 +66,7 @@ def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel
         parameters=lambda c: {"mu": float(c[0] + c[1] * mean / scale)},
         nonnegative=(True, True, False),
         prior_std=PRIOR_COEFFICIENT,
+        prior_shares=(1.0, 1.0, EFFICIENCY_DIFFERENCE),
     )
 
 

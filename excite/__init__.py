@@ -1,7 +1,8 @@
 """Optimal excitation trajectories for robot identification.
 
-The functions below do what the commands of the same names do; the packages behind them are for
-those who want more control.
+The functions below do what the commands of the same names do; the packages behind them offer more
+control. They are imported on first use, so that `import excite` alone is quick. Type checkers see
+them through the import of `excite.api`; the list `__all__` names them at run time.
 """
 
 from __future__ import annotations
@@ -9,22 +10,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import (
-        DesignResult,
-        DiagnosisResult,
-        IdentificationResult,
-        SimulatedRecording,
-        VerificationResult,
-        design,
-        diagnose,
-        export,
-        identify,
-        load_robot,
-        predict,
-        read_recording,
-        simulate,
-        verify,
-    )
+    from .api import *
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Import the public interface when one of its names is first used."""
+        if name in __all__:
+            from . import api
+
+            return getattr(api, name)
+        raise AttributeError(f"module 'excite' has no attribute '{name}'")
+
 
 __version__ = "0.1.0"
 __all__ = [
@@ -43,15 +39,6 @@ __all__ = [
     "simulate",
     "verify",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """Import the public interface when it is first asked for: `import excite` alone stays light."""
-    if name in __all__:
-        from . import api
-
-        return getattr(api, name)
-    raise AttributeError(f"module 'excite' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:

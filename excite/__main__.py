@@ -1,4 +1,4 @@
-"""`python -m excite`: the command line, where no script of that name is on the path."""
+"""`python -m excite`: run the command line."""
 
 import sys
 

@@ -1,12 +1,18 @@
-"""What can go wrong, each with the line a user needs: the file, the joint, the remedy."""
+"""Errors and warnings of the package; each message is one line: file, joint, remedy."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 
 class ExciteError(Exception):
-    """Base of every error this package raises on purpose. `exit_code` is the command line's."""
+    """Base class of all errors that the package raises deliberately.
+
+    Attributes:
+        exit_code: Exit code of a command that ends with the error.
+    """
 
     exit_code = 2
 
@@ -16,35 +22,89 @@ class UnusableInput(ExciteError):
 
 
 def toml_key(name: str) -> str:
-    """A name as a key of TOML: in quotes unless it has only letters, digits, _ and - of ASCII."""
+    """Return a name as a key of TOML: quoted unless it consists of ASCII letters, digits, _, -."""
     bare = name.isascii() and bool(name) and name.replace("_", "a").replace("-", "a").isalnum()
     return name if bare else json.dumps(name, ensure_ascii=False)
 
 
-class MissingLimit(UnusableInput):
-    """A joint has no usable limit of a kind that the design needs."""
+class UnusableRobot(UnusableInput):
+    """A robot whose description has faults.
 
-    def __init__(self, joint: str, quantity: str, source: str) -> None:
-        self.joint = joint
-        self.quantity = quantity
+    Attributes:
+        faults: All of them, a line each; the message is the first one and says how many follow.
+    """
+
+    def __init__(self, faults: Sequence[str]) -> None:
+        self.faults = tuple(faults)
+        more = len(self.faults) - 1
         super().__init__(
-            f"{source}: joint '{joint}' has no usable {quantity} limit; "
-            f"set it in the URDF's <limit> or with --limits FILE.toml "
-            f"([joints.{toml_key(joint)}] {quantity} = …)"
+            self.faults[0] + (f" ({more} more fault(s): 'excite check' lists them)" if more else "")
+        )
+
+
+@dataclass(frozen=True)
+class LimitFault:
+    """A limit that is needed and cannot be used.
+
+    Attributes:
+        joint: Name of the joint.
+        quantity: "position", "velocity" or "torque".
+        reason: Why the stated one cannot be used; "" where none is stated.
+    """
+
+    joint: str
+    quantity: str
+    reason: str = ""
+
+    def summary(self) -> str:
+        """The quantity, and the reason in parentheses."""
+        return f"{self.quantity} ({self.reason})" if self.reason else self.quantity
+
+    def __str__(self) -> str:
+        reason = f" ({self.reason})" if self.reason else ""
+        return f"joint '{self.joint}' has no usable {self.quantity} limit{reason}"
+
+
+class MissingLimit(UnusableInput):
+    """Joints have no usable limit of a kind that the design needs.
+
+    Attributes:
+        faults: All limits that are missing.
+    """
+
+    def __init__(self, source: str, faults: Sequence[LimitFault]) -> None:
+        self.faults = tuple(faults)
+        first = self.faults[0]
+        example = f"([joints.{toml_key(first.joint)}] {first.quantity} = …)"
+        if len(self.faults) == 1:
+            super().__init__(
+                f"{source}: {first}; set it in the URDF's <limit> or with --limits FILE.toml "
+                f"{example}"
+            )
+            return
+        joints = dict.fromkeys(fault.joint for fault in self.faults)
+        listed = "; ".join(
+            f"'{joint}': {', '.join(f.summary() for f in self.faults if f.joint == joint)}"
+            for joint in joints
+        )
+        super().__init__(
+            f"{source}: {len(self.faults)} limits are missing or unusable ({listed}); set them in "
+            f"the URDF's <limit> or with --limits FILE.toml {example}; 'excite check {source} "
+            "--limits-template FILE.toml' writes a file to fill in"
         )
 
 
 class Infeasible(ExciteError):
-    """No motion obeys all limits; the text says which of them fight."""
+    """No motion satisfies all limits; the message names those that conflict."""
 
     exit_code = 1
 
 
 class CheckFailed(ExciteError):
-    """A finished motion breaks a limit when recomputed from its file."""
+    """A motion violates a limit when it is verified from its file."""
 
     exit_code = 1
 
 
 class ExciteWarning(UserWarning):
-    """Something was handled by a stated rule; the user should know."""
+    """Input was repaired or completed by a documented rule."""

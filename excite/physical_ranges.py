@@ -50,6 +50,9 @@ class Range:
         )
 
 
+STATED_POSITION = Range(-1e20, 1e20, "rad")
+"""Position limits of a revolute joint before they are doubted: ±1e16 is how some URDFs say that
+there is none."""
 MASS = Range(0.0, 1e6, "kg", smallest=1e-12)
 LENGTH = Range(-1e4, 1e4, "m")
 SIZE = Range(1e-9, 1e4, "m")

@@ -1,13 +1,13 @@
 #!/usr/bin/env python
-"""How time and memory grow with joints, samples, harmonics and rows; what the estimates say before.
+"""Measure time and memory against joints, samples, harmonics and rows, and compare the estimates.
 
-    python scripts/bench_scale.py             # an iteration of designs of 2 to 60 joints (5
-    minutes) python scripts/bench_scale.py --whole     # whole commands too: designs of up to 60
-    joints, long recordings (20 minutes)
+    python scripts/bench_scale.py          # iterations of designs of 2 to 60 joints (5 minutes)
+    python scripts/bench_scale.py --whole  # also complete commands with up to 60 joints and long
+                                           # recordings (20 minutes)
 
-Prints Markdown tables: measured processor time and memory against excite.designer.design_cost and
-excite.recordings.recording_cost, and the coefficients that fit an iteration's times best. Each case
-runs in a process of its own, on one thread, without a compiler.
+It prints Markdown tables: measured processor time and memory against the estimates of
+excite.designer.design_cost and excite.recordings.recording_cost, and the coefficients that fit the
+time of an iteration best. Each case runs in its own process, on one thread, without a compiler.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ DIAGNOSED = (("two_link", 50_000), ("two_link", 300_000), ("ur10e", 50_000))
 
 
 def source(robot: str, folder: Path) -> str:
-    """A robot's name, or the path of a tree written for it."""
+    """Return the name of a built-in robot, or the path of a tree that is written for the case."""
     if "/" not in robot:
         return robot
     joints, limbs = map(int, robot.split("/"))
@@ -79,8 +79,7 @@ def source(robot: str, folder: Path) -> str:
 
 
 def iteration(case: Case) -> dict[str, Any]:
-    """Processor time of an iteration [s] and memory of the process [bytes], with the sizes they
-    depend on."""
+    """Measure an iteration: processor time [s], memory of the process [bytes], and the sizes."""
     warnings.simplefilter("ignore", ExciteWarning)
     name, harmonics, samples, count = case
     with tempfile.TemporaryDirectory() as folder, threadpoolctl.threadpool_limits(1):
@@ -108,7 +107,7 @@ def iteration(case: Case) -> dict[str, Any]:
 
 
 def iterations() -> None:
-    """Measure all cases, fit the coefficients of an iteration and print both."""
+    """Measure all cases, fit the coefficients of an iteration, and print both."""
     results = [_apart("iteration", case) for case in CASES]
     terms = []
     for (_, _, N, _), r in zip(CASES, results, strict=True):
@@ -143,7 +142,7 @@ def iterations() -> None:
 
 
 def whole() -> None:
-    """Measure whole commands against their estimates, which they print themselves."""
+    """Measure complete commands against their estimates, which they print."""
     print("\n| command | processor time [s] | largest process [MB] | what it said before |")
     print("|---|---:|---:|---|")
     with tempfile.TemporaryDirectory() as temporary:
@@ -229,7 +228,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--whole", action="store_true", help="whole commands too")
+    parser.add_argument("--whole", action="store_true", help="also measure complete commands")
     parser.add_argument("--run", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.run:

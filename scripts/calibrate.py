@@ -55,12 +55,12 @@ def findings(folder: Path, analyst: str) -> list[tuple[dict[str, Any], dict[str,
 
 
 def is_right(finding: dict[str, Any], case: dict[str, Any]) -> bool:
-    """Return whether a finding or one of its equivalents is hidden."""
+    """Return True if a finding or one of its equivalents is hidden."""
     return any(is_hidden(name, case) for name in (finding["effect"], *finding["equivalents"]))
 
 
 def is_hidden(name: str, case: dict[str, Any]) -> bool:
-    """Return whether an effect is hidden in a case."""
+    """Return True if an effect is hidden in a case."""
     return any(are_equivalent(name, effect["effect"]) for effect in case["effects"])
 
 

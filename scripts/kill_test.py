@@ -1,15 +1,14 @@
-"""Kill commands while they run and while they replace their files, and compare what is left with
-whole sets of files.
+"""Kill commands while they run and while they replace their files, and check the remaining files.
 
     python scripts/kill_test.py [--random 30] [--between 10]
 
-Four cases: `design` into its folder, which is exchanged as a whole; `design` with that folder as
-the current directory, where the files are replaced in place; `design` into a folder that does not
-exist; and `simulate`, whose files lie beside others. Each is killed by SIGKILL at random times, and
-before operations on names of files (rename, exchange, link, remove) that are spread evenly over all
-that replace the set. Since a seed gives the same files again, to the byte, every file is known to
-be old or new. The exit code is 1 where files are mixed or broken, a foreign file has changed, or
-the next run does not remove what a killed one has left.
+Four cases: `design` into its folder, which is exchanged; `design` with that folder as the current
+directory, whose files are replaced in place; `design` into a folder that does not exist; and
+`simulate`, whose files are in a folder with others. Each is killed by SIGKILL at random times, and
+before operations on names of files (rename, exchange, link, remove), spread evenly over all
+operations of a replacement. The same seed gives the same bytes, so every file can be classified as
+old or new. The exit code is 1 if files are mixed or broken, a foreign file has changed, or the next
+run does not remove the staging directories of a killed one.
 """
 
 from __future__ import annotations
@@ -27,7 +26,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-QUICK = ("--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60")
+SHORT_DESIGN = ("--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60")
+"""Options of a design of about a second."""
 CHILD = """
 import os, signal, sys
 at, count, out = int(sys.argv[1]), 0, sys.argv[-1]
@@ -35,8 +35,11 @@ EVENTS = ("os.rename", "os.link", "os.remove", "os.rmdir")
 
 def hook(event, arguments):
     global count
-    touches = any(".partial" in str(argument) or str(argument).startswith(out) for argument in arguments)
-    if event in EVENTS and touches or event == "ctypes.dlsym" and arguments[1] in ("renameat2", "renamex_np"):
+    touches = any(
+        ".partial" in str(argument) or str(argument).startswith(out) for argument in arguments
+    )
+    exchanges = event == "ctypes.dlsym" and arguments[1] in ("renameat2", "renamex_np")
+    if event in EVENTS and touches or exchanges:
         count += 1
         if count == at:
             os.kill(os.getpid(), signal.SIGKILL)
@@ -46,13 +49,24 @@ from excite.cli.main import main
 code = main(sys.argv[2:])
 print(count)
 sys.exit(code)
-"""  # noqa: E501
+"""
+"""Program that runs a command and kills itself before its n-th operation on files."""
+
+FOREIGN = "foreign"
+"""Text of a file that the command must not change."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A command whose output is killed. command: without seed and output. target: its `-o`,
-    relative to the folder it works in."""
+    """A command that is killed.
+
+    Attributes:
+        name: Name in the table.
+        command: Its arguments without seed and output.
+        target: Its `-o`, relative to the folder of the case.
+        exists: True if the target exists before.
+        inside: True if the target is the current directory.
+    """
 
     name: str
     command: tuple[str, ...]
@@ -61,8 +75,13 @@ class Case:
     inside: bool = False
 
     def start(self, root: Path, seed: int, at: int = 0) -> subprocess.Popen[str]:
-        """Start the command in a folder; at: the operation on files at which it is killed, 0 for
-        none."""
+        """Start the command.
+
+        Args:
+            root: Folder of the case.
+            seed: Seed of the command.
+            at: Number of the operation on files before which it is killed; 0: none.
+        """
         out = root / self.target
         command = [
             sys.executable,
@@ -75,13 +94,16 @@ class Case:
             "-o",
             str(out),
         ]
-        where = out if self.inside else None
         return subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=where
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            cwd=out if self.inside else None,
         )
 
     def run(self, root: Path, seed: int, at: int = 0) -> int:
-        """Run the command to its end and return how many operations on files it took."""
+        """Run the command to its end; return the number of operations on files."""
         process = self.start(root, seed, at)
         printed = process.communicate()[0]
         if at == 0 and process.returncode != 0:
@@ -90,7 +112,7 @@ class Case:
 
 
 def files(root: Path) -> dict[str, bytes]:
-    """Content of all files of a folder, by their relative names."""
+    """Return the content of all files of a folder by their relative names."""
     return {
         str(path.relative_to(root)): path.read_bytes()
         for path in sorted(root.rglob("*"))
@@ -98,12 +120,15 @@ def files(root: Path) -> dict[str, bytes]:
     }
 
 
-def state(found: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) -> str:
-    """Compare a folder with the old and the new set: the name of its state, in capitals if it
-    should not be."""
+def state(present: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) -> str:
+    """Compare the files of a folder with the old and the new set.
+
+    Returns:
+        Name of the state, in capitals for a fault.
+    """
     kinds = set()
     for name in {*old, *new}:
-        content = found.get(name)
+        content = present.get(name)
         if content is None:
             kinds.add("absent")
         elif content not in (old.get(name), new.get(name)):
@@ -118,7 +143,7 @@ def state(found: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes])
 
 
 def prepare(root: Path, before: Path, case: Case) -> None:
-    """Set up a folder with the old files and a foreign one."""
+    """Set up a folder with the old files and a foreign file."""
     shutil.rmtree(root, ignore_errors=True)
     if case.exists:
         shutil.copytree(before, root)
@@ -127,11 +152,21 @@ def prepare(root: Path, before: Path, case: Case) -> None:
     foreign = root / (
         "foreign.txt" if not case.exists or "." in case.target else f"{case.target}/foreign.txt"
     )
-    foreign.write_text("not ours")
+    foreign.write_text(FOREIGN)
 
 
-def tried(case: Case, folder: Path, randoms: int, betweens: int) -> tuple[list[str], bool]:
-    """The row of a case, and whether all was well."""
+def run_case(case: Case, folder: Path, randoms: int, betweens: int) -> tuple[list[str], bool]:
+    """Kill the command of a case many times.
+
+    Args:
+        case: The case.
+        folder: Empty folder.
+        randoms: Number of kills at random times.
+        betweens: Number of kills between operations on files.
+
+    Returns:
+        The row of the table, and True without faults.
+    """
     before, after, root = folder / "before", folder / "after", folder / "root"
     for path, seed in ((before, 0), (after, 1)):
         (path / case.target).parent.mkdir(parents=True)
@@ -159,21 +194,21 @@ def tried(case: Case, folder: Path, randoms: int, betweens: int) -> tuple[list[s
             process.communicate()
         else:
             case.run(root, 1, at)
-        found = files(root)
-        whole = state(
-            {name: text for name, text in found.items() if ".partial" not in name}, old, new
+        present = files(root)
+        kind = state(
+            {name: text for name, text in present.items() if ".partial" not in name}, old, new
         )
-        states[at is not None][whole] += 1
-        good &= whole in ("old", "new", "none", "incomplete")
-        if at is None and set(found) <= {*old, *new, "foreign.txt", f"{case.target}/foreign.txt"}:
-            continue  # nothing is left that the next run would have to remove
+        states[at is not None][kind] += 1
+        good &= kind in ("old", "new", "none", "incomplete")
+        if at is None and set(present) <= {*old, *new, "foreign.txt", f"{case.target}/foreign.txt"}:
+            continue  # there are no staging directories
         case.run(root, 1)
-        again = files(root)
-        foreign = {name for name, text in again.items() if text == b"not ours"}
+        final = files(root)
+        foreign = {name for name, text in final.items() if text == FOREIGN.encode()}
         clean = (
-            set(again) == set(new) | foreign
+            set(final) == set(new) | foreign
             and len(foreign) == 1
-            and all(again[name] == new[name] for name in new)
+            and all(final[name] == new[name] for name in new)
         )
         good &= clean
     words = [
@@ -184,6 +219,7 @@ def tried(case: Case, folder: Path, randoms: int, betweens: int) -> tuple[list[s
 
 
 def main(argv: Sequence[str] | None = None) -> int:
+    """Run the cases and print the table; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -192,39 +228,41 @@ def main(argv: Sequence[str] | None = None) -> int:
         type=int,
         default=30,
         metavar="N",
-        help="kills at random times, of each case (default %(default)s)",
+        help="kills at random times per case (default %(default)s)",
     )
     parser.add_argument(
         "--between",
         type=int,
         default=10,
         metavar="N",
-        help="kills between operations on files (default %(default)s)",
+        help="kills between operations on files per case (default %(default)s)",
     )
     parser.add_argument(
-        "--only", metavar="CASE", action="append", help="exchanged, in-place, fresh or beside"
+        "--only",
+        metavar="CASE",
+        action="append",
+        help="run this case alone: exchanged, in-place, new or siblings",
     )
     arguments = parser.parse_args(argv)
     os.environ["EXCITE_COMPILER"] = ""
     random.seed(0)
     with tempfile.TemporaryDirectory() as name:
-        made = Path(name) / "made"
-        Case("motion", ("design", "two_link", *QUICK), "motion").run(made.parent, 0)
-        design = ("design", "two_link", "--validation", *QUICK)
-        motion = str(made.parent / "motion" / "trajectory.json")
+        Case("motion", ("design", "two_link", *SHORT_DESIGN), "motion").run(Path(name), 0)
+        design = ("design", "two_link", "--validation", *SHORT_DESIGN)
+        motion = str(Path(name) / "motion" / "trajectory.json")
         cases = (
             Case("exchanged", design, "out"),
             Case("in-place", design, "out", inside=True),
-            Case("fresh", design, "out", exists=False),
-            Case("beside", ("simulate", "two_link", motion), "run.csv"),
+            Case("new", design, "out", exists=False),
+            Case("siblings", ("simulate", "two_link", motion), "run.csv"),
         )
         rows, good = [], True
         for case in cases:
             if arguments.only and case.name not in arguments.only:
                 continue
-            row, fine = tried(case, Path(name) / case.name, arguments.random, arguments.between)
+            row, ok = run_case(case, Path(name) / case.name, arguments.random, arguments.between)
             rows.append(row)
-            good &= fine
+            good &= ok
     head = (
         "case",
         "killed at random",

@@ -98,6 +98,146 @@ WHEEL = (
         "double_pendulum_description/urdf/double_pendulum_continuous.urdf",
     ),
 )
+_UR_ARM = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+_ANYMAL = "anymal_b_simple_description/robots"
+
+# limbs of robots that nobody adapted: the other joints are locked at their neutral positions
+LIMBS = (
+    Case("bolt_leg", "bolt_description/robots/bolt.urdf", ("FL_HAA", "FL_HFE", "FL_KFE")),
+    Case(
+        "hyq_leg",
+        "hyq_description/robots/hyq_no_sensors.urdf",
+        ("lf_haa_joint", "lf_hfe_joint", "lf_kfe_joint"),
+    ),
+    Case("anymal_leg", f"{_ANYMAL}/anymal.urdf", ("LF_HAA", "LF_HFE", "LF_KFE")),
+    Case("anymal_hind_leg", f"{_ANYMAL}/anymal.urdf", ("RH_HAA", "RH_HFE", "RH_KFE")),
+    Case(
+        "anymal_kinova",
+        f"{_ANYMAL}/anymal-kinova.urdf",
+        _numbered("j2s6s200_joint_{}", range(1, 7)),
+    ),
+    Case("solo12_leg", "solo_description/robots/solo12.urdf", ("FL_HAA", "FL_HFE", "FL_KFE")),
+    Case("quadruped_leg", "quadruped_description/urdf/quadruped.urdf", ("FL_HFE", "FL_KFE")),
+    Case(
+        "laikago_leg",
+        "laikago_description/urdf/laikago.urdf",
+        ("FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"),
+    ),
+    Case(
+        "go1_leg",
+        "go1_description/urdf/go1.urdf",
+        ("FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"),
+    ),
+    Case(
+        "go2_leg",
+        "go2_description/urdf/go2.urdf",
+        ("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"),
+    ),
+    Case(
+        "a1_leg", "a1_description/urdf/a1.urdf", ("FR_hip_joint", "FR_thigh_joint", "FR_calf_joint")
+    ),
+    Case("b1_z1_arm", "b1_description/urdf/b1-z1.urdf", _numbered("joint{}", range(1, 7))),
+    Case("hextilt_arm", "hextilt_description/urdf/hextilt_flying_arm_5.urdf"),
+    Case("borinot_arm", "borinot_description/urdf/borinot_flying_arm_2.urdf"),
+    Case("two_dofs", "asr_twodof_description/urdf/TwoDofs.urdf"),
+    Case("finger_edu", "finger_edu_description/robots/finger_edu.urdf"),
+    Case(
+        "allegro_finger",
+        "allegro_hand_description/urdf/allegro_right_hand.urdf",
+        _numbered("joint_{}.0", range(4)),
+    ),
+    Case(
+        "icub_arm",
+        "icub_description/robots/icub.urdf",
+        ("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw", "l_elbow", "l_wrist_prosup"),
+    ),
+    Case(
+        "icub_whole_arm",
+        "icub_description/robots/icub.urdf",
+        (
+            *("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw", "l_elbow"),
+            *("l_wrist_prosup", "l_wrist_pitch", "l_wrist_yaw"),
+        ),
+    ),
+    Case(
+        "icub_leg",
+        "icub_description/robots/icub.urdf",
+        ("l_hip_pitch", "l_hip_roll", "l_hip_yaw", "l_knee", "l_ankle_pitch", "l_ankle_roll"),
+    ),
+    Case(
+        "centauro_arm",
+        "centauro_description/urdf/centauro.urdf",
+        _numbered("j_arm1_{}", range(1, 7)),
+    ),
+    Case(
+        "g1_arm",
+        "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+        (
+            *("left_shoulder_pitch_joint", "left_shoulder_roll_joint", "left_shoulder_yaw_joint"),
+            *("left_elbow_joint", "left_wrist_roll_joint", "left_wrist_pitch_joint"),
+            "left_wrist_yaw_joint",
+        ),
+    ),
+    Case(
+        "g1_leg",
+        "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+        (
+            *("left_hip_pitch_joint", "left_hip_roll_joint", "left_hip_yaw_joint"),
+            *("left_knee_joint", "left_ankle_pitch_joint", "left_ankle_roll_joint"),
+        ),
+    ),
+    Case(
+        "pr2_arm",
+        "pr2_description/urdf/pr2.urdf",
+        (
+            *("r_shoulder_pan_joint", "r_shoulder_lift_joint", "r_upper_arm_roll_joint"),
+            *("r_elbow_flex_joint", "r_forearm_roll_joint", "r_wrist_flex_joint"),
+            "r_wrist_roll_joint",
+        ),
+    ),
+    Case(
+        "romeo_arm",
+        "romeo_description/urdf/romeo.urdf",
+        (
+            *("LShoulderPitch", "LShoulderYaw", "LElbowRoll", "LElbowYaw"),
+            *("LWristRoll", "LWristYaw", "LWristPitch"),
+        ),
+    ),
+    Case(
+        "alex_arm",
+        "alex_description/urdf/alex_nub_hands.urdf",
+        (
+            *("LeftShoulderPitch", "LeftShoulderRoll", "LeftShoulderYaw", "LeftElbowPitch"),
+            *("LeftWristYaw", "LeftWristRoll", "LeftGripperYaw"),
+        ),
+    ),
+    Case(
+        "tiago_pro_arm",
+        "tiago_pro_description/robots/tiago_pro.urdf",
+        _numbered("arm_left_{}_joint", range(1, 8)),
+    ),
+    Case(
+        "talos_leg",
+        "talos_data/robots/talos_full_v2.urdf",
+        _numbered("leg_left_{}_joint", range(1, 7)),
+    ),
+    Case(
+        "simple_humanoid_arm",
+        "simple_humanoid_description/urdf/simple_humanoid.urdf",
+        (
+            *("LARM_SHOULDER_P", "LARM_SHOULDER_R", "LARM_SHOULDER_Y", "LARM_ELBOW"),
+            *("LARM_WRIST_Y", "LARM_WRIST_P", "LARM_WRIST_R"),
+        ),
+    ),
+    Case(
+        "ur3_gripper",
+        "ur_description/urdf/ur3_gripper.urdf",
+        tuple(f"{joint}_joint" for joint in _UR_ARM),
+    ),
+    Case("ur5_limited", "ur_description/urdf/ur5_joint_limited_robot.urdf"),
+    Case("ur10_limited", "ur_description/urdf/ur10_joint_limited_robot.urdf"),
+    Case("so100", "so_arm_description/urdf/so100.urdf"),
+)
 RECORDED = (Case("emps", "emps/emps.urdf"),)
 
 
@@ -146,7 +286,7 @@ def cases(data: Path | None) -> list[tuple[Case, str]]:
     if folder is None:
         say("example-robot-data is not installed and no --data is given: built-in models only")
     else:
-        entries += [(case, str(folder / case.path)) for case in WHEEL]
+        entries += [(case, str(folder / case.path)) for case in WHEEL + LIMBS]
     # recorded robots exist in the project's own workspace only
     return entries + [
         (case, str(RECORDINGS / case.path))
@@ -262,7 +402,7 @@ def source_of(table: limits.Limits, margin: certificate_module.LimitMargin) -> s
 
 
 def is_builtin(source: str) -> bool:
-    """Return whether a robot is a built-in model."""
+    """Return True if a robot is a built-in model."""
     return source in robot.builtin_names()
 
 

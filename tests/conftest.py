@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 
 os.environ["EXCITE_COMPILER"] = (
-    ""  # the tests' many robots are not worth compiling; test_casadi_batch.py does
+    ""  # compiling takes longer than the tests of a robot; test_casadi_batch.py compiles
 )
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
-)  # two test processes on two cores; before numpy is imported
+)  # one thread per test process; it has to be set before numpy is imported
 
 import tempfile
 import xml.etree.ElementTree as ElementTree
@@ -132,8 +132,8 @@ def random_urdf(
         rng: Generator of the draw.
         count: Number of joints.
         kinds: Joint types to choose from.
-        tree: Whether links may branch.
-        tidy: Whether axes and offsets are mostly along x, y, z, as in real arms.
+        tree: True if links may branch.
+        tidy: True if axes and offsets are mostly along x, y, z, as in real arms.
         mimics: By joint: the joint that it mimics, multiplier and offset.
     """
     parts = [link("l"), random_link(rng, "tool")]
@@ -207,7 +207,7 @@ def text_of(name: str) -> str:
     return locate(name).read_text(encoding="utf-8")
 
 
-# -- the same physics in other frames ---------------------------------------------------------
+# -- equal physics in other frames ---------------------------------------------------------
 
 
 def reframed(text: str, rng: np.random.Generator) -> str:
@@ -322,7 +322,7 @@ def two_link() -> Robot:
 
 @pytest.fixture(scope="session")
 def subject() -> IdentificationModel:
-    """The two-link robot that diagnoses are tried on."""
+    """Two-link robot of the tests of the diagnosis."""
     from synthetic_recordings import two_link_model  # which takes from here
 
     return two_link_model()

@@ -1,4 +1,4 @@
-"""Facts of the contract that tests on both sides of it use."""
+"""Names of effects in the contract, for tests of the diagnosis and of the simulator."""
 
 EFFECT_NAMES = (
     "payload",

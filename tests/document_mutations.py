@@ -54,7 +54,7 @@ RENAMED = ("x", "", "joint_9", "\u00e9", "a\nb")
 
 
 def paths(value: Any, path: tuple[Key, ...] = ()) -> Iterator[tuple[Key, ...]]:
-    """The path of every value in a document, the document itself excepted."""
+    """Return the paths of all values in a document, except the document itself."""
     items: Any = (
         value.items()
         if isinstance(value, dict)
@@ -74,7 +74,7 @@ def at(document: Any, path: tuple[Key, ...]) -> Any:
 
 
 def replacements(value: Any, others: tuple[Any, ...]) -> st.SearchStrategy[Any]:
-    """Values to put in place of another: of any type, and numbers and lists near it."""
+    """Return replacements of a value: of any type, and similar numbers and lists."""
     near: list[Any] = []
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
         near = [
@@ -96,13 +96,13 @@ def replacements(value: Any, others: tuple[Any, ...]) -> st.SearchStrategy[Any]:
 
 @st.composite
 def mutated(draw: st.DrawFn, document: dict[str, Any], *, toml: bool = False) -> str:
-    """The text of a document with one to three values deleted, replaced, renamed or added."""
+    """Return a document with one to three values deleted, replaced, renamed or added, as text."""
     out = copy.deepcopy(document)
     for _ in range(draw(st.integers(1, 3))):
         every = list(paths(out))
         if not every:
             break
-        # shallow values are as likely as deep ones: pick the depth first
+        # draw the depth first, so that shallow values are as probable as deep ones
         depth = draw(st.sampled_from(sorted({len(path) for path in every})))
         path = draw(st.sampled_from([path for path in every if len(path) == depth]))
         place, key = at(out, path[:-1]), path[-1]
@@ -122,7 +122,7 @@ def mutated(draw: st.DrawFn, document: dict[str, Any], *, toml: bool = False) ->
 
 
 def in_json(value: Any) -> str:
-    """JSON with NaN, Infinity and integers of any length."""
+    """Return JSON with NaN, Infinity and integers of any length."""
     if isinstance(value, dict):
         return (
             "{"
@@ -135,7 +135,7 @@ def in_json(value: Any) -> str:
 
 
 def in_toml(document: dict[str, Any]) -> str:
-    """TOML with every table inline but the first."""
+    """Return TOML with inline tables below the first level."""
     return (
         "\n".join(f"{json.dumps(key)} = {_inline(value)}" for key, value in document.items()) + "\n"
     )
@@ -156,7 +156,7 @@ def _inline(value: Any) -> str:
 
 
 def long_digits(value: Any) -> str:
-    """The digits of an integer that Python refuses to print: 1 and zeros, of the same length."""
+    """Return the digits of an integer that Python refuses to print: 1 and zeros of its length."""
     if isinstance(value, bool) or not isinstance(value, int) or value.bit_length() < 10_000:
         return ""
     return ("-" if value < 0 else "") + "1" + "0" * int(value.bit_length() * math.log10(2.0))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 
 def tree_urdf(joints: int, limbs: int = 1, *, capsules: bool = False) -> str:
-    """URDF of a robot whose joints form serial limbs on a common base.
+    """Return the URDF of a robot whose joints form serial limbs on a common base.
 
-    Masses fall along a limb and torque limits carry the limb stretched out, as on real arms.
+    Masses decrease along a limb, and torque limits hold the stretched limb, as on real arms.
 
     Args:
         joints: Number of joints.
         limbs: Number of limbs, of equally many joints or one more.
-        capsules: Whether links have collision shapes.
+        capsules: True if links have collision shapes.
     """
     parts = ['<link name="base"/>']
     counts = [joints // limbs + (limb < joints % limbs) for limb in range(limbs)]

@@ -1,5 +1,4 @@
-"""Where the faulty inputs of the shared folder are; tests that read them skip where the folder is
-absent."""
+"""Path of the faulty inputs of the shared folder; tests that read them are skipped without it."""
 
 from __future__ import annotations
 

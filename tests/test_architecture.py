@@ -1,3 +1,5 @@
+"""Dependencies of the packages, light imports, and calls that the library must not contain."""
+
 from __future__ import annotations
 
 import ast
@@ -12,7 +14,7 @@ import excite
 PACKAGE = Path(excite.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-# Data flows from left to right; a package imports from itself and from those to its left.
+# Order of the data flow: a package imports from itself and from earlier ones.
 ORDER = (
     "errors",
     "_types",
@@ -38,18 +40,18 @@ ORDER = (
     "__main__",
 )
 INDEPENDENT = {"simulator": {"errors", "_types"}}
-"""Packages that share nothing with the rest but these: the simulated robot must not know who
-identifies it."""
+"""Package -> the packages that it may import: the simulated robot must not share code with the
+identification."""
 
 
 def module(path: Path) -> str:
-    """The part of the package that a file belongs to: its own name, or its folder's."""
+    """Return the package that a file belongs to: the name of its folder, or its own."""
     parts = path.relative_to(PACKAGE).with_suffix("").parts
     return parts[0]
 
 
 def imported(path: Path) -> set[str]:
-    """Names of the package's own modules that a file imports, anywhere in it."""
+    """Return the packages of excite that a file imports, in any scope."""
     depth = len(path.relative_to(PACKAGE).parts)
     known = {module(file) for file in FILES}
     out: set[str] = set()
@@ -67,7 +69,7 @@ def imported(path: Path) -> set[str]:
 
 
 def loaded_by(*arguments: str) -> set[str]:
-    """Top-level modules in memory after a fresh interpreter did something."""
+    """Return the top-level modules in memory after a run of a new interpreter."""
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True)
     return set(done.stdout.splitlines()[-1].split())
 
@@ -78,22 +80,22 @@ def after(code: str) -> set[str]:
     )
 
 
-def test_every_package_has_its_place():
+def test_every_package_is_listed_in_the_order():
     assert {module(file) for file in FILES} <= set(ORDER)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_no_module_imports_from_its_right(path):
+def test_no_module_imports_from_a_later_package(path):
     here = ORDER.index(module(path))
     assert not {name for name in imported(path) if ORDER.index(name) > here}
 
 
-def test_imports_are_found_at_all():
-    seen = imported(PACKAGE / "designer" / "ramps.py")
-    assert {"errors", "robot", "trajectory"} <= seen
+def test_imports_are_detected():
+    packages = imported(PACKAGE / "designer" / "ramps.py")
+    assert {"errors", "robot", "trajectory"} <= packages
 
 
-def test_no_module_imports_itself_through_others():
+def test_no_cyclic_imports():
     graph = {
         name: set().union(*(imported(f) for f in FILES if module(f) == name)) - {name}
         for name in {module(f) for f in FILES}
@@ -106,7 +108,7 @@ def test_no_module_imports_itself_through_others():
 @pytest.mark.parametrize(
     "path", [file for file in FILES if module(file) in INDEPENDENT], ids=lambda path: path.name
 )
-def test_the_simulated_robot_shares_no_code_with_what_identifies_it(path):
+def test_the_simulator_shares_no_code_with_the_identification(path):
     assert imported(path) - {module(path)} <= INDEPENDENT[module(path)]
     names = [
         alias.name if isinstance(n, ast.Import) else str(n.module)
@@ -125,10 +127,10 @@ def test_only_the_public_interface_and_the_command_line_use_the_simulator():
     }
 
 
-def test_the_simulator_loads_nothing_that_identifies():
-    code = "import excite.simulator.experiment; m = [n for n in sys.modules if n.startswith('excite.')]"  # noqa: E501
+def test_the_simulator_loads_no_other_package():
+    modules = "[name for name in sys.modules if name.startswith('excite.')]"
     done = subprocess.run(
-        [sys.executable, "-c", f"import sys; {code}; print(*m)"],
+        [sys.executable, "-c", f"import sys, excite.simulator.experiment; print(*{modules})"],
         capture_output=True,
         text=True,
         check=True,
@@ -141,8 +143,8 @@ def test_designing_needs_no_plots_and_no_yaml():
 
 
 @pytest.mark.parametrize("name", ["argparse", "matplotlib", "yaml"])
-def test_the_core_does_not_name_what_only_the_surface_needs(name):
-    """limits.py asks for yaml inside the function that reads a .yaml file."""
+def test_the_core_does_not_import_libraries_of_the_interface(name):
+    """limits.py imports yaml in the function that reads a .yaml file."""
     core = [file for file in FILES if ORDER.index(module(file)) < ORDER.index("exporters")]
     tops = {file.name: ast.parse(file.read_text(encoding="utf-8")).body for file in core}
     names = {
@@ -159,7 +161,7 @@ def test_light_modules_stay_light(name):
     )
 
 
-def test_help_waits_for_no_heavy_import():
+def test_help_needs_no_heavy_import():
     done = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "excite", "--help"],
         capture_output=True,

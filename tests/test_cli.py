@@ -1,5 +1,4 @@
-"""The command line as a user meets it: files written, exit codes, one line when something is
-wrong."""
+"""The command line: files, exit codes, and errors of one line."""
 
 import json
 import subprocess
@@ -22,13 +21,13 @@ def run(capsys, *arguments):
 
 
 def refused(capsys, *arguments, code=2):
-    """The one line that a refused command prints."""
-    found, out, err = run(capsys, *arguments)
-    assert found == code, err
+    """Return the one line that a refused command prints."""
+    exit_code, out, err = run(capsys, *arguments)
+    assert exit_code == code, err
     assert out == ""
-    lines = [line for line in err.splitlines() if line.startswith("excite:")]
-    assert len(lines) == 1, err
-    return lines[0]
+    exit_code = [line for line in err.splitlines() if line.startswith("excite:")]
+    assert len(exit_code) == 1, err
+    return exit_code[0]
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +58,12 @@ def test_csv_follows_the_contract(designed):
 
 def test_trajectory_json_has_the_contract_keys(designed):
     document = json.loads((designed / "trajectory.json").read_text())
-    keys = "schema robot joints base_frequency harmonics period periods sine cosine offset segments rate limits torque_noise"  # noqa: E501
-    assert set((keys + " criterion criteria margins collision seed versions").split()) <= set(
-        document
-    )
+    keys = "schema robot joints base_frequency harmonics period periods sine cosine offset segments"
+    assert set(
+        (
+            keys + " rate limits torque_noise criterion criteria margins collision seed versions"
+        ).split()
+    ) <= set(document)
     assert document["schema"] == "excite.trajectory/1"
     assert {"kind", "start", "end"} <= set(document["segments"][0])
 
@@ -82,7 +83,7 @@ def test_identifiability_json_has_the_contract_keys(designed):
     ) <= set(document)
 
 
-def test_verify_says_ok_and_how_near_the_bodies_come(capsys, designed):
+def test_verify_states_the_smallest_distance(capsys, designed):
     code, out, _ = run(capsys, "verify", designed / "trajectory.json", "--json")
     document = json.loads(out)
     assert code == 0
@@ -102,7 +103,9 @@ def test_design_json_carries_criteria_and_timing(capsys, tmp_path):
     )
 
 
-def test_a_broken_trajectory_fails_verification_and_is_not_exported(capsys, designed, tmp_path):
+def test_a_trajectory_that_violates_limits_fails_verification_and_export(
+    capsys, designed, tmp_path
+):
     document = json.loads((designed / "trajectory.json").read_text())
     document["limits"]["velocity"]["joint_1"]["value"] *= 0.5
     broken = tmp_path / "broken.json"
@@ -163,7 +166,7 @@ def validated(tmp_path_factory):
     return folder
 
 
-def test_a_validation_motion_has_a_folder_of_its_own_and_is_certified(capsys, validated):
+def test_the_validation_motion_is_certified_in_its_own_folder(capsys, validated):
     assert {p.name for p in (validated / "validation").iterdir()} == {
         "trajectory.json",
         "trajectory.csv",
@@ -179,7 +182,7 @@ def test_a_validation_motion_has_a_folder_of_its_own_and_is_certified(capsys, va
     assert 'id="validation"' in (validated / "report.html").read_text()
 
 
-def test_a_validation_motion_changes_nothing_of_the_first(validated, tmp_path):
+def test_the_validation_motion_does_not_change_the_first(validated, tmp_path):
     assert (
         main_module.main(["design", "two_link", "-o", str(tmp_path), *QUICK, "--starts", "2"]) == 0
     )
@@ -203,7 +206,7 @@ def test_validation_in_json(capsys, tmp_path):
     assert {"criteria", "duration", "margins", "timing"} <= set(facts)
 
 
-def test_time_bounds_the_whole_motion_and_shows_what_was_tried(capsys, tmp_path):
+def test_time_budget_bounds_the_motion_and_lists_all_candidates(capsys, tmp_path):
     code, out, _ = run(
         capsys, "design", "two_link", "-o", tmp_path, "--time", "9", "--json", *QUICK[:4]
     )
@@ -279,7 +282,10 @@ def test_robots_lists_models(capsys):
 
 # -- bad input -------------------------------------------------------------------------------------
 
-LINK = '<inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'  # noqa: E501
+LINK = (
+    '<inertial><mass value="1"/><origin xyz="0.1 0 0"/>'
+    '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
 
 
 def write_urdf(
@@ -287,8 +293,9 @@ def write_urdf(
 ):
     path = folder / "robot.urdf"
     path.write_text(
-        f'<robot name="r"><link name="base"/><link name="arm">{inertial}</link><joint name="elbow" type="{kind}">'  # noqa: E501
-        f'<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/><limit {limit}/></joint></robot>'  # noqa: E501
+        f'<robot name="r"><link name="base"/><link name="arm">{inertial}</link>'
+        f'<joint name="elbow" type="{kind}"><parent link="base"/><child link="arm"/>'
+        f'<axis xyz="0 1 0"/><limit {limit}/></joint></robot>'
     )
     return path
 
@@ -409,7 +416,7 @@ def test_contradictory_limits_file(capsys, tmp_path):
     assert "contradict" in line
 
 
-def test_an_unreachable_box_is_infeasible_and_says_what_fights(capsys, tmp_path):
+def test_an_unreachable_box_is_infeasible_and_names_the_conflict(capsys, tmp_path):
     line = refused(
         capsys,
         "design",
@@ -434,7 +441,7 @@ def test_unusable_trajectory(capsys, tmp_path, text):
     assert str(path) in refused(capsys, "verify", path)
 
 
-def test_a_changed_urdf_is_noticed(capsys, tmp_path):
+def test_a_changed_urdf_is_detected(capsys, tmp_path):
     path = write_urdf(tmp_path)
     assert run(capsys, "design", path, "-o", tmp_path / "out", *QUICK)[0] == 0
     path.write_text(path.read_text().replace('mass value="1"', 'mass value="2"'))

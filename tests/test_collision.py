@@ -2,9 +2,11 @@
 along a motion."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import coal
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -16,7 +18,9 @@ from excite.collision import (
     batch_kinematics,
     capsule_cover,
     clearance_builder,
+    clearance_constraint,
     continuous_check,
+    distance_query,
     scene_file,
     segment_distance,
     urdf_geometry,
@@ -31,6 +35,8 @@ from excite.designer.evaluator import Evaluator
 from excite.errors import Infeasible, UnusableInput
 from excite.robot.limits import resolve
 from excite.robot.robot import load, locate
+from excite.schemas import quantities
+from excite.schemas.cell import ShapeDocument
 
 BOX = Shape("block", ShapeKind.BOX, (0.1, 0.6, 0.3), (0.75, 0.0, 0.45))
 """Obstacle in reach of the tip of two_link, not of its first link."""
@@ -459,3 +465,110 @@ def test_meshes_are_found_by_package(tmp_path):
         urdf_geometry.read(str(moved))
     (tmp_path / "arm_description").rename(tmp_path / "other")
     assert urdf_geometry.read(str(moved), [str(tmp_path)])
+
+
+# -- rows for every pair ---------------------------------------------------------------------------
+
+
+def write_obj(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> str:
+    """Write a mesh and return its path."""
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in triangles]
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+def channel(path: Path, length: float = 1.2, gap: float = 0.5, wall: float = 0.05) -> str:
+    """Write a channel: two walls along the x axis that a back at the left joins."""
+    vertices, triangles = [], []
+    for low, high in (
+        ((-0.3, gap / 2, -0.3), (length, gap / 2 + wall, 0.3)),
+        ((-0.3, -gap / 2 - wall, -0.3), (length, -gap / 2, 0.3)),
+        ((-0.3 - wall, -gap / 2 - wall, -0.3), (-0.3, gap / 2 + wall, 0.3)),
+    ):
+        box = Shape("box", ShapeKind.BOX, tuple(np.subtract(high, low)))
+        corners = box.triangles().reshape(-1, 3) + 0.5 * np.add(low, high)
+        triangles += [np.arange(len(corners)).reshape(-1, 3) + sum(map(len, vertices))]
+        vertices += [corners]
+    return write_obj(path, np.vstack(vertices), np.vstack(triangles))
+
+
+def test_base_of_capsules_and_boxes_has_rows_for_both():
+    base = (
+        Shape("pedestal", ShapeKind.CYLINDER, (0.05, 0.2), (0.3, 0.0, 0.9)),
+        Shape("pedestal", ShapeKind.BOX, (0.2, 0.2, 0.2), (0.6, 0.0, 0.3)),
+    )
+    cell = two_links(*base)
+    covers = clearance_builder._Covers()
+    for body in cell.bodies:
+        covers.add(body)
+    for pair in cell.pairs:
+        if "pedestal" not in cell.names(pair):
+            continue
+        kinds = {kind for kind, *_ in covers.pairs_of(pair)}
+        assert {CoverPairKind.CAPSULES, CoverPairKind.CAPSULE_BOX} <= kinds
+        for kind, first, second in covers.pairs_of(pair):
+            assert first < len(covers.capsules)
+            assert second < len((covers.capsules, covers.boxes, covers.planes)[kind])
+
+
+def test_meshes_take_the_place_of_hulls_that_always_overlap(tmp_path):
+    """A robot within a channel whose convex hull contains the robot in all poses."""
+    robot = load("two_link")
+    file = channel(tmp_path / "channel.obj", gap=1.2)
+    cell = two_links(Shape("shell", ShapeKind.MESH, (1.0, 1.0, 1.0), file=file))
+    constraint = clearance_builder.build_constraint(cell)
+    pairs = clearance_builder._with_hulls(constraint, cell, cell.pairs)
+    rows = np.flatnonzero(pairs.kind == CoverPairKind.MESHES)
+    assert len(rows)
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (30, robot.n))
+    evaluation = pairs.evaluate(q)
+    query = distance_query.DistanceQuery(robot, cell.bodies, cell.pairs, np.inf)
+    distances = evaluation.distances()
+    names = np.array(pairs.names)
+    is_hull = np.isin(pairs.kind, clearance_constraint.HULL_KINDS)
+    equal = 0
+    for k, pose in enumerate(q):
+        query.set_configuration(pose)
+        for number, pair in enumerate(cell.pairs):
+            nearest = distances[k, (names == cell.names(pair)) & is_hull].min()
+            exact = query.distance(number)
+            assert nearest <= exact + 1e-6
+            equal += exact > 0.0 and abs(nearest - exact) < 1e-6
+    assert equal > 10
+    sample, pair = np.nonzero((distances > 1e-3) & (pairs.kind == CoverPairKind.MESHES))
+    gradient, h = evaluation.gradients(sample, pair), 1e-6
+    for moved in range(robot.n):
+        step = h * np.eye(robot.n)[moved]
+        ahead, behind = (pairs.evaluate(q + d).constraint_values() for d in (step, -step))
+        numeric = ((ahead - behind) / (2 * h))[sample, pair]
+        assert np.median(np.abs(numeric - gradient[:, moved])) < 1e-5
+
+
+def test_hull_of_a_disc_with_many_vertices_is_built(tmp_path):
+    """Qhull triangulates the flat ends of a cylinder as fans, of which coal takes 255 triangles."""
+    angle = np.arange(400) * (2.0 * np.pi / 400)
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    vertices = np.vstack([np.column_stack([ring, np.full(400, z)]) for z in (0.0, 0.1)])
+    following = np.roll(np.arange(400), -1)
+    triangles = np.column_stack([np.arange(400), following, np.arange(400) + 400])
+    file = write_obj(tmp_path / "disc.obj", vertices, triangles)
+    hull = Shape("disc", ShapeKind.MESH, (1.0, 1.0, 1.0), file=file).hull()
+    ball = coal.Sphere(0.1)
+    far = coal.Transform3s(np.eye(3), np.array([0.0, 2.0, 0.05]))
+    result = coal.DistanceResult()
+    distance = coal.distance(
+        hull, coal.Transform3s.Identity(), ball, far, coal.DistanceRequest(), result
+    )
+    assert distance == pytest.approx(0.9, abs=1e-4)
+
+
+def test_mirrored_mesh_survives_the_file(tmp_path):
+    shape = Shape("m", ShapeKind.MESH, (1.0, -1.0, 1.0), file=octahedron(tmp_path / "m.obj"))
+    document = msgspec.convert(
+        json.loads(json.dumps(shape.document())), ShapeDocument, dec_hook=quantities.converted
+    )
+    assert list(document.size) == [1.0, -1.0, 1.0]
+    negative = Shape("b", ShapeKind.BOX, (1.0, -1.0, 1.0)).document()
+    with pytest.raises(msgspec.ValidationError, match=r"size\[1\]"):
+        msgspec.convert(negative, ShapeDocument, dec_hook=quantities.converted)

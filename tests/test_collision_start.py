@@ -77,8 +77,9 @@ def test_start_pose_in_collision_is_refused_before_the_design(ur5e_cell, monkeyp
         )
 
 
-@pytest.mark.parametrize("failures", [1, 2])
+@pytest.mark.parametrize("failures", [1, 2, 3, 99])
 def test_next_best_start_is_used_where_the_best_has_no_ramps(monkeypatch, failures):
+    """After all starts the search begins again; an error is that of the best start."""
     robot = load("two_link")
     calls, original = [], ramps.plan_rest_to_rest
 
@@ -90,13 +91,14 @@ def test_next_best_start_is_used_where_the_best_has_no_ramps(monkeypatch, failur
 
     monkeypatch.setattr(ramps, "plan_rest_to_rest", failing_first)
     options = replace(QUICK, starts=2, jobs=1)
-    if failures == 2:
+    if failures == 99:
         with pytest.raises(Infeasible, match="no ramp 1"):
             pipeline.design_trajectory(robot, limits.resolve(robot), options)
         return
     delivery = pipeline.design_trajectory(robot, limits.resolve(robot), options)
     assert delivery.certificate.ok and len(delivery.design.attempts) == 2
-    assert delivery.design.attempts[0].objective >= delivery.design.attempts[1].objective
+    if failures == 1:
+        assert delivery.design.attempts[0].objective >= delivery.design.attempts[1].objective
 
 
 def test_clearance_is_added_only_for_violating_pairs(ur5e_cell):

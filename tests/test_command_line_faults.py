@@ -1,5 +1,4 @@
-"""Whatever happens to the command line ends in an exit code and at most one line: streams, signals,
-memory, errors unforeseen."""
+"""Faults of streams, signals, memory and unexpected errors: exit codes and at most one line."""
 
 from __future__ import annotations
 
@@ -25,14 +24,17 @@ PROGRAM = [sys.executable, "-c", "import sys\nfrom excite.__main__ import main\n
 def run(
     *arguments: object, shell: str = "", cwd: Path | None = None, **environment: str | None
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run the program. shell: redirections; environment: variables, None to unset one."""
+    """Run the program.
+
+    shell: redirections. environment: variables; None removes one.
+    """
     variables = {k: v for k, v in (os.environ | environment).items() if v is not None}
     command = ["/bin/sh", "-c", f'"$@" {shell}', "sh", *PROGRAM, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, env=variables, cwd=cwd, check=False)
 
 
 def lines(done: subprocess.CompletedProcess[bytes]) -> list[str]:
-    """What is said on standard error about the outcome."""
+    """Return the lines on standard error except progress and warnings."""
     text = done.stderr.decode()
     assert "Traceback" not in text and "Exception ignored" not in text, text
     return [line for line in text.splitlines() if line.startswith("excite: ")]
@@ -87,7 +89,7 @@ def test_closed_streams_change_no_exit_code(
     assert bool(done.stdout) is (code == 0 and not is_closed)
 
 
-def test_what_is_said_does_not_replace_a_closed_standard_output_by_an_output_file(
+def test_output_of_libraries_does_not_reach_files_if_standard_output_is_closed(
     tmp_path: Path,
 ) -> None:
     done = run("design", "two_link", "-o", tmp_path / "o", *QUICK, shell="<&- >&- 2>&-")
@@ -112,14 +114,14 @@ def test_a_full_standard_output_is_one_line(command: list[object]) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_full_standard_output_after_a_design_says_what_was_written(tmp_path: Path) -> None:
+def test_a_full_standard_output_after_a_design_names_the_written_files(tmp_path: Path) -> None:
     done = run("design", "two_link", "-o", tmp_path / "o", *QUICK, shell=">/dev/full")
     (line,) = lines(done)
     assert done.returncode == 2 and all(str(path) in line for path in (tmp_path / "o").iterdir())
 
 
 @pytest.mark.parametrize("command", [["robots"], ["verify", TRAJECTORY, "--json"], ["--help"]])
-def test_a_reader_that_is_gone_is_no_error(command: list[object]) -> None:
+def test_a_closed_pipe_is_no_error(command: list[object]) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "wb") as stream:
@@ -129,11 +131,11 @@ def test_a_reader_that_is_gone_is_no_error(command: list[object]) -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-# -- surroundings ----------------------------------------------------------------------------------
+# -- environment -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("home", [None, "", "relative", "absent", "/dev/null"])
-def test_no_home(tmp_path: Path, home: str | None) -> None:
+def test_commands_run_without_a_home_directory(tmp_path: Path, home: str | None) -> None:
     home = str(tmp_path / "absent") if home == "absent" else home
     done = run(
         "design",
@@ -150,7 +152,7 @@ def test_no_home(tmp_path: Path, home: str | None) -> None:
     assert not list(tmp_path.rglob("excite"))
 
 
-def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
+def test_file_names_that_are_not_utf_8(tmp_path: Path) -> None:
     folder = os.fsdecode(bytes(tmp_path) + b"/o\xff")
     done = run("design", "two_link", "-o", folder, "--json", *QUICK)
     document = json.loads(done.stdout.decode("utf-8"))
@@ -189,7 +191,7 @@ sys.exit(main(["robots"]))
 def faulty(
     fault: str, tmp_path: Path, shell: str = "", **environment: str | None
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run a command that fails in an unforeseen way."""
+    """Run a command that raises an unexpected error."""
     before = (
         os.environ
         | {"XDG_STATE_HOME": str(tmp_path / "state"), "TMPDIR": str(tmp_path)}
@@ -224,7 +226,7 @@ def log_of(done: subprocess.CompletedProcess[bytes]) -> Path:
         ("return 0, {1: object()}, object()", "TypeError|AttributeError|object"),
     ],
 )
-def test_an_unforeseen_error_is_one_line_and_a_log(tmp_path: Path, fault: str, words: str) -> None:
+def test_an_unexpected_error_is_one_line_and_a_log(tmp_path: Path, fault: str, words: str) -> None:
     if fault.startswith("return"):
         fault = "arguments.json = True; " + fault
     done = faulty(fault, tmp_path)
@@ -246,9 +248,7 @@ def test_an_unforeseen_error_is_one_line_and_a_log(tmp_path: Path, fault: str, w
 
 
 @pytest.mark.parametrize("home", ["/dev/null", "/proc/none"])
-def test_where_there_is_no_state_directory_the_log_is_a_temporary_file(
-    tmp_path: Path, home: str
-) -> None:
+def test_without_a_state_directory_the_log_is_a_temporary_file(tmp_path: Path, home: str) -> None:
     done = faulty("1 / 0", tmp_path, XDG_STATE_HOME=home)
     assert log_of(done).parent == tmp_path and "ZeroDivisionError" in log_of(done).read_text()
     done = faulty("1 / 0", tmp_path, XDG_STATE_HOME=None, HOME=home)
@@ -261,7 +261,7 @@ def test_a_state_directory_that_others_can_read_gets_no_log(tmp_path: Path) -> N
     assert log_of(faulty("1 / 0", tmp_path)).parent == tmp_path
 
 
-def test_without_any_place_for_the_log_the_line_says_so(tmp_path: Path) -> None:
+def test_without_a_writable_directory_the_line_states_that_there_is_no_log(tmp_path: Path) -> None:
     done = faulty("1 / 0", tmp_path, "ulimit -f 0;", HOME="/dev/null", XDG_STATE_HOME="/dev/null")
     (line,) = lines(done)
     assert (
@@ -271,7 +271,7 @@ def test_without_any_place_for_the_log_the_line_says_so(tmp_path: Path) -> None:
     )
 
 
-def test_memory_that_is_used_up_is_one_line(tmp_path: Path) -> None:
+def test_exhausted_memory_is_one_line(tmp_path: Path) -> None:
     done = faulty("import numpy; numpy.ones(10**12)", tmp_path)
     (line,) = lines(done)
     assert (
@@ -282,7 +282,7 @@ def test_memory_that_is_used_up_is_one_line(tmp_path: Path) -> None:
     assert "MemoryError" in log_of(done).read_text()
 
 
-def test_an_error_after_the_files_were_written_says_so(tmp_path: Path) -> None:
+def test_an_error_after_writing_names_the_written_files(tmp_path: Path) -> None:
     fault = "from excite._system.output_files import output_files; from pathlib import Path; "
     fault += f"output_files(Path({str(tmp_path / 'x')!r})).replace({{'x': ''}}); 1 / 0"
     (line,) = lines(faulty(fault, tmp_path))
@@ -292,8 +292,10 @@ def test_an_error_after_the_files_were_written_says_so(tmp_path: Path) -> None:
 # -- signals ---------------------------------------------------------------------------------------
 
 
-def started(tmp_path: Path, *arguments: object) -> subprocess.Popen[bytes]:
-    command = [*PROGRAM, *map(str, arguments)]
+def started(
+    tmp_path: Path, *arguments: object, program: list[str] = PROGRAM
+) -> subprocess.Popen[bytes]:
+    command = [*program, *map(str, arguments)]
     return subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -318,7 +320,7 @@ def test_a_signal_ends_a_design_and_its_workers(
 ) -> None:
     process = started(tmp_path, *DESIGN)
     assert process.stderr is not None
-    while b"start 1/40" not in (line := process.stderr.readline()):  # the workers are at work
+    while b"start 1/40" not in (line := process.stderr.readline()):  # the workers are running
         assert line
     (os.killpg if to_group else os.kill)(process.pid, number)
     done = ended(process)
@@ -330,24 +332,24 @@ def test_a_signal_ends_a_design_and_its_workers(
 
 
 def workers(process: subprocess.Popen[bytes], seconds: float = 10.0) -> list[str]:
-    """Processes that work for a process that has ended."""
+    """Return the worker processes of a process that has ended."""
     until = time.monotonic() + seconds
     while True:
-        found = []
+        children = []
         for path in Path("/proc").glob("[0-9]*"):
             try:
                 status = (path / "stat").read_text().rpartition(")")[2].split()
             except OSError:
                 continue
-            if int(status[3]) == process.pid and status[0] != "Z":  # of its session
-                found.append(path.name)
-        if not found or time.monotonic() > until:
-            return found
+            if int(status[3]) == process.pid and status[0] != "Z":  # of the same session
+                children.append(path.name)
+        if not children or time.monotonic() > until:
+            return children
         time.sleep(0.05)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="PR_SET_PDEATHSIG is Linux's")
-def test_workers_end_with_a_process_that_is_killed(tmp_path: Path) -> None:
+def test_workers_end_with_a_killed_process(tmp_path: Path) -> None:
     process = started(tmp_path, *DESIGN)
     assert process.stderr is not None
     while b"start 1/40" not in (line := process.stderr.readline()):
@@ -357,9 +359,19 @@ def test_workers_end_with_a_process_that_is_killed(tmp_path: Path) -> None:
     assert not workers(process)
 
 
-@pytest.mark.parametrize("delay", [0.15, 0.3, 0.45, 0.7, 1.0])
-def test_a_signal_while_a_command_begins(tmp_path: Path, delay: float) -> None:
-    process = started(tmp_path, *DESIGN)
+ANNOUNCED = [
+    sys.executable,
+    "-c",
+    "import sys\nfrom excite.cli.main import main\nprint('ready', file=sys.stderr, flush=True)\n"
+    "sys.exit(main())",
+]
+"""Program that reports when Python has started: before, it cannot handle signals."""
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.2, 0.4, 0.7, 1.0])
+def test_a_signal_during_the_start_of_a_command(tmp_path: Path, delay: float) -> None:
+    process = started(tmp_path, *DESIGN, program=ANNOUNCED)
+    assert process.stderr is not None and process.stderr.readline() == b"ready\n"
     time.sleep(delay)
     process.send_signal(signal.SIGINT)
     done = ended(process)
@@ -372,7 +384,9 @@ count = 0
 
 def hook(event, arguments):
     global count
-    if event == "os.rename" and ".partial" in str(arguments[0]) or event == "ctypes.dlsym" and arguments[1] in ("renameat2", "renamex_np"):
+    renames = event == "os.rename" and ".partial" in str(arguments[0])
+    exchanges = event == "ctypes.dlsym" and arguments[1] in ("renameat2", "renamex_np")
+    if renames or exchanges:
         count += 1
         if count == 1:
             os.kill(os.getpid(), signal.SIGINT)
@@ -380,11 +394,11 @@ def hook(event, arguments):
 sys.addaudithook(hook)
 from excite.__main__ import main
 sys.exit(main())
-"""  # noqa: E501
+"""
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_a_signal_while_files_are_replaced_waits_and_says_so(tmp_path: Path, exists: bool) -> None:
+def test_a_signal_during_the_replacement_of_files_is_delayed(tmp_path: Path, exists: bool) -> None:
     if exists:
         assert (
             run("identifiability", "two_link", TRAJECTORY, "-o", tmp_path / "out").returncode == 0
@@ -402,10 +416,8 @@ def test_a_signal_while_files_are_replaced_waits_and_says_so(tmp_path: Path, exi
     done = subprocess.run(command, capture_output=True, cwd=tmp_path, check=False)
     (line,) = lines(done)
     assert done.returncode == 1
-    assert (
-        line
-        == "excite: interrupted after all files were written: out/identifiability.json, out/report.html"  # noqa: E501
-    )
+    files = "out/identifiability.json, out/report.html"
+    assert line == f"excite: interrupted after all files were written: {files}"
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "identifiability.json",
         "report.html",
@@ -413,8 +425,8 @@ def test_a_signal_while_files_are_replaced_waits_and_says_so(tmp_path: Path, exi
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_signals_that_are_ignored_stay_ignored(tmp_path: Path) -> None:
-    """As `nohup` and shells arrange it for programs in the background."""
+def test_ignored_signals_stay_ignored(tmp_path: Path) -> None:
+    """As with `nohup` and background jobs of a shell."""
     command = ["/bin/sh", "-c", 'trap "" INT HUP; exec "$@"', "sh", *PROGRAM, "robots"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     for _ in range(5):
@@ -425,7 +437,7 @@ def test_signals_that_are_ignored_stay_ignored(tmp_path: Path) -> None:
     assert done.returncode == 0 and b"ur10e" in done.stdout
 
 
-def test_a_program_that_calls_the_command_line_keeps_its_handlers() -> None:
+def test_a_calling_program_keeps_its_signal_handlers() -> None:
     from excite.cli.main import main
 
     before = [signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)]

@@ -36,7 +36,7 @@ def test_plan_of_300_cases_covers_all_nuisances_and_effects():
     assert {s.severities[0] for s in specs if s.severities} == {1.0, 3.0, 10.0, 30.0}
     assert {s.category for s in specs} == {"null", "single", "pair", "out_of_catalogue"}
     assert len({s.name for s in specs}) == 300 and all(len(s.name) == 6 for s in specs)
-    # a prior tells nothing of whether something is hidden
+    # a prior does not reveal whether an effect is hidden
     share = [
         np.mean([s.trusted for s in specs if (s.category == "null") == null])
         for null in (True, False)
@@ -54,19 +54,19 @@ def test_tuning_and_scored_cases_share_no_seed_and_no_name():
 def test_metadata_of_a_case_does_not_predict_whether_it_is_null():
     """Nearest neighbours on all visible metadata, trained and tested on 1000 cases each."""
     specs = CasePlan(2000, 4, "scored").specs()
-    seen = np.array(
+    metadata = np.array(
         [
             [s.number % 1000, int(s.name, 16), case_plan.ROBOTS.index(s.robot), s.trusted]
             for s in specs
         ],
         float,
     )
-    seen = (seen - seen.mean(axis=0)) / seen.std(axis=0)
+    metadata = (metadata - metadata.mean(axis=0)) / metadata.std(axis=0)
     null = np.array([s.category == "null" for s in specs])
-    distance = np.square(seen[1000:, None] - seen[None, :1000]).sum(axis=2)
+    distance = np.square(metadata[1000:, None] - metadata[None, :1000]).sum(axis=2)
     votes = null[np.argsort(distance, axis=1)[:, :25]].mean(axis=1)
     tried = null[1000:]
-    # area under the curve: the chance that a null gets more votes than a case that hides something
+    # area under the curve: probability that a null case gets more votes than another
     area = (votes[tried][:, None] > votes[~tried]).mean() + 0.5 * (
         votes[tried][:, None] == votes[~tried]
     ).mean()
@@ -157,8 +157,8 @@ def test_cases_are_reproducible_byte_for_byte(trial):
     )
 
 
-def test_effect_that_cannot_show_is_drawn_without_the_nuisance():
-    """A robot that moves slowly has no drag that anyone could find."""
+def test_an_invisible_effect_is_drawn_without_the_nuisance():
+    """A slow robot has no observable drag."""
     case = generate_cases.generate_case(
         case_spec(3, "0d0d0d", "single", ("drag",), nuisance="poor_excitation"), run.MODELS
     )
@@ -246,7 +246,7 @@ def test_analyst_sees_a_copy_of_the_case_and_nothing_else(trial, tmp_path):
     (tmp_path / "spy.py").write_text(code)
     spy = Analyst(("spy",), f"{sys.executable} {tmp_path / 'spy.py'} {{case}} {{out}}")
     assert run_analyst.ask(spy, trial.cases / "0c0c0c", tmp_path / "answers") is not None
-    seen = json.loads((tmp_path / "answers" / "spy" / "0c0c0c.json").read_text())["answer"]
+    answer = json.loads((tmp_path / "answers" / "spy" / "0c0c0c.json").read_text())["answer"]
     files = [
         f"case/{name}"
         for name in (
@@ -258,7 +258,7 @@ def test_analyst_sees_a_copy_of_the_case_and_nothing_else(trial, tmp_path):
             "validate.json",
         )
     ]
-    assert seen["seen"] == ["case", *files, "out"] and "0c0c0c" not in seen["cwd"]
+    assert answer["seen"] == ["case", *files, "out"] and "0c0c0c" not in answer["cwd"]
 
 
 def test_failing_analyst_counts_as_no_answer(trial, tmp_path):

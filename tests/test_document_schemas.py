@@ -1,4 +1,4 @@
-"""Documents are validated before use: faulty ones are refused in one line, and nothing else."""
+"""Documents are validated before use: faulty ones are refused in one line."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ FAULTY_SIDECARS = {
 
 
 def refused(path: str, key: str, folder: Path, *words: object) -> None:
-    """A command refuses a file in one line that names it and the key, and writes nothing."""
+    """Check that a command refuses a file in one line with file and key, and writes nothing."""
     result = run(*words)
     assert result.code == 2 and result.out == ""
     assert len(result.errors) == 1, result.err
@@ -220,7 +220,7 @@ def test_a_faulty_sidecar_is_refused(name, tmp_path):
 
 
 @needs_inputs
-def test_the_sound_files_are_accepted(tmp_path):
+def test_valid_files_are_accepted(tmp_path):
     assert INPUTS is not None
     assert run("verify", INPUTS / "trajectory_good.json").code in (0, 1)
     out = tmp_path / "out"
@@ -250,7 +250,7 @@ names = st.text(
 
 @st.composite
 def trajectories(draw: st.DrawFn, delivery: Trajectory) -> Trajectory:
-    """The designed trajectory of a two-link robot under other names, seeds and sources."""
+    """Return the trajectory of a two-link robot with other names, seeds and sources."""
     joints = tuple(draw(st.lists(names, min_size=2, max_size=2, unique=True)))
     sources = {
         quantity: tuple(draw(st.lists(st.text(names_of_sources), min_size=2, max_size=2)))
@@ -273,7 +273,7 @@ names_of_sources = st.characters(exclude_categories=("Cs",))
 
 @settings(max_examples=60)
 @given(data=st.data())
-def test_a_trajectory_survives_its_file(delivery, tmp_path_factory, data):
+def test_a_trajectory_is_read_back_exactly(delivery, tmp_path_factory, data):
     trajectory = data.draw(trajectories(delivery.trajectory))
     path = tmp_path_factory.getbasetemp() / "again.json"
     path.write_text(_json.dumps(trajectory.document()), encoding="utf-8")
@@ -306,7 +306,7 @@ def test_a_trajectory_survives_its_file(delivery, tmp_path_factory, data):
         (b"[]", "its schema is null, not 'excite.trajectory/1'"),
     ],
 )
-def test_what_no_document_holds_is_refused(data, problem, tmp_path):
+def test_invalid_json_is_refused(data, problem, tmp_path):
     path = tmp_path / "t.json"
     path.write_bytes(data)
     with pytest.raises(UnusableInput) as caught:
@@ -316,7 +316,7 @@ def test_what_no_document_holds_is_refused(data, problem, tmp_path):
     assert "\n" not in message and len(message) < 400
 
 
-def test_a_byte_order_mark_is_no_fault(tmp_path):
+def test_a_byte_order_mark_is_accepted(tmp_path):
     path = tmp_path / "t.json"
     path.write_bytes(b"\xef\xbb\xbf" + TRAJECTORIES[0].read_bytes())
     assert trajectory_file.read_trajectory(path).joints
@@ -336,7 +336,7 @@ def test_a_byte_order_mark_is_no_fault(tmp_path):
         ("# " + "x" * (1 << 18), "larger than 256 KiB"),
     ],
 )
-def test_what_no_yaml_document_holds_is_refused(text, problem, tmp_path):
+def test_invalid_yaml_is_refused(text, problem, tmp_path):
     path = tmp_path / "l.yaml"
     path.write_text(text)
     with pytest.raises(UnusableInput, match=problem):
@@ -410,17 +410,17 @@ def test_help_needs_no_schema():
     assert "argparse" in imported and "msgspec" not in imported
 
 
-# -- mutations: accepted or refused, nothing else --------------------------------------------------
+# -- mutations: accepted or refused ---------------------------------------------------------------
 
 
 def finite(text: str) -> bool:
-    """Whether a CSV or JSON text has no number that is not finite."""
+    """Return True if all numbers of a CSV or JSON text are finite."""
     lower = text.lower()
     return not any(word in lower.replace("infin", "") for word in ("nan,", ",nan", "nan\n", ",inf"))
 
 
 def tried(text: str, path: Path, use: Callable[[Path], object]) -> None:
-    """Use a mutated document: nothing but UnusableInput, in one line, may be raised."""
+    """Use a mutated document; only UnusableInput with a message of one line may be raised."""
     path.write_text(text, encoding="utf-8")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExciteWarning)
@@ -431,7 +431,7 @@ def tried(text: str, path: Path, use: Callable[[Path], object]) -> None:
 
 
 def commanded(text: str, path: Path, command: Command, out: Path | None = None) -> None:
-    """Run a command on a mutated document: it ends with 0, 1 or 2, and writes finite numbers."""
+    """Run a command with a mutated document; check exit codes 0 to 2 and finite numbers."""
     path.write_text(text, encoding="utf-8")
     result = run(*command(path))
     assert result.code in (0, 1, 2)
@@ -445,7 +445,7 @@ def commanded(text: str, path: Path, command: Command, out: Path | None = None) 
 
 @pytest.fixture(scope="module")
 def designed() -> dict[str, Any]:
-    """The document of a trajectory, with the cell of its robot."""
+    """Document of a trajectory with a cell."""
     content: dict[str, Any] = json.loads(TWO_LINK.read_text(encoding="utf-8"))
     return content
 
@@ -468,7 +468,7 @@ def test_a_mutated_trajectory_is_exported_or_refused(designed, tmp_path_factory,
 
 @pytest.fixture(scope="module")
 def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a recording of a two-link robot, a short one, and the model of the first."""
+    """Folder with two recordings of a two-link robot and the model of the first."""
     folder = tmp_path_factory.mktemp("identified")
     subject = two_link_model()
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
@@ -641,7 +641,7 @@ def test_a_mutated_moveit_file_is_read_or_refused(two_link, tmp_path_factory, te
 
 @settings(max_examples=100)
 @given(text=mutated(SCENE, toml=True))
-def test_a_mutated_scene_is_placed_or_refused(two_link, table, tmp_path_factory, text):
+def test_a_mutated_scene_is_used_or_refused(two_link, table, tmp_path_factory, text):
     path = tmp_path_factory.getbasetemp() / "s.toml"
     tried(text, path, lambda path: scene_file.build_cell(two_link, table, scene_file.read(path)))
 
@@ -661,7 +661,7 @@ def test_a_mutated_prior_is_read_or_refused(two_link, table, tmp_path_factory, t
 
 @settings(max_examples=60)
 @given(data=st.data())
-def test_mutated_bounds_are_kept_or_refused(identified, data):
+def test_mutated_bounds_are_used_or_refused(identified, data):
     words = ("identify", "two_link", identified / "train.csv", "-o", identified / "bounded")
     commanded(
         data.draw(mutated(BOUNDS, toml=True)),
@@ -672,7 +672,7 @@ def test_mutated_bounds_are_kept_or_refused(identified, data):
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the truth of a simulated recording."""
+    """Folder with the ground truth of a simulated recording."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("simulated")
     words = ("simulate", "two_link", TWO_LINK, "--periods", "1")
@@ -696,8 +696,8 @@ def test_a_mutated_truth_is_simulated_or_refused(simulated, data):
     )
 
 
-def test_the_mutations_change_something():
-    """Toml texts that are not mutated read back as the document; the mutator is no identity."""
+def test_mutations_change_the_document():
+    """TOML texts without mutations are read back as the document; with mutations they differ."""
     from document_mutations import in_json, in_toml
 
     assert tomllib.loads(in_toml(LIMITS)) == LIMITS and json.loads(in_json(SCENE)) == SCENE
@@ -708,7 +708,7 @@ def test_the_mutations_change_something():
 
 @pytest.fixture(scope="module")
 def tracks() -> list[recorded_motion.RecordedMotion]:
-    """Two stretches of a two-link robot that is touched once, with temperatures."""
+    """Two motions of a two-link robot with a contact and temperatures."""
     subject = two_link_model()
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     whole_recording = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
@@ -732,7 +732,7 @@ def tracks() -> list[recorded_motion.RecordedMotion]:
 
 
 def variants(shape: CandidateModel) -> Iterator[CandidateModel]:
-    """A shape, those that it can be turned into, and the same where torque is recorded later."""
+    """Return a candidate model, its variants, and all of them with a torque delay."""
     yield shape
     for near in shape.variants():
         yield near.current
@@ -742,8 +742,8 @@ def variants(shape: CandidateModel) -> Iterator[CandidateModel]:
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-def test_every_shape_of_the_catalogue_fits_its_schema(effect, tracks, subject):
-    """Each form that an effect can take is written to a model, read back, and is the same."""
+def test_every_candidate_model_of_the_catalogue_fits_its_schema(effect, tracks, subject):
+    """Every form of an effect is written to a model and read back."""
     file = DocumentFile(Path("model.json"), "a model", "diagnose again", "a model.json")
     forms: set[tuple[frozenset[str], float | None]] = set()
     for shape in effect.candidates(tracks):

@@ -1,4 +1,4 @@
-"""Every format: what is read back is the motion that was written."""
+"""Export formats: files read back as the exported motion, golden files, refusals."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from excite.trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment
 from excite.trajectory.trajectory_file import Trajectory
 
 GOLDEN = Path(__file__).parent / "golden"
-NEAR = {"rtol": 0.0, "atol": 1e-9}
+TOLERANCE = {"rtol": 0.0, "atol": 1e-9}
 ACCURATE = {"csv", "json", "ros2-joint-trajectory", "ros2-follow-joint-trajectory", "urscript"}
 JOINTS = {
     name: (profile.joints or (6,))[-1] for name, profile in vendor_table.profiles().items()
 } | {"urscript": 6}
 
 
-def planned(begin: np.ndarray, end: np.ndarray) -> tuple[JerkProfile, float]:
-    """Ruckig's ramp between two states (3, n), and how long it takes."""
+def ruckig_ramp(begin: np.ndarray, end: np.ndarray) -> tuple[JerkProfile, float]:
+    """Return Ruckig's ramp between two states, shape (3, n), and its duration [s]."""
     n = begin.shape[1]
     request = ruckig.InputParameter(n)
     request.current_position, request.current_velocity, request.current_acceleration = begin
@@ -40,20 +40,28 @@ def planned(begin: np.ndarray, end: np.ndarray) -> tuple[JerkProfile, float]:
         [5.0] * n,
         [50.0] * n,
     )
-    found = ruckig.Trajectory(n)
-    assert ruckig.Ruckig(n).calculate(request, found) == ruckig.Result.Working
+    result = ruckig.Trajectory(n)
+    assert ruckig.Ruckig(n).calculate(request, result) == ruckig.Result.Working
     rows = []
-    for p in found.profiles[0]:
+    for p in result.profiles[0]:
         pieces = [*zip(p.brake.t, p.brake.j, strict=True), *zip(p.t, p.j, strict=True)]
         rows.append(tuple((float(d), float(j)) for d, j in pieces if d > 0.0))
-    return JerkProfile(*begin, tuple(rows)), found.duration
+    return JerkProfile(*begin, tuple(rows)), result.duration
 
 
-def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
+def trajectory_of(motion: Motion, forced: bool = False) -> Trajectory:
     n, every = len(motion.joints), np.ones(len(motion.joints))
     sources = {q: ("urdf",) * n for q in ("position", "velocity", "acceleration", "jerk", "torque")}
-    limits = Limits(motion.joints, np.column_stack([-9.0 * every, 9.0 * every]), 5.0 * every, 50.0 * every, 5e3 * every, 90.0 * every,  # noqa: E501
-                    (None,) * n, sources)  # fmt: skip
+    limits = Limits(
+        motion.joints,
+        np.column_stack([-9.0 * every, 9.0 * every]),
+        5.0 * every,
+        50.0 * every,
+        5e3 * every,
+        90.0 * every,
+        (None,) * n,
+        sources,
+    )
     robot = {
         "name": "tiny",
         "source": "tiny.urdf",
@@ -65,14 +73,23 @@ def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
     scores = {"a": 1.0, "d": 2.0, "e": 0.5, "cond": 4.0}
     part = {"geometric": scores, "plain": scores, "cond_regressor": 2.0}
     return Trajectory(
-        robot, motion, 100.0, limits, np.ones(n), {"criterion": "d"}, {"optimum": part, "exported": part}, [], "collision not checked", 0,  # noqa: E501
-        forced, {"excite": "0"},
-    )  # fmt: skip
+        robot,
+        motion,
+        100.0,
+        limits,
+        np.ones(n),
+        {"criterion": "d"},
+        {"optimum": part, "exported": part},
+        [],
+        "collision not checked",
+        0,
+        forced,
+        {"excite": "0"},
+    )
 
 
-def made(n: int, forced: bool = False) -> Trajectory:
-    """Approach, ramp-in, two periods of three harmonics, ramp-out, return of n joints; seeded by
-    n."""
+def complete_motion(n: int, forced: bool = False) -> Trajectory:
+    """Return a motion of n joints with all segments and two periods of three harmonics."""
     rng = np.random.default_rng(n)
     fourier = FourierSeries(
         rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.5, n), 4.0
@@ -93,16 +110,15 @@ def made(n: int, forced: bool = False) -> Trajectory:
         if leg is None:
             segments.append(MotionSegment("fourier", now, now + 8.0))
         else:
-            profile, duration = planned(leg[1], leg[2])
+            profile, duration = ruckig_ramp(leg[1], leg[2])
             segments.append(MotionSegment(leg[0], now, now + duration, profile))
-    return wrapped(
+    return trajectory_of(
         Motion(tuple(f"joint_{i + 1}" for i in range(n)), fourier, 2, tuple(segments)), forced
     )
 
 
-def tiny(n: int) -> Trajectory:
-    """A trajectory of 0.1 s whose numbers are round, for the golden files: out and back with one
-    jerk, no waves."""
+def short_trajectory(n: int) -> Trajectory:
+    """Return a trajectory of 0.1 s with round numbers, for the golden files."""
     half = ((0.01, 100.0), (0.01, -100.0), (0.01, -100.0), (0.01, 100.0))
     joints = tuple(f"j{i + 1}" for i in range(n))
     start, still = np.linspace(0.0, 0.5, n), np.zeros(n)
@@ -115,19 +131,19 @@ def tiny(n: int) -> Trajectory:
         MotionSegment("fourier", 0.04, 0.06),
         MotionSegment("ramp_out", 0.06, 0.1, back),
     )
-    return wrapped(Motion(joints, fourier, 1, parts))
+    return trajectory_of(Motion(joints, fourier, 1, parts))
 
 
 def torque(samples: Samples) -> np.ndarray:
     return samples.ddq + 2.0 * samples.dq
 
 
-def fitting(name: str) -> Trajectory:
-    return made(JOINTS.get(name, 2))
+def trajectory_for(name: str) -> Trajectory:
+    return complete_motion(JOINTS.get(name, 2))
 
 
-def test_the_helper_joins_its_parts() -> None:
-    motion = made(6).motion
+def test_the_motion_of_the_tests_is_continuous() -> None:
+    motion = complete_motion(6).motion
     for before, after in zip(motion.segments[:-1], motion.segments[1:], strict=True):
         for order in range(3):
             sides = motion.at(np.array([before.end - 1e-9, after.start + 1e-9]), order)
@@ -137,40 +153,40 @@ def test_the_helper_joins_its_parts() -> None:
 @pytest.mark.parametrize("speed", [1.0, 0.1])
 @pytest.mark.parametrize("name", list(exporters.FORMATS))
 def test_round_trip(name: str, speed: float, tmp_path: Path) -> None:
-    trajectory, path = fitting(name), tmp_path / "file"
+    trajectory, path = trajectory_for(name), tmp_path / "file"
     if name == "json" and speed != 1.0:
         with pytest.raises(UnusableInput, match=r"--speed 0\.1 would void"):
             exporters.write(trajectory, name, path, speed=speed)
         return
     assert exporters.write(trajectory, name, path, speed=speed, tau=torque) == path
-    t, q, *rest = exporters.read(name, path)
+    t, q, *derivatives = exporters.read(name, path)
     motion = trajectory.motion.slowed(speed)
     assert t[0] == 0.0
     assert (np.diff(t) > 0.0).all()
     assert motion.duration <= t[-1] + 1e-9 < motion.duration + 0.021
-    np.testing.assert_allclose(q, motion.at(t), **NEAR)
-    assert bool(rest) == (name in ACCURATE)
-    for order, columns in enumerate(rest[:2], start=1):
-        np.testing.assert_allclose(columns, motion.at(t, order), **NEAR)
+    np.testing.assert_allclose(q, motion.at(t), **TOLERANCE)
+    assert bool(derivatives) == (name in ACCURATE)
+    for order, columns in enumerate(derivatives[:2], start=1):
+        np.testing.assert_allclose(columns, motion.at(t, order), **TOLERANCE)
         assert (columns[[0, -1]] == 0.0).all()
-    # the path is the same one, later
-    np.testing.assert_allclose(q, trajectory.motion.at(t * speed), **NEAR)
+    # the same path, later
+    np.testing.assert_allclose(q, trajectory.motion.at(t * speed), **TOLERANCE)
 
 
 @pytest.mark.parametrize("name", [name for name in exporters.FORMATS if name not in ACCURATE])
 def test_position_tables_start_and_end_at_rest(name: str, tmp_path: Path) -> None:
-    t, q = exporters.read(name, exporters.write(fitting(name), name, tmp_path / "file"))
+    t, q = exporters.read(name, exporters.write(trajectory_for(name), name, tmp_path / "file"))
     dt = t[1]
     assert np.abs(np.diff(q, axis=0)[[0, -1]]).max() / dt < 50.0 * dt**2  # jerk 50 from rest
     assert np.abs(np.diff(q, 2, axis=0)).max() / dt**2 < 6.0
 
 
 @pytest.mark.parametrize("name", list(exporters.FORMATS))
-def test_golden(name: str, tmp_path: Path) -> None:
-    """Byte for byte. To renew after an intended change: delete the file, run once, look at it, run
+def test_files_equal_the_golden_files(name: str, tmp_path: Path) -> None:
+    """Byte by byte. To write a golden file: delete it, run this test once, check the file, run it
     again."""
     path = exporters.write(
-        tiny(JOINTS.get(name, 2)),
+        short_trajectory(JOINTS.get(name, 2)),
         name,
         tmp_path / "file",
         rate=None,
@@ -179,12 +195,12 @@ def test_golden(name: str, tmp_path: Path) -> None:
     golden = GOLDEN / f"export-{name.replace(':', '-')}.txt"
     if not golden.exists():
         golden.write_bytes(path.read_bytes())
-        pytest.fail(f"{golden} was missing and is written now; look at it")
+        pytest.fail(f"{golden} was missing and is written now; check it")
     assert path.read_bytes() == golden.read_bytes()
 
 
-def test_csv_is_the_contract(tmp_path: Path) -> None:
-    trajectory = made(2)
+def test_csv_has_the_columns_of_the_contract(tmp_path: Path) -> None:
+    trajectory = complete_motion(2)
     lines = (
         exporters.write(trajectory, "csv", tmp_path / "a.csv", tau=torque).read_text().splitlines()
     )
@@ -206,12 +222,12 @@ def test_csv_is_the_contract(tmp_path: Path) -> None:
     assert "tau" not in bare.splitlines()[0]
 
 
-def test_csv_ends_at_rest_where_rounding_ends_the_grid_early(tmp_path: Path) -> None:
+def test_csv_ends_at_rest_despite_rounding_of_the_grid(tmp_path: Path) -> None:
     profile = JerkProfile(
         np.zeros(1), np.zeros(1), np.zeros(1), (((1.0, 1.0), (2.0, -1.0), (1.0 + 4e-9, 1.0)),)
     )
     fourier = FourierSeries(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1), 1.0)
-    trajectory = wrapped(
+    trajectory = trajectory_of(
         Motion(("j",), fourier, 0, (MotionSegment("approach", 0.0, 4.0 + 4e-9, profile),))
     )
     _, q, dq, ddq = exporters.read(
@@ -224,7 +240,7 @@ def test_csv_ends_at_rest_where_rounding_ends_the_grid_early(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", ["ros2-joint-trajectory", "ros2-follow-joint-trajectory"])
 def test_ros2_message(name: str, tmp_path: Path) -> None:
-    text = exporters.write(made(6), name, tmp_path / "m.yaml").read_text()
+    text = exporters.write(complete_motion(6), name, tmp_path / "m.yaml").read_text()
     document = yaml.safe_load(text)
     assert document == json.loads(text)
     if name == "ros2-follow-joint-trajectory":
@@ -245,7 +261,7 @@ def test_ros2_message(name: str, tmp_path: Path) -> None:
 
 
 def quintic(h: float, s: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Position at s of the quintic through two states (3, n) a time h apart."""
+    """Return the position at s of the quintic between two states, shape (3, n), over a time h."""
     powers = np.array(
         [
             [math.perm(k, d) * x ** (k - d) if k >= d else 0.0 for k in range(6)]
@@ -256,8 +272,8 @@ def quintic(h: float, s: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([s**k for k in range(6)]) @ np.linalg.solve(powers, np.vstack([a, b]))
 
 
-def test_a_controller_that_interpolates_knots_follows_the_periodic_part(tmp_path: Path) -> None:
-    trajectory = made(2)
+def test_quintic_interpolation_of_knots_follows_the_motion(tmp_path: Path) -> None:
+    trajectory = complete_motion(2)
     t, *columns = ros2.read(
         exporters.write(trajectory, "ros2-joint-trajectory", tmp_path / "m.yaml")
     )
@@ -273,9 +289,9 @@ def test_a_controller_that_interpolates_knots_follows_the_periodic_part(tmp_path
     ("name", "wrong"),
     [("ur-csv", 7), ("urscript", 2), ("franka-csv", 6), ("vendor:abb-egm", 7), ("vendor:xarm", 2)],
 )
-def test_wrong_number_of_joints(name: str, wrong: int, tmp_path: Path) -> None:
+def test_a_wrong_number_of_joints_is_refused(name: str, wrong: int, tmp_path: Path) -> None:
     with pytest.raises(UnusableInput) as caught:
-        exporters.write(made(wrong), name, tmp_path / "out")
+        exporters.write(complete_motion(wrong), name, tmp_path / "out")
     text = str(caught.value)
     assert "\n" not in text
     for part in (str(tmp_path / "out"), name, "joint_1, joint_2", "--joints"):
@@ -283,29 +299,29 @@ def test_wrong_number_of_joints(name: str, wrong: int, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_unusable_options(tmp_path: Path) -> None:
+def test_unusable_options_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "out"
     with pytest.raises(
         UnusableInput, match=r"there are: csv, json, ros2-joint-trajectory.*vendor:xarm"
     ):
-        exporters.write(made(2), "dxf", path)
+        exporters.write(complete_motion(2), "dxf", path)
     with pytest.raises(UnusableInput, match="there are: csv"):
         exporters.read("dxf", path)
     for speed in (0.0, -1.0, 1.5, math.nan):
         with pytest.raises(UnusableInput, match="--speed"):
-            exporters.write(made(2), "csv", path, speed=speed)
+            exporters.write(complete_motion(2), "csv", path, speed=speed)
     for rate in (0.0, -1.0, math.inf, math.nan):
         with pytest.raises(UnusableInput, match="--rate"):
-            exporters.write(made(2), "csv", path, rate=rate)
+            exporters.write(complete_motion(2), "csv", path, rate=rate)
     with pytest.raises(UnusableInput, match="is over 5,000,000 rows"):
-        exporters.write(made(2), "csv", path, rate=1e9)
+        exporters.write(complete_motion(2), "csv", path, rate=1e9)
     for name in ("franka-csv", "ur-csv", "urscript"):
         with pytest.raises(UnusableInput, match=r"Hz.*--rate 333"):
-            exporters.write(fitting(name), name, path, rate=333.0)
+            exporters.write(trajectory_for(name), name, path, rate=333.0)
     assert not list(tmp_path.iterdir())
 
 
-def test_other_rates(tmp_path: Path) -> None:
+def test_formats_with_a_choice_of_rate(tmp_path: Path) -> None:
     rates = {
         "ur-csv": 125.0,
         "urscript": 125.0,
@@ -314,7 +330,7 @@ def test_other_rates(tmp_path: Path) -> None:
         "ros2-joint-trajectory": 30.0,
     }
     for name, rate in rates.items():
-        trajectory = fitting(name)
+        trajectory = trajectory_for(name)
         t, q, *_ = exporters.read(
             name, exporters.write(trajectory, name, tmp_path / "out", rate=rate)
         )
@@ -324,20 +340,20 @@ def test_other_rates(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["csv", "ros2-joint-trajectory", "ur-csv", "urscript"])
 def test_a_motion_that_does_not_rest_is_refused(name: str, tmp_path: Path) -> None:
-    whole = fitting(name).motion
-    bare = Motion(whole.joints, whole.fourier, 2, (MotionSegment("fourier", 0.0, 8.0),))
+    complete = trajectory_for(name).motion
+    bare = Motion(complete.joints, complete.fourier, 2, (MotionSegment("fourier", 0.0, 8.0),))
     with pytest.raises(UnusableInput, match=r"joint 'joint_\d' .* at rest"):
-        exporters.write(wrapped(bare), name, tmp_path / "out")
+        exporters.write(trajectory_of(bare), name, tmp_path / "out")
 
 
-def test_nothing_half_written(tmp_path: Path) -> None:
+def test_a_refused_export_writes_nothing(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with pytest.raises(UnusableInput, match="cannot be written"):
-        exporters.write(made(7), "franka-csv", tmp_path / "out")
+        exporters.write(complete_motion(7), "franka-csv", tmp_path / "out")
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
 
 
-def test_unreadable_files(tmp_path: Path) -> None:
+def test_unreadable_files_are_refused(tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     for content in (b"", b"\xff\xfe", b"# a\n1,2\n3\n", b"{}", b"[1]", b"def f():\nend\n"):
         broken.write_bytes(content)
@@ -349,21 +365,21 @@ def test_unreadable_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in exporters.FORMATS if name != "csv"])
-def test_forced_and_untried_are_said(name: str, tmp_path: Path) -> None:
+def test_forced_and_untried_files_state_it(name: str, tmp_path: Path) -> None:
     for forced in (True, False):
-        trajectory = made(JOINTS.get(name, 2), forced)
+        trajectory = complete_motion(JOINTS.get(name, 2), forced)
         path = exporters.write(trajectory, name, tmp_path / "out")
-        said = "".join(file.read_text() for file in (path, tmp_path / "out.txt") if file.exists())
+        text = "".join(file.read_text() for file in (path, tmp_path / "out.txt") if file.exists())
         if name == "json":
-            assert json.loads(said)["forced"] is forced
+            assert json.loads(text)["forced"] is forced
         else:
-            assert ("FORCED: breaks its limits" in said) is forced
+            assert ("FORCED: breaks its limits" in text) is forced
         if name in vendor_table.profiles() or name == "urscript":
-            assert "never tried on hardware" in said
+            assert "never tried on hardware" in text
 
 
-def test_franka_has_seven_bare_columns(tmp_path: Path) -> None:
-    path = exporters.write(made(7), "franka-csv", tmp_path / "f.csv")
+def test_franka_has_seven_columns_without_header(tmp_path: Path) -> None:
+    path = exporters.write(complete_motion(7), "franka-csv", tmp_path / "f.csv")
     assert np.loadtxt(path, delimiter=",").shape[1] == 7
     assert "start [rad]" in (tmp_path / "f.csv.txt").read_text()
 
@@ -371,7 +387,7 @@ def test_franka_has_seven_bare_columns(tmp_path: Path) -> None:
 # -- vendors ---------------------------------------------------------------------------------------
 
 
-def test_profiles_claim_no_hardware() -> None:
+def test_no_profile_claims_tests_on_hardware() -> None:
     assert all(not profile.tried_on_hardware for profile in vendor_table.profiles().values())
 
 
@@ -411,11 +427,10 @@ def test_vendor_sign_offset_and_inverse(relative: bool) -> None:
 
 
 def run(script: str, step: float) -> tuple[list[list[float]], list[object]]:
-    """What a controller with that step is told: servoj's targets, and the other motions. URScript
-    read as Python.
+    """Run a program as Python with a given step; return the targets of servoj and other motions.
 
-    Python and URScript agree on the statements used here, but for `end`, `local`, `global` and
-    lists, which URScript copies.
+    Python and URScript agree on the statements of the program, except for `end`, `local`, `global`
+    and lists, which URScript copies.
     """
     names = re.findall(r"global (\w+) =", script)
     lines: list[str] = []
@@ -448,24 +463,24 @@ def run(script: str, step: float) -> tuple[list[list[float]], list[object]]:
 @pytest.mark.parametrize(
     ("step", "speed", "rate"), [(0.002, 1.0, None), (0.008, 1.0, None), (0.008, 0.1, 125.0)]
 )
-def test_urscript_run_is_the_motion(
+def test_urscript_program_reproduces_the_motion(
     step: float, speed: float, rate: float | None, tmp_path: Path
 ) -> None:
-    trajectory = made(6)
+    trajectory = complete_motion(6)
     script = exporters.write(
         trajectory, "urscript", tmp_path / "p.script", speed=speed, rate=rate
     ).read_text()
     targets, others = run(script, step)
     motion = trajectory.motion.slowed(speed)
-    np.testing.assert_allclose(others[0], motion.end_poses[0], **NEAR)
+    np.testing.assert_allclose(others[0], motion.end_poses[0], **TOLERANCE)
     assert others[1:] == ["stop"]
     t = step * np.arange(1, len(targets) + 1)
     assert motion.duration + 0.4 < t[-1] < motion.duration + 0.6
-    np.testing.assert_allclose(targets, motion.at(t), **NEAR)
+    np.testing.assert_allclose(targets, motion.at(t), **TOLERANCE)
 
 
-def test_urscript_is_small_and_plain(tmp_path: Path) -> None:
-    trajectory = made(6)
+def test_urscript_is_short_ascii(tmp_path: Path) -> None:
+    trajectory = complete_motion(6)
     script = exporters.write(trajectory, "urscript", tmp_path / "p.script").read_text()
     rows = exporters.write(trajectory, "ur-csv", tmp_path / "p.csv").read_text()
     assert len(script) < 40_000 < 5 * len(script) < len(rows)
@@ -475,9 +490,9 @@ def test_urscript_is_small_and_plain(tmp_path: Path) -> None:
     )
 
 
-def test_urscript_replayed_segments(tmp_path: Path) -> None:
-    trajectory = made(6)
-    motion = urscript.replayed(
+def test_urscript_segments_are_rebuilt(tmp_path: Path) -> None:
+    trajectory = complete_motion(6)
+    motion = urscript.rebuilt_motion(
         exporters.write(trajectory, "urscript", tmp_path / "p.script").read_text()
     )
     assert [s.kind for s in motion.segments] == [s.kind for s in trajectory.motion.segments]
@@ -486,10 +501,10 @@ def test_urscript_replayed_segments(tmp_path: Path) -> None:
     )
 
 
-def test_odd_names_break_no_file(tmp_path: Path) -> None:
-    trajectory = made(6)
+def test_special_joint_names_are_exported(tmp_path: Path) -> None:
+    trajectory = complete_motion(6)
     names = ('a,"b"', "c\nmovej()", "# d", "é", "start [rad]: 1", "rate [Hz]: 1")
-    odd = wrapped(Motion(names, trajectory.motion.fourier, 2, trajectory.motion.segments))
+    odd = trajectory_of(Motion(names, trajectory.motion.fourier, 2, trajectory.motion.segments))
     for name in exporters.FORMATS:
         if JOINTS.get(name, 6) != 6:
             continue
@@ -498,4 +513,4 @@ def test_odd_names_break_no_file(tmp_path: Path) -> None:
                 exporters.read(name, exporters.write(odd, name, tmp_path / "out"))
             continue
         t, q, *_ = exporters.read(name, exporters.write(odd, name, tmp_path / "out"))
-        np.testing.assert_allclose(q, trajectory.motion.at(t), **NEAR)
+        np.testing.assert_allclose(q, trajectory.motion.at(t), **TOLERANCE)

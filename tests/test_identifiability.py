@@ -91,10 +91,13 @@ def test_information_by_blocks_equals_that_of_all_samples() -> None:
     loaded, table, standard, _ = setup("ur10e")
     samples = motion_of("ur10e", 900)[1]
     noise = 0.01 * table.torque
-    whole = regressor_root(dynamics.regressor(loaded, standard, samples), noise)
+    complete = regressor_root(dynamics.regressor(loaded, standard, samples), noise)
     blocks = information_root(loaded, standard, samples, noise)
     np.testing.assert_allclose(
-        blocks.T @ blocks, whole.T @ whole, rtol=1e-9, atol=1e-9 * np.abs(whole.T @ whole).max()
+        blocks.T @ blocks,
+        complete.T @ complete,
+        rtol=1e-9,
+        atol=1e-9 * np.abs(complete.T @ complete).max(),
     )
 
 

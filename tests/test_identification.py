@@ -1,4 +1,4 @@
-"""The whole identification against known truth, and on a recording of a real machine."""
+"""The complete identification against known truth, and on a recording of a real machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of an identification states its results, also for result joint or no held-out data."""
+"""The report of an identification, also for a single joint and without held-out data."""
 
 from __future__ import annotations
 

@@ -64,7 +64,6 @@ def test_acceleration_and_jerk_bind_only_where_given():
 @pytest.mark.parametrize(
     ("inside", "quantity"),
     [
-        ("", "position"),
         ('<limit lower="0" upper="0" velocity="3" effort="40"/>', "position"),
         ('<limit lower="1" upper="-1" velocity="3" effort="40"/>', "position"),
         ('<limit velocity="3" effort="40"/>', "position"),
@@ -78,10 +77,21 @@ def test_acceleration_and_jerk_bind_only_where_given():
 )
 def test_a_missing_limit_names_joint_quantity_and_the_place_to_set_it(inside, quantity):
     with pytest.raises(
-        MissingLimit, match=rf"'swing' has no usable {quantity} limit; set it .* --limits FILE"
+        MissingLimit, match=rf"'swing'.* {quantity} .*; set (it|them) .* --limits FILE"
     ) as caught:
         of(inside)
-    assert (caught.value.joint, caught.value.quantity) == ("swing", quantity)
+    fault = caught.value.faults[0]
+    assert (fault.joint, fault.quantity) == ("swing", quantity)
+
+
+def test_all_missing_limits_are_reported_at_once():
+    with pytest.raises(
+        MissingLimit,
+        match=r"3 limits are missing or unusable \('swing': position, velocity \(it states 0\), "
+        r"torque\).*'excite check .* --limits-template",
+    ) as caught:
+        of('<limit velocity="0"/>')
+    assert [fault.quantity for fault in caught.value.faults] == ["position", "velocity", "torque"]
 
 
 def test_an_omitted_bound_is_zero_as_urdf_says():
@@ -262,9 +272,11 @@ def test_limits_that_make_no_sense_are_refused(tmp_path, entry):
 
 def test_a_mimic_joint_keeps_its_own_limits():
     follower = (
-        '<link name="finger"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'  # noqa: E501
-        '<joint name="follow" type="revolute"><parent link="arm"/><child link="finger"/><axis xyz="0 1 0"/>'  # noqa: E501
-        '<limit lower="-0.4" upper="0.6" velocity="0.5" effort="1"/><mimic joint="swing" multiplier="-2" offset="0.1"/></joint></robot>'  # noqa: E501
+        '<link name="finger"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="follow" type="revolute"><parent link="arm"/><child link="finger"/>'
+        '<axis xyz="0 1 0"/><limit lower="-0.4" upper="0.6" velocity="0.5" effort="1"/>'
+        '<mimic joint="swing" multiplier="-2" offset="0.1"/></joint></robot>'
     )
     limits = resolve(loaded(pendulum().replace("</robot>", follower)))
     assert limits.position[0] == pytest.approx([-0.25, 0.25])

@@ -65,19 +65,19 @@ def test_the_noise_floor_agrees_with_the_residual_of_a_correct_model(
     assert (low < residual / floor).all() and (residual / floor < high).all()
 
 
-def test_an_unstated_period_is_found(subject):
+def test_an_unstated_period_is_estimated(subject):
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     stated = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
     assert stated.sidecar.period is not None
     silent = dataclasses.replace(
         stated, sidecar=dataclasses.replace(stated.sidecar, period=None, periodic=None)
     )
-    period = noise._period(silent)
+    period = noise.estimate_period(silent)
     assert period is not None and period[0] == pytest.approx(stated.sidecar.period, abs=2e-3)
     single = synthetic_recording(
         subject, psi, random_fourier(2, 1, 9.0), 1.0, 0.1, period=None, periodic=None
     )
-    assert noise._period(single) is None
+    assert noise.estimate_period(single) is None
 
 
 def recording_with_jitter(

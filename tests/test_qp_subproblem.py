@@ -26,7 +26,8 @@ def program(seed: int, size: int = 12, rows: int = 90) -> tuple[np.ndarray, ...]
 @pytest.mark.parametrize("seed", range(5))
 def test_solution_equals_that_of_slsqp(seed):
     B, g, J, slack, lower, upper = program(seed)
-    step, multipliers = qp_subproblem.solve(B, g, J, slack, lower, upper)
+    step, multipliers, violation = qp_subproblem.solve(B, g, J, slack, lower, upper)
+    assert violation == 0.0
     reference = scipy.optimize.minimize(
         lambda d: g @ d + 0.5 * d @ B @ d,
         np.zeros(len(g)),
@@ -46,16 +47,41 @@ def test_solution_equals_that_of_slsqp(seed):
 
 def test_constraints_are_added_when_a_step_violates_them():
     J, slack = np.eye(2), np.array([10.0 * qp_subproblem.WORKING_SET_SLACK, 5.0])
-    step, multipliers = qp_subproblem.solve(
+    step, multipliers, _ = qp_subproblem.solve(
         np.eye(2), np.array([-3.0, -1.0]), J, slack, np.full(2, -9.0), np.full(2, 9.0)
     )
     assert step == pytest.approx([slack[0], 1.0])
     assert multipliers == pytest.approx([3.0 - slack[0], 0.0], abs=1e-6)
 
 
-def test_infeasible_constraints_leave_a_step_within_its_bounds():
-    J, slack = np.array([[1.0], [-1.0]]), np.array([-0.5, -0.5])
-    step, _ = qp_subproblem.solve(
-        np.eye(1), np.array([1.0]), J, slack, np.full(1, -0.1), np.full(1, 0.1)
+def test_inconsistent_constraints_are_relaxed_by_a_common_amount():
+    J, slack = np.array([[1.0], [-1.0]]), np.array([-0.5, -0.3])
+    step, multipliers, violation = qp_subproblem.solve(
+        np.eye(1), np.array([1.0]), J, slack, np.full(1, -0.2), np.full(1, 0.2)
     )
-    assert abs(step[0]) <= 0.1 + 1e-6
+    # d ≤ −0.5 + t and d ≥ 0.3 − t: t ≥ 0.4, of which 90 % of the way from 0.5 is asked for
+    assert violation == pytest.approx(0.41, abs=1e-5)
+    assert step == pytest.approx([-0.11], abs=1e-5)
+    assert multipliers.max() < 10.0
+
+
+def test_constraints_out_of_reach_are_approached_as_far_as_the_bounds_allow():
+    J, slack = np.array([[1.0, 0.0]]), np.array([-1.0])
+    step, _, violation = qp_subproblem.solve(
+        np.eye(2), np.array([1.0, -0.05]), J, slack, np.full(2, -0.1), np.full(2, 0.1)
+    )
+    assert violation == pytest.approx(0.91, abs=1e-5)
+    assert step == pytest.approx([-0.1, 0.05], abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_inconsistent_constraints_never_stop_the_solver_for_good(seed):
+    B, g, J, slack, lower, upper = program(seed)
+    first = qp_subproblem.solve(B, g, J, slack, lower, upper)
+    for _ in range(20):
+        relaxed = qp_subproblem.solve(
+            B, g, np.vstack([J, -J]), np.append(slack, -slack - 1.0), lower, upper
+        )
+        assert relaxed.violation > 0.0
+    again = qp_subproblem.solve(B, g, J, slack, lower, upper)
+    assert np.array_equal(first.step, again.step)

@@ -461,5 +461,11 @@ def test_ticks_are_few_and_within_the_range(low: float, high: float) -> None:
 
 def test_number_format() -> None:
     assert [number(v) for v in (1.23456, -0.05, 0.0, 2.28e7, 3.1e-7, None, float("inf"))] == [
-        "1.235", "−0.05", "0", "2.28·10⁷", "3.1·10⁻⁷", "–", "∞",
-    ]  # fmt: skip
+        "1.235",
+        "−0.05",
+        "0",
+        "2.28·10⁷",
+        "3.1·10⁻⁷",
+        "–",
+        "∞",
+    ]

@@ -256,7 +256,7 @@ def test_segments_survive_json_exactly(delivery):
         list[SegmentDocument],
         dec_hook=quantities.converted,
     )
-    segments = segments_from_document(document, motion.joints)
+    segments = segments_from_document(document, motion.joints, motion.fourier)
     again = dataclasses.replace(motion, segments=segments)
     t = motion.grid(1000.0)
     assert all(np.array_equal(again.at(t, order), motion.at(t, order)) for order in range(4))

@@ -1,5 +1,4 @@
-"""A certificate is never obtained for what was not checked, and nothing leaves that could hurt
-someone."""
+"""No certificate without a check, and no export of an unsafe motion."""
 
 from __future__ import annotations
 
@@ -53,7 +52,7 @@ def octahedron(path: Path, size: float, lift: float = 0.0) -> None:
 @pytest.mark.parametrize(
     "name", ["spike", "spike_criteria_kept", "five_times_speed", "t_lim_neg", "limits_raised"]
 )
-def test_a_file_that_breaks_its_limits_gets_no_certificate(capsys, name, tmp_path):
+def test_a_file_that_violates_its_limits_is_not_certified(capsys, name, tmp_path):
     code, out, err = run(capsys, "verify", INPUTS / f"{name}.json")
     assert code in (1, 2) and "limits: certified" not in out + err
     code, _, _ = run(
@@ -64,11 +63,11 @@ def test_a_file_that_breaks_its_limits_gets_no_certificate(capsys, name, tmp_pat
 
 @needs_inputs
 @pytest.mark.parametrize("name", ["cell_deleted", "t_collision_words"])
-def test_a_file_without_a_cell_has_no_certificate_of_clearance(capsys, name, tmp_path):
+def test_a_file_without_a_cell_has_no_clearance_certificate(capsys, name, tmp_path):
     code, out, _ = run(capsys, "verify", INPUTS / f"{name}.json", "--json")
-    found = json.loads(out)
-    assert code == 0 and found["verdict"] == {"limits": "certified", "clearance": "not checked"}
-    assert found["collision"].startswith("collision not checked") and "9999 mm" not in out
+    content = json.loads(out)
+    assert code == 0 and content["verdict"] == {"limits": "certified", "clearance": "not checked"}
+    assert content["collision"].startswith("collision not checked") and "9999 mm" not in out
     _, out, _ = run(capsys, "verify", INPUTS / f"{name}.json")
     assert out.index("not checked") < out.index("certified")
     code, out, _ = run(
@@ -124,7 +123,7 @@ def test_a_cell_that_changed_after_the_design_fails(capsys, tmp_path):
 
 @pytest.fixture(scope="module")
 def designed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A design with a limits file of its own and a scene."""
+    """Design with a limits file and a scene."""
     folder = tmp_path_factory.mktemp("designed")
     (folder / "mine.toml").write_text(
         "[joints.joint_1]\nvelocity = 2.0\n[margin]\nvelocity = 0.1\n"
@@ -138,14 +137,14 @@ def designed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def copied(designed: Path, to: Path) -> Path:
-    """The same files elsewhere, as they move to another machine together."""
+    """Copies of the same files in another folder, as on another machine."""
     shutil.copytree(designed, to / "copy")
     path = to / "copy" / "o" / "trajectory.json"
     path.write_text(path.read_text().replace(str(designed), str(to / "copy")))
     return to / "copy"
 
 
-def test_a_limits_file_that_changed_fails(capsys, designed, tmp_path):
+def test_a_changed_limits_file_fails(capsys, designed, tmp_path):
     here = copied(designed, tmp_path)
     code, out, _ = run(capsys, "verify", here / "o" / "trajectory.json")
     assert code == 0 and "clearance: certified" in out and "limits: certified" in out
@@ -158,7 +157,7 @@ def test_a_limits_file_that_changed_fails(capsys, designed, tmp_path):
     )
 
 
-def test_a_limits_file_that_moved_is_asked_for(capsys, designed, tmp_path):
+def test_a_moved_limits_file_is_requested(capsys, designed, tmp_path):
     here = copied(designed, tmp_path)
     (here / "mine.toml").rename(here / "moved.toml")
     code, out, err = run(capsys, "verify", here / "o" / "trajectory.json")
@@ -169,7 +168,7 @@ def test_a_limits_file_that_moved_is_asked_for(capsys, designed, tmp_path):
     assert code == 0
 
 
-def test_a_scene_that_changed_fails(capsys, designed, tmp_path):
+def test_a_changed_scene_fails(capsys, designed, tmp_path):
     here = copied(designed, tmp_path)
     cell = here / "cell.toml"
     cell.write_text(cell.read_text().replace("radius = 0.1", "radius = 0.2"))
@@ -180,7 +179,7 @@ def test_a_scene_that_changed_fails(capsys, designed, tmp_path):
     assert code == 1 and "clearance: failed" in out and "cell.toml" in out
 
 
-def test_shapes_of_the_robot_taken_out_of_the_file_fail(capsys, designed, tmp_path):
+def test_removed_shapes_of_the_robot_fail(capsys, designed, tmp_path):
     path = copied(designed, tmp_path) / "o" / "trajectory.json"
     stated = json.loads(path.read_text())
     stated["design"]["cell"]["shapes"] = [
@@ -208,7 +207,7 @@ def test_margins_are_kept_by_kind_and_stated(designed):
     assert (speed > 0.7 * trajectory.limits.velocity).any()
 
 
-def test_a_margin_costs_and_none_is_allowed(two_link):
+def test_a_margin_worsens_the_criterion_and_may_be_zero(two_link):
     free = DesignOptions(period=4.0, samples=60, starts=1, iterations=60)
     values = [
         pipeline.design_trajectory(
@@ -220,7 +219,7 @@ def test_a_margin_costs_and_none_is_allowed(two_link):
 
 
 @pytest.mark.parametrize("text", ["1", "-0.1", "nan"])
-def test_a_margin_that_is_no_share_is_refused(capsys, text, tmp_path):
+def test_a_margin_outside_its_range_is_refused(capsys, text, tmp_path):
     code, _, err = run(capsys, "design", "two_link", "-o", tmp_path / "o", f"--margin={text}")
     assert code == 2 and "--margin" in err and not list(tmp_path.iterdir())
 
@@ -228,7 +227,7 @@ def test_a_margin_that_is_no_share_is_refused(capsys, text, tmp_path):
 @pytest.mark.parametrize(
     "table", ["velocity = 1.0", "velocity = -0.1", 'velocity = "much"', "speed = 0.1"]
 )
-def test_a_margin_table_that_makes_no_sense_is_refused(capsys, table, tmp_path):
+def test_an_invalid_margin_table_is_refused(capsys, table, tmp_path):
     (tmp_path / "m.toml").write_text(f"[joints.joint_1]\nvelocity = 2.0\n[margin]\n{table}\n")
     code, _, err = run(
         capsys, "design", "two_link", "-o", tmp_path / "o", "--limits", tmp_path / "m.toml"
@@ -236,7 +235,7 @@ def test_a_margin_table_that_makes_no_sense_is_refused(capsys, table, tmp_path):
     assert code == 2 and "margin" in err and "m.toml" in err
 
 
-def test_no_percentage_is_a_negative_zero():
+def test_percentages_have_no_negative_zero():
     assert {certificate.format_percent(share) for share in (0.0, -0.0, 1e-12, -1e-10)} == {"0 %"}
     assert (
         certificate.format_percent(-0.004) == "-0.4 %"
@@ -255,7 +254,7 @@ ARM = (
 
 
 def arm(mesh: str, lift: float = 0.0) -> str:
-    """Two joints on a base whose shape is a mesh."""
+    """Robot with two joints and a mesh as the shape of its base."""
     inside = '<limit lower="-2" upper="2" velocity="3" effort="40"/>'
     shape = '<collision><origin xyz="0 0 {z}"/><geometry>{solid}</geometry></collision></link>'
     base = ARM[0].replace("</link>", shape.format(z=lift, solid=f'<mesh filename="{mesh}"/>'))
@@ -279,7 +278,7 @@ def test_the_floor_is_the_mounting_plane_or_the_exact_lowest_point_of_the_base(
     assert cell.floor == pytest.approx(floor, abs=1e-7)  # meshes have single precision
 
 
-def test_the_height_of_the_floor_is_printed_and_shown(capsys, tmp_path):
+def test_the_height_of_the_floor_is_printed_and_reported(capsys, tmp_path):
     octahedron(tmp_path / "base.obj", 0.1)
     (tmp_path / "arm.urdf").write_text(arm("base.obj", 0.05))
     code, out, err = run(capsys, "design", tmp_path / "arm.urdf", "-o", tmp_path / "o", *FAST)
@@ -291,9 +290,8 @@ def test_the_height_of_the_floor_is_printed_and_shown(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["ur10e", "panda"])
-def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
-    """By Pinocchio's own geometry of the URDF: lowest corner of each shape's bounding box over the
-    whole motion."""
+def test_all_links_keep_their_clearance_above_the_mounting_plane(name):
+    """Lowest corner of the bounding box of each shape along the motion, by Pinocchio."""
     trajectory = trajectory_file.read_trajectory(
         Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json"
     )
@@ -306,13 +304,13 @@ def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
     ground = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
     for q in motion.at(np.arange(0.0, motion.duration, 0.01)):
         pin.updateGeometryPlacements(model, data, geometry, placed, q)
-        for one, placement in zip(geometry.geometryObjects, placed.oMg, strict=True):
-            if one.parentJoint > 0:
+        for entry, placement in zip(geometry.geometryObjects, placed.oMg, strict=True):
+            if entry.parentJoint > 0:
                 at = coal.Transform3s(placement.rotation, placement.translation)
                 lowest = min(
                     lowest,
                     coal.distance(
-                        one.geometry,
+                        entry.geometry,
                         at,
                         ground,
                         coal.Transform3s(),
@@ -323,7 +321,7 @@ def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
     assert lowest >= trajectory.design["cell"]["margin"] - 1e-6
 
 
-def test_a_missing_mesh_is_refused_unless_nothing_is_checked(capsys, tmp_path):
+def test_a_missing_mesh_is_refused_unless_distances_are_not_checked(capsys, tmp_path):
     (tmp_path / "arm.urdf").write_text(arm("package://gone/base.obj"))
     code, _, err = run(capsys, "design", tmp_path / "arm.urdf", "-o", tmp_path / "o", *FAST)
     assert (
@@ -343,8 +341,8 @@ def test_a_missing_mesh_is_refused_unless_nothing_is_checked(capsys, tmp_path):
         assert code == 0 and "clearance: not checked" in out
 
 
-def test_a_link_that_turns_just_above_the_floor_does_not_stand_in_the_way(tmp_path):
-    """Its distance is the same in every pose, so no motion can keep it."""
+def test_a_link_at_a_constant_distance_from_the_floor_is_excepted(tmp_path):
+    """No motion can change its distance."""
     octahedron(tmp_path / "base.obj", 0.02, 0.02)
     (tmp_path / "arm.urdf").write_text(
         arm("base.obj").replace(
@@ -354,31 +352,31 @@ def test_a_link_that_turns_just_above_the_floor_does_not_stand_in_the_way(tmp_pa
     robot = load(str(tmp_path / "arm.urdf"))
     cell = scene_file.build_cell(robot, resolve(robot), scene_file.Scene())
     assert cell.floor == 0.0 and [
-        (one.first, one.second) for one in cell.excepted if "floor" in (one.first, one.second)
+        (pair.first, pair.second) for pair in cell.excepted if "floor" in (pair.first, pair.second)
     ] == [("post", "floor")]
 
 
 # -- slower is not safer ---------------------------------------------------------------------------
 
 
-def test_a_slower_run_that_asks_for_more_torque_is_not_exported(capsys, two_link, tmp_path):
-    """Where inertia carries the arm, less speed leaves gravity to the actuator."""
+def test_a_slower_motion_with_excessive_torque_is_not_exported(capsys, two_link, tmp_path):
+    """If inertia compensates gravity, a lower speed needs more torque."""
     table = resolve(two_link)
-    found = pipeline.design_trajectory(
+    delivery = pipeline.design_trajectory(
         two_link, table, DesignOptions(period=4.0, samples=60, starts=1, iterations=60)
     )
     slow = certificate.limit_margins(
-        dataclasses.replace(found.trajectory, motion=found.trajectory.motion.slowed(0.05)),
-        certificate.motion_constraints(found.trajectory, two_link, table),
+        dataclasses.replace(delivery.trajectory, motion=delivery.trajectory.motion.slowed(0.05)),
+        certificate.motion_constraints(delivery.trajectory, two_link, table),
     )
     still = {m.joint: abs(m.value) for m in slow if m.limit == "torque"}
     weak = table.scaled(torque=np.array([still[j] * 0.99 for j in two_link.joints]) / table.torque)
-    broken = certificate.broken_when_slowed(found.trajectory, two_link, weak, 0.05)
+    broken = certificate.broken_when_slowed(delivery.trajectory, two_link, weak, 0.05)
     assert broken is not None and broken.limit == "torque"
-    assert certificate.broken_when_slowed(found.trajectory, two_link, table, 0.05) is None
+    assert certificate.broken_when_slowed(delivery.trajectory, two_link, table, 0.05) is None
 
 
-def test_the_environment_is_not_needed(capsys, designed, monkeypatch):
+def test_environment_variables_are_not_needed(capsys, designed, monkeypatch):
     for name in ("HOME", "ROS_PACKAGE_PATH"):
         monkeypatch.delenv(name, raising=False)
     code, _, _ = run(capsys, "verify", designed / "o" / "trajectory.json")

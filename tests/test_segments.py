@@ -36,13 +36,18 @@ def test_long_segments_give_the_same_equations_in_chunks(model, truth, monkeypat
     recording = synthetic_recording(
         model, truth, random_fourier(2), 30, 0.0, period=None, periodic=None
     )
-    whole = regression.build_equations(model, segments.extract_segments([recording]), 10.0)
+    complete = regression.build_equations(model, segments.extract_segments([recording]), 10.0)
     monkeypatch.setattr(segments, "CHUNK_SAMPLES", 4096)
     chunked = regression.build_equations(model, segments.extract_segments([recording]), 10.0)
-    assert len(chunked) == len(whole) and chunked.starts == whole.starts
-    assert np.allclose(chunked.time, whole.time)
-    assert 0.0 < np.abs(chunked.torque - whole.torque).max() < 1e-3 * np.abs(whole.torque).max()
-    assert np.abs(chunked.regressor - whole.regressor).max() < 2e-3 * np.abs(whole.regressor).max()
+    assert len(chunked) == len(complete) and chunked.starts == complete.starts
+    assert np.allclose(chunked.time, complete.time)
+    assert (
+        0.0 < np.abs(chunked.torque - complete.torque).max() < 1e-3 * np.abs(complete.torque).max()
+    )
+    assert (
+        np.abs(chunked.regressor - complete.regressor).max()
+        < 2e-3 * np.abs(complete.regressor).max()
+    )
 
 
 def test_periods_are_averaged_and_their_deviations_give_the_noise_floor(model, truth):

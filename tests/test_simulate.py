@@ -147,7 +147,7 @@ def test_like_simulates_the_same_robot_on_another_motion(tmp_path, capsys):
         (("--severity", "3"), "--severity"),
     ):
         assert main([*again, *more, "-o", str(tmp_path / "no.csv")]) == 2
-        assert f"{words}: is as" in capsys.readouterr().err
+        assert f"{words}: is stated by" in capsys.readouterr().err
     assert (
         main(
             [
@@ -168,7 +168,7 @@ def test_like_simulates_the_same_robot_on_another_motion(tmp_path, capsys):
         ({"setting": {}}, "setting: has no 'seed'"),
         ({"effects": [{**first["effects"][0], "family": "mine"}]}, "no coupling of this form"),
         ({"effects": [{**first["effects"][0], "joint": "elbow"}]}, "coupling in joint elbow"),
-        ({"bodies": bodies}, "its bodies are not those of"),
+        ({"bodies": bodies}, "its links are not those of"),
     ):
         (tmp_path / "one.truth.json").write_text(json.dumps({**first, **change}))
         assert main([*again, "-o", str(tmp_path / "no.csv")]) == 2

@@ -87,18 +87,18 @@ def test_dynamics_of_prismatic_and_locked_joints():
         joint("j3", "b", "c", "continuous", (0, 0.2, 0), (0, 0, 1.0), (0, 0, 1)),
     )
     tree = urdf_tree.UrdfTree("text", urdf_tree.ElementTree.fromstring(text))
-    whole, locked = (
+    complete, locked = (
         mujoco_dynamics.build_dynamics(tree, tree.joints),
         mujoco_dynamics.build_dynamics(tree, ("j1", "j2"), {"j3": 0.7}),
     )
     q, v, a = rng.normal(size=(3, 10, 2))
     wide = [np.column_stack([x, np.full(10, fill)]) for x, fill in ((q, 0.7), (v, 0.0), (a, 0.0))]
     np.testing.assert_allclose(
-        locked.inverse_dynamics(q, v, a), whole.inverse_dynamics(*wide)[:, :2], atol=1e-10
+        locked.inverse_dynamics(q, v, a), complete.inverse_dynamics(*wide)[:, :2], atol=1e-10
     )
-    y = regressor.rigid_body_regressor(whole, *wide)
+    y = regressor.rigid_body_regressor(complete, *wide)
     parameters = np.concatenate([inertial_vector(tree, name) for name in "abc"])
-    np.testing.assert_allclose(y @ parameters, whole.inverse_dynamics(*wide), atol=1e-10)
+    np.testing.assert_allclose(y @ parameters, complete.inverse_dynamics(*wide), atol=1e-10)
 
 
 @pytest.mark.parametrize("name", ["ur10e", "panda"])

@@ -49,3 +49,22 @@ def test_sharpness_increases_from_stage_to_stage():
     for criterion in Criterion:
         sharpness = sqp.sharpness_stages(criterion)
         assert all(a < b for a, b in itertools.pairwise(sharpness))
+
+
+def test_search_from_an_infeasible_start_ends_feasible(problem):
+    x = np.full(problem.size, 0.5)
+    evaluator = Evaluator(problem)
+    assert evaluator.max_constraint_value(x) > 1.5
+    state = sqp.advance(evaluator, sqp.initial_state(x), sqp.History())
+    assert np.isfinite(state.best_value) and state.best_excess == 0.0
+    assert evaluator.max_constraint_value(state.best) <= sqp.MAX_FEASIBLE_ROW_VALUE
+
+
+def test_least_infeasible_iterate_is_kept_where_none_is_feasible(problem):
+    x = np.full(problem.size, 3.0)
+    evaluator, history = Evaluator(problem), sqp.History()
+    before = evaluator.max_constraint_value(x)
+    state = sqp.advance(evaluator, sqp.initial_state(x), history, 2)
+    assert not np.isfinite(state.best_value)
+    assert 1.0 + state.best_excess == pytest.approx(evaluator.max_constraint_value(state.best))
+    assert 1.0 + state.best_excess < before

@@ -1,1 +1,1 @@
-"""The process and its surroundings: streams, signals, output files, private directories."""
+"""Interface to the operating system: streams, signals, output files, private directories."""

@@ -1,4 +1,4 @@
-"""Standard streams of the command line: any encoding, closed, full or cut off."""
+"""Standard streams of the command line, in any encoding, closed, full or disconnected."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ..errors import UnusableInput
 def prepared() -> Iterator[None]:
     """Make standard output and standard error usable within the block.
 
-    Characters that an encoding lacks are replaced. A closed stream is replaced by the null device,
-    its file descriptor too, so that no file that is opened later takes its number and receives what
-    libraries print.
+    Characters that the encoding lacks are replaced. A closed stream and its file descriptor are
+    replaced by the null device: otherwise a file that is opened later would get the descriptor and
+    receive the output of libraries.
     """
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
@@ -36,20 +36,20 @@ def prepared() -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Print a line on standard error, if anybody reads it: progress, warnings, what went wrong."""
+    """Print a line on standard error; ignore a stream that is full, disconnected or closed."""
     try:
         print(text, file=sys.stderr, flush=True)
-    except (OSError, ValueError):  # full, cut off or closed
+    except (OSError, ValueError):  # full, disconnected or closed
         _discard(sys.stderr, 2)
 
 
 def emit(text: str) -> None:
-    """Print a command's result on standard output.
+    """Print the result of a command on standard output.
 
-    Nothing is said where the reader is gone (`| head`).
+    A reader that has ended (`| head`) is no error.
 
     Raises:
-        UnusableInput: It cannot be written, because a disk is full for example.
+        UnusableInput: The text cannot be written, for example because a disk is full.
     """
     try:
         sys.stdout.write(text)
@@ -70,9 +70,9 @@ def _set_errors(stream: TextIO, errors: str) -> None:
 
 
 def _discard(stream: TextIO, handle: int) -> None:
-    """Send what a stream still holds, and whatever comes, to the null device."""
+    """Send the buffer of a stream and all later output to the null device."""
     with contextlib.suppress(OSError, ValueError):
-        if stream.fileno() != handle:  # replaced by a program that called this one
+        if stream.fileno() != handle:  # the calling program has replaced it
             return
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, handle)

@@ -1,4 +1,4 @@
-"""Logs of unforeseen errors."""
+"""Logs of unexpected errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from importlib import metadata
 from pathlib import Path
 
 from .. import __version__
@@ -21,15 +20,16 @@ PACKAGES = ("casadi", "coal", "joblib", "matplotlib", "mujoco", "numpy", "pin", 
 
 
 def write_error_log(error: BaseException, argv: Sequence[str]) -> Path | None:
-    """Write what is needed to reproduce an error, into `$XDG_STATE_HOME/excite`, or else into the
-    directory of temporary files.
+    """Write a log with the data that are needed to reproduce an error.
+
+    Its folder is `$XDG_STATE_HOME/excite`, or else the directory of temporary files.
 
     Args:
         error: The error.
         argv: Arguments of the command.
 
     Returns:
-        The file, which only the user can read; None where none can be written.
+        The file, which only the user can read; None if it cannot be written.
     """
     lines = [
         f"time: {time.strftime('%Y-%m-%d %H:%M:%S %z')}",
@@ -54,6 +54,8 @@ def write_error_log(error: BaseException, argv: Sequence[str]) -> Path | None:
 
 
 def _versions() -> Iterator[tuple[str, str]]:
+    from importlib import metadata  # takes 10 ms
+
     for name in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             yield name, metadata.version(name)

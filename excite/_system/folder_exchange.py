@@ -1,5 +1,4 @@
-"""Replace a folder as a whole: complete a new one beside it, then exchange their names
-atomically."""
+"""Replace a folder atomically: complete a new one next to it, then exchange their names."""
 
 from __future__ import annotations
 
@@ -16,12 +15,16 @@ from pathlib import Path
 
 from .staging import StagingDirectory, locked, status_of, sync_directory, write_new
 
-MOST_ENTRIES = 10_000
-"""Entries of a folder beyond which it is not exchanged: linking them all takes about a second."""
+MAX_ENTRIES = 10_000
+"""Largest number of entries of a folder that is exchanged: linking them takes about a second."""
 ATTEMPTS = 3
-"""How often a folder is staged again because another process has replaced it in the meantime."""
-AT_FDCWD, RENAME_EXCHANGE = -100, 2  # <fcntl.h>, <linux/fs.h>
-RENAME_SWAP = 2  # <sys/stdio.h> of macOS
+"""Number of attempts, if another process replaces the folder at the same time."""
+AT_FDCWD = -100
+"""Directory descriptor for relative paths, of <fcntl.h>."""
+RENAME_EXCHANGE = 2
+"""Flag of `renameat2`, of <linux/fs.h>."""
+RENAME_SWAP = 2
+"""Flag of `renamex_np`, of <sys/stdio.h> of macOS."""
 
 
 class _NotExchangeable(Exception):
@@ -29,18 +32,18 @@ class _NotExchangeable(Exception):
 
 
 def replace_folder(folder: Path, files: Mapping[str, bytes], names: frozenset[str]) -> bool:
-    """Replace a set of files in a folder by replacing the folder, such that a killed process leaves
-    the old or the new set.
+    """Replace a set of files by replacing their folder.
 
-    Entries that are not of the set are carried over, files as hard links.
+    A process that is killed leaves the old or the new set. Entries that are not in the set are
+    kept, files as hard links.
 
     Args:
-        folder: The folder, without symbolic links in its path. It need not exist, its parent must.
+        folder: The folder, without symbolic links in its path. Its parent must exist.
         files: The content of each new file, by its name relative to the folder.
-        names: Names of the whole set; those without a new file are left out of the new folder.
+        names: All names of the set; files of the set that are not in `files` are removed.
 
     Returns:
-        False where the folder cannot be exchanged; nothing was changed then.
+        False if the folder cannot be exchanged; nothing was changed then.
     """
     try:
         return any(_replace_once(folder, files, names) for _ in range(ATTEMPTS))
@@ -49,7 +52,7 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], names: frozenset[st
 
 
 def _replace_once(folder: Path, files: Mapping[str, bytes], names: frozenset[str]) -> bool:
-    """Replace the folder; False where another process has replaced it in the meantime."""
+    """Replace the folder; return False if another process has replaced it meanwhile."""
     with StagingDirectory(folder.parent, folder.name) as staging, contextlib.ExitStack() as stack:
         fresh = staging.path / "new"
         fresh.mkdir()
@@ -81,8 +84,12 @@ def _replace_once(folder: Path, files: Mapping[str, bytes], names: frozenset[str
 
 
 def _require_plain(folder: Path, status: os.stat_result) -> None:
-    """Raise _NotExchangeable for folders of other owners, mount points, and folders that some
-    program relies on to stay."""
+    """Check that a folder may be exchanged.
+
+    Raises:
+        _NotExchangeable: It has another owner, is a mount point, or is in use as the current
+            directory of a process, home or temporary directory.
+    """
     if not hasattr(os, "geteuid") or os.path.ismount(folder) or not _is_own_folder(status):
         raise _NotExchangeable
     for directory in _directories_in_use():
@@ -91,12 +98,11 @@ def _require_plain(folder: Path, status: os.stat_result) -> None:
 
 
 def _directories_in_use() -> Iterator[str]:
-    """The user's home, the temporary directory, and the current directories of all processes, as
-    far as they are shown."""
+    """Home of the user, temporary directory, and current directories of all visible processes."""
     yield os.path.expanduser("~")
     yield os.path.realpath(tempfile.gettempdir())
     for link in glob.iglob("/proc/[0-9]*/cwd"):
-        with contextlib.suppress(OSError):  # ended, or another user's
+        with contextlib.suppress(OSError):  # the process has ended, or is another user's
             yield os.readlink(link)
     with contextlib.suppress(OSError):  # the current directory was removed
         yield str(Path.cwd())
@@ -111,8 +117,7 @@ def _is_own_folder(status: os.stat_result) -> bool:
 
 
 def _link_others(folder: Path, fresh: Path, names: frozenset[str]) -> None:
-    """Recreate the entries of a folder that are not of the set: folders as folders, everything else
-    as hard links.
+    """Recreate the entries of a folder that are not in the set; files become hard links.
 
     Raises:
         OSError, _NotExchangeable: An entry cannot be recreated.
@@ -128,7 +133,7 @@ def _link_others(folder: Path, fresh: Path, names: frozenset[str]) -> None:
                 continue
             count += 1
             status = entry.stat(follow_symlinks=False)
-            if count > MOST_ENTRIES or status.st_dev != device:
+            if count > MAX_ENTRIES or status.st_dev != device:
                 raise _NotExchangeable
             if not stat.S_ISDIR(status.st_mode):
                 os.link(entry.path, fresh / name, follow_symlinks=False)
@@ -138,7 +143,7 @@ def _link_others(folder: Path, fresh: Path, names: frozenset[str]) -> None:
             (fresh / name).mkdir(exist_ok=True)
             pending.append(name)
             recreated.append(name)
-    for name in reversed(recreated):  # inner folders come after the ones that hold them
+    for name in reversed(recreated):  # inner folders first
         old = os.lstat(folder / name)
         if not os.listdir(fresh / name) and _holds_only(folder, name, names):
             os.rmdir(fresh / name)
@@ -148,7 +153,7 @@ def _link_others(folder: Path, fresh: Path, names: frozenset[str]) -> None:
 
 
 def _holds_only(folder: Path, name: Path, names: frozenset[str]) -> bool:
-    """Return whether a path is a folder that holds files of the set and nothing else."""
+    """True if a path is a folder that contains files of the set and nothing else."""
     path = folder / name
     if path.is_symlink() or not path.is_dir():
         return False
@@ -157,8 +162,7 @@ def _holds_only(folder: Path, name: Path, names: frozenset[str]) -> bool:
 
 
 def _copy_attributes(folder: Path, fresh: Path) -> None:
-    """Copy a folder's group, mode and extended attributes (access control lists among them) to
-    another folder."""
+    """Copy group, mode and extended attributes of a folder, with its access control lists."""
     status = os.lstat(folder)
     if os.lstat(fresh).st_gid != status.st_gid:
         os.chown(fresh, -1, status.st_gid)
@@ -168,14 +172,14 @@ def _copy_attributes(folder: Path, fresh: Path) -> None:
             os.setxattr(fresh, name, os.getxattr(folder, name))
 
 
-def _exchange(one: Path, other: Path) -> None:
+def _exchange(first: Path, second: Path) -> None:
     """Exchange the names of two folders atomically.
 
     Raises:
-        OSError, _NotExchangeable: The file system or the operating system cannot do that.
+        OSError, _NotExchangeable: The file system or the operating system does not support it.
     """
     library = ctypes.CDLL(None, use_errno=True)
-    names = os.fsencode(one), os.fsencode(other)
+    names = os.fsencode(first), os.fsencode(second)
     try:
         if sys.platform == "linux":
             failed = library.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], RENAME_EXCHANGE)
@@ -191,8 +195,7 @@ def _exchange(one: Path, other: Path) -> None:
 
 
 def _carry_over(old: Path, folder: Path, names: frozenset[str]) -> None:
-    """Move entries that others have added or replaced in the old folder while the new one was
-    staged."""
+    """Move entries that other processes have added or replaced while the new folder was staged."""
     for path, folders, others in os.walk(old):
         inner = Path(path).relative_to(old)
         for entry in [*folders, *others]:

@@ -1,29 +1,27 @@
-"""Output files of a command: all are replaced together or none is, also when the process is killed.
+"""Output files of a command: all are replaced or none, even if the process is killed.
 
 Guarantees:
 
-* Every file is complete and on the disk before the first takes its place. After a refusal or an
-  error all are as they were.
-* A folder that belongs to the command (`output_folder`) is replaced as a whole: a new folder is
-  completed beside it, in `.<folder>.<process>.<random>.partial`, and takes its name by one rename,
-  or exchanges names with the old folder atomically (`renameat2` with RENAME_EXCHANGE on Linux,
+* Every file is complete and on the disk before the first one is replaced. After an error all files
+  are unchanged.
+* A folder that belongs to the command (`output_folder`) is replaced as a unit: a new folder is
+  completed next to it, `.<folder>.<process>.<random>.partial`. It is renamed, or its name is
+  exchanged atomically with that of the old folder (`renameat2` with RENAME_EXCHANGE on Linux,
   `renamex_np` with RENAME_SWAP on macOS). A process that is killed at any moment leaves either the
-  old set or the new one. Other entries of the folder are carried over as hard links to the same
-  files.
-* Where that is impossible the files are replaced in place: the old ones are moved away, the main
-  file first, then the new ones are moved in, the main file last. A process that is killed in
-  between leaves an incomplete set without its main file, never old files beside new ones. This
-  holds for files beside each other in a folder of the user's (`output_files`), and for a folder
-  that is a mount point or above or at the current directory, holds links in place of files of the
-  set, more than `folder_exchange.MOST_ENTRIES` entries, entries of other owners or of another file
-  system, or that is on a file system without hard links or without exchange. A single file is
-  replaced by one rename.
-* What a killed process leaves in staging directories is removed by the next run that writes to the
-  same place.
-* Symbolic links are followed: the file that a link leads to is replaced, the link stays. A target
-  that is no regular file (a device, pipe, socket or folder) is refused.
-* A new file gets the mode that the umask leaves; a replaced file keeps its mode.
-* Ctrl-C, SIGTERM and SIGHUP wait until all files are replaced, which takes milliseconds.
+  old set or the new one. Other entries of the folder are kept as hard links to the same files.
+* If that is impossible, the files are replaced in place: the old files are moved away, the main
+  file first, then the new files are moved in, the main file last. A process that is killed in
+  between leaves an incomplete set without its main file, never a mixture of old and new files. This
+  applies to files in a folder of the user (`output_files`), and to a folder that is a mount point,
+  contains the current directory, contains links instead of files of the set, more than
+  `folder_exchange.MAX_ENTRIES` entries, or entries of other owners or of another file system, or
+  that is on a file system without hard links or without exchange. A single file is replaced by one
+  rename.
+* Staging directories of killed processes are removed by the next run that writes to the same place.
+* Symbolic links are followed: the target of the link is replaced, the link stays. A target that is
+  no regular file (a device, pipe, socket or folder) is refused.
+* A new file gets the mode of the umask; a replaced file keeps its mode.
+* Ctrl-C, SIGTERM and SIGHUP are delayed until all files are replaced, which takes milliseconds.
 """
 
 from __future__ import annotations
@@ -61,22 +59,19 @@ _replaced: list[Path] = []
 
 
 def replaced_files() -> tuple[Path, ...]:
-    """All files that this process has replaced so far, so that messages about interruptions can be
-    true."""
+    """Return all files that this process has replaced so far, for messages about interruptions."""
     return tuple(_replaced)
 
 
 @dataclass(frozen=True)
 class OutputFiles:
-    """The files that a command writes, checked before its computation and replaced together after
-    it.
+    """Files that a command writes: checked before its computation, replaced together after it.
 
     Attributes:
-        folder: The folder that all names are relative to.
-        names: All names the command may write, the main file first. A name may have a subfolder:
-            `validation/trajectory.json`.
-        owns_folder: Whether the folder is the command's own, so that it may be exchanged as a
-            whole.
+        folder: Folder that all names are relative to.
+        names: All names that the command may write, the main file first. A name may have a
+            subfolder: `validation/trajectory.json`.
+        owns_folder: True if the folder belongs to the command, so that it may be exchanged.
     """
 
     folder: Path
@@ -90,7 +85,7 @@ class OutputFiles:
             inputs: Files that the command reads and that must not be replaced.
 
         Raises:
-            UnusableInput: The folder cannot be written, or a target is no regular file, or one of
+            UnusableInput: The folder cannot be written, or a target is no regular file or one of
                 the inputs.
         """
         if os.path.exists(self.folder) and not os.path.isdir(self.folder):
@@ -110,14 +105,14 @@ class OutputFiles:
         """Replace the files.
 
         Args:
-            contents: The text of each file. Files of `names` that are not among them are removed:
-                they belong to an earlier result.
+            contents: Text of each file. Files of `names` without a text are removed: they belong
+                to an earlier result.
 
         Returns:
-            The paths of the files, as the user named the folder.
+            The paths of the files, relative to the folder as the user stated it.
 
         Raises:
-            UnusableInput: The files cannot be written. They are as they were before.
+            UnusableInput: The files cannot be written; they are unchanged.
         """
         if not contents.keys() <= set(self.names):
             raise ValueError(
@@ -137,8 +132,12 @@ class OutputFiles:
         return written
 
     def _replace(self, files: Mapping[str, bytes], created: list[Path]) -> None:
-        """Replace the files, by the folder if possible, else in place. Folders that had to be made
-        are added to `created`."""
+        """Replace the files, by exchanging the folder if possible, else in place.
+
+        Args:
+            files: Content of each file.
+            created: List to which new folders are appended.
+        """
         folder, targets = Path(os.path.realpath(self.folder)), self._targets()
         main = targets[self.names[0]].name
         remove_abandoned(folder.parent, folder.name)
@@ -181,8 +180,11 @@ class OutputFiles:
         _remove_empty(unused - {folder})
 
     def _targets(self) -> dict[str, Path]:
-        """The file that each name leads to, through links. Raises UnusableInput for what cannot be
-        replaced."""
+        """Resolve the links of each name.
+
+        Raises:
+            UnusableInput: A file cannot be replaced.
+        """
         targets: dict[str, Path] = {}
         for name in self.names:
             path = self.folder / name
@@ -215,14 +217,14 @@ class OutputFiles:
 
 
 def output_folder(folder: Path, names: Sequence[str]) -> OutputFiles:
-    """The output files of a command in a folder of their own.
+    """Return the output files of a command that has a folder of its own.
 
     Args:
         folder: The folder, which need not exist.
-        names: All names the command may write in it, the main file first.
+        names: All names that the command may write in it, the main file first.
 
     Raises:
-        UnusableInput: They cannot be written, as far as can be told without writing.
+        UnusableInput: The files cannot be written, as far as can be checked without writing.
     """
     files = OutputFiles(folder, tuple(names), owns_folder=True)
     files.check()
@@ -232,15 +234,15 @@ def output_folder(folder: Path, names: Sequence[str]) -> OutputFiles:
 def output_files(
     path: Path, siblings: Sequence[str] = (), inputs: Sequence[Path] = ()
 ) -> OutputFiles:
-    """An output file, and others beside it, in a folder of the user's.
+    """Return an output file, and others next to it, in a folder of the user.
 
     Args:
         path: The main file.
-        siblings: Names of the others.
+        siblings: Names of the other files.
         inputs: Files that the command reads and that must not be replaced.
 
     Raises:
-        UnusableInput: They cannot be written, as far as can be told without writing.
+        UnusableInput: The files cannot be written, as far as can be checked without writing.
     """
     if path.name in ("", ".."):
         raise _refusal(path, "is a folder, not a regular file", "give the name of a file with -o")
@@ -263,15 +265,15 @@ def _special_file(status: os.stat_result) -> str | None:
     )
 
 
-def _is_same_file(one: Path, other: Path) -> bool:
+def _is_same_file(first: Path, second: Path) -> bool:
     try:
-        return os.path.samefile(one, other)
-    except OSError:  # one is absent
+        return os.path.samefile(first, second)
+    except OSError:  # a file is absent
         return False
 
 
 def _is_standard_stream(path: Path) -> bool:
-    """Return whether standard output or standard error go to a file: it must stay."""
+    """True if standard output or standard error are redirected to a file: it must stay."""
     status = status_of(path)
     for handle in (1, 2):
         with contextlib.suppress(OSError):  # closed
@@ -281,8 +283,7 @@ def _is_standard_stream(path: Path) -> bool:
 
 
 def _make_folders(folder: Path) -> list[Path]:
-    """Create a folder and what is missing above it; returns what was created, the outermost
-    first."""
+    """Create a folder and its missing parents; return the new folders, the outermost first."""
     missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     missing.reverse()
     for path in missing:
@@ -300,13 +301,14 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 def _move_in(
     staged: Mapping[Path, Path], targets: Sequence[Path], stagings: Mapping[Path, Path]
 ) -> None:
-    """Move the old files away, the main one first, and the new ones in, the main one last; an error
-    undoes all of it.
+    """Move the old files away, the main file first, and the new files in, the main file last.
+
+    After an error the old files are restored.
 
     Args:
         staged: The new file of each target.
-        targets: All files of the set, the main one first; those without a new file are removed.
-        stagings: The staging directory beside the targets of each folder.
+        targets: All files of the set, the main file first; those without a new file are removed.
+        stagings: Staging directory of each folder.
     """
     if len(targets) == 1 and targets[0] in staged:
         os.replace(staged[targets[0]], targets[0])
@@ -333,11 +335,9 @@ def _move_in(
 
 @contextlib.contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Let signals that end a process wait until the block is done."""
-    if (
-        threading.current_thread() is not threading.main_thread()
-    ):  # signals are handled in the main thread
-        yield
+    """Delay signals that end the process until the end of the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may handle signals
         return
     waiting: list[int] = []
     kinds = [

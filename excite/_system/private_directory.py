@@ -1,5 +1,4 @@
-"""Directories that nobody but the user can write to or read: the cache of compiled code, the
-logs."""
+"""Directories that only the user can read and write: the cache of compiled code, and the logs."""
 
 from __future__ import annotations
 
@@ -14,21 +13,21 @@ def private_directory(variable: str, default: str) -> Path | None:
     """Find or create the package's private directory of a kind (XDG Base Directory Specification).
 
     Args:
-        variable: The environment variable that names the directory above it; relative paths are
-            ignored, as the specification says.
-        default: That directory where the variable is unset, relative to the user's home.
+        variable: Environment variable with the parent directory; relative paths are ignored, as
+            the specification requires.
+        default: Parent directory relative to the user's home, if the variable is not set.
 
     Returns:
-        `<directory>/excite`, owned by the user and accessible to nobody else; None where there is
-        no such directory and none can be created.
+        `<directory>/excite`, owned by the user and not accessible to others; None if there is no
+        such directory and none can be created.
     """
-    above = os.environ.get(variable, "")
-    if not os.path.isabs(above):
+    parent = os.environ.get(variable, "")
+    if not os.path.isabs(parent):
         home = os.path.expanduser("~")
         if not (os.path.isabs(home) and os.path.isdir(home)):
             return None
-        above = os.path.join(home, default)
-    path = Path(above) / "excite"
+        parent = os.path.join(home, default)
+    path = Path(parent) / "excite"
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         with opened_privately(path) as handle:
@@ -39,14 +38,14 @@ def private_directory(variable: str, default: str) -> Path | None:
 
 @contextlib.contextmanager
 def opened_privately(path: Path) -> Iterator[int | None]:
-    """Open a directory and check that nobody but the user can write to or read it.
+    """Open a directory and check that only the user can read and write it.
 
     Yields:
-        Its file descriptor, or None where it is not private. What is opened relative to the
-        descriptor is in the directory that was checked, whatever happens to its name.
+        Its file descriptor, or None if it is not private. Files that are opened relative to the
+        descriptor are in the directory that was checked, even if its name is changed meanwhile.
 
     Raises:
-        OSError: It is no directory or cannot be opened.
+        OSError: The path is no directory or cannot be opened.
     """
     if not hasattr(os, "geteuid"):  # Windows
         yield None
@@ -59,5 +58,5 @@ def opened_privately(path: Path) -> Iterator[int | None]:
 
 
 def is_private(status: os.stat_result) -> bool:
-    """Return whether a file or directory is the user's, and nobody else can write to or read it."""
+    """True if a file or directory belongs to the user, and others can neither read nor write it."""
     return status.st_uid == os.geteuid() and not stat.S_IMODE(status.st_mode) & 0o077

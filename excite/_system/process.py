@@ -1,5 +1,4 @@
-"""A command as a process: every outcome becomes an exit code and at most one line on standard
-error, never a traceback."""
+"""Run a command: every outcome is an exit code and at most one line on standard error."""
 
 from __future__ import annotations
 
@@ -16,21 +15,22 @@ from .output_files import replaced_files
 from .signals import exit_with, handled
 
 INTERRUPTED = 1
-UNFORESEEN = 70
-"""EX_SOFTWARE of <sysexits.h>."""
+"""Exit code after an interruption."""
+UNEXPECTED = 70
+"""Exit code after an unexpected error: EX_SOFTWARE of <sysexits.h>."""
 
 
 def run(command: Callable[[], int], argv: Sequence[str], *, owns_process: bool) -> int:
     """Run a command.
 
     Args:
-        command: Returns its exit code; what it raises is reported.
-        argv: Its arguments, for the log of an unforeseen error.
-        owns_process: Whether the process ends after the command: signals end it at once then.
+        command: Returns its exit code; exceptions are reported.
+        argv: Arguments of the command, for the log of an unexpected error.
+        owns_process: True if the process ends after the command: signals then end it at once.
 
     Returns:
         The exit code: that of the command or of the `ExciteError` it raised, 1 after an
-        interruption, 70 after an unforeseen error.
+        interruption, 70 after an unexpected error.
     """
     already = len(replaced_files())
 
@@ -57,9 +57,9 @@ def run(command: Callable[[], int], argv: Sequence[str], *, owns_process: bool) 
         try:
             code, message = _outcome(command, argv)
             if message:
-                say(
-                    f"excite: {message}{f'; files that were written before: {paths}' if (paths := written()) else ''}"  # noqa: E501
-                )
+                paths = written()
+                earlier = f"; files that were written before: {paths}" if paths else ""
+                say(f"excite: {message}{earlier}")
         except KeyboardInterrupt as interruption:
             say(interrupted(str(interruption) or "interrupted"))
             code = INTERRUPTED
@@ -69,7 +69,7 @@ def run(command: Callable[[], int], argv: Sequence[str], *, owns_process: bool) 
 
 
 def _outcome(command: Callable[[], int], argv: Sequence[str]) -> tuple[int, str]:
-    """Exit code of a command, and the line about what went wrong, if anything did."""
+    """Return the exit code of a command, and the line about an error; empty without."""
     try:
         return command(), ""
     except ExciteError as error:
@@ -77,19 +77,20 @@ def _outcome(command: Callable[[], int], argv: Sequence[str]) -> tuple[int, str]
     except SystemExit as end:  # --help, --version
         return end.code if isinstance(end.code, int) else 0, ""
     except Exception as error:
-        return UNFORESEEN, _unforeseen(error, argv)
+        return UNEXPECTED, _report_unexpected(error, argv)
 
 
-def _unforeseen(error: Exception, argv: Sequence[str]) -> str:
-    """Log an unforeseen error and return the line about it."""
+def _report_unexpected(error: Exception, argv: Sequence[str]) -> str:
+    """Log an unexpected error and return the line about it."""
     log = None
     with contextlib.suppress(MemoryError, RecursionError):
         log = write_error_log(error, argv)
     place = "no log of it could be written" if log is None else f"its log is {log}"
     if isinstance(error, MemoryError):
-        return f"out of memory ({_one_line(error) or 'no details'}); use fewer samples, harmonics or joints; {place}"  # noqa: E501
+        details = _one_line(error) or "no details"
+        return f"out of memory ({details}); use fewer samples, harmonics or joints; {place}"
     return (
-        f"unforeseen error, please report it: {type(error).__name__}: {_one_line(error)}; {place}"
+        f"unexpected error, please report it: {type(error).__name__}: {_one_line(error)}; {place}"
     )
 
 

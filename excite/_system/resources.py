@@ -1,4 +1,4 @@
-"""Time and memory that a command will take, against what the machine has."""
+"""Estimated time and memory of a computation, compared with the machine's."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from pathlib import Path
 from ..errors import UnusableInput
 
 MEMORY_SHARE = 0.7
-"""Share of the machine's memory that a command may use; the rest is for everything else on it."""
-LONGEST = 24 * 3600.0
-"""Longest time that a command may take [s]. A design that needs more has a mistake in its options
-more often than a purpose."""
-WORTH_MENTION = 30.0, 1e9
-"""Time [s] and memory [bytes] from which an estimate is printed before the work begins."""
+"""Share of the machine's memory that a command may use [1]; other processes need the remainder."""
+MAX_TIME = 24 * 3600.0
+"""Longest estimated time of a command [s]; a longer one is usually a mistake in the options."""
+ANNOUNCED_TIME = 30.0
+"""Estimated time from which it is announced before the computation [s]."""
+ANNOUNCED_MEMORY = 1e9
+"""Estimated memory from which it is announced before the computation [bytes]."""
 CGROUP_LIMITS = (
     Path("/sys/fs/cgroup/memory.max"),
     Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
 )
-"""Files in which Linux states the memory limit of a container, of its two versions."""
+"""Files with the memory limit of a container: control groups of version 2 and 1."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """An estimate of what a piece of work takes.
+    """Estimated cost of a computation.
 
     Attributes:
         seconds: Time on an idle machine [s].
@@ -37,19 +38,21 @@ class Cost:
     memory: float
 
     def __str__(self) -> str:
-        """Both in words: "about 4 min and 1.2 GB"."""
+        """Return both in words: "about 4 min and 1.2 GB"."""
         return f"about {duration(self.seconds)} and {self.memory / 1e9:.2g} GB"
 
-    def require(self, work: str, remedy: str, say: Callable[[str], None] | None = None) -> None:
-        """Refuse work that this machine cannot do, and announce work that takes long.
+    def require(
+        self, work: str, remedy: str, announce: Callable[[str], None] | None = None
+    ) -> None:
+        """Refuse a computation that is too large for this machine, and announce a long one.
 
         Args:
-            work: The work, for messages: "60 joints, 100 samples".
-            remedy: What makes it smaller, for messages.
-            say: Prints a line of progress; None: nothing is announced.
+            work: The computation, for messages: "60 joints, 100 samples".
+            remedy: How to make it smaller, for messages.
+            announce: Called with a line of progress; None: nothing is announced.
 
         Raises:
-            UnusableInput: The work takes longer than LONGEST, or more than MEMORY_SHARE of the
+            UnusableInput: It takes longer than MAX_TIME, or more than MEMORY_SHARE of the
                 memory.
         """
         memory = machine_memory()
@@ -58,14 +61,15 @@ class Cost:
                 f"{work}: needs {self}, more than {100 * MEMORY_SHARE:.0f} % of this machine's "
                 f"{memory / 1e9:.2g} GB; {remedy}"
             )
-        if self.seconds > LONGEST:
-            raise UnusableInput(f"{work}: needs {self}, longer than {duration(LONGEST)}; {remedy}")
-        if say and (self.seconds > WORTH_MENTION[0] or self.memory > WORTH_MENTION[1]):
-            say(f"{work}: this takes {self}")
+        if self.seconds > MAX_TIME:
+            raise UnusableInput(f"{work}: needs {self}, longer than {duration(MAX_TIME)}; {remedy}")
+        is_large = self.seconds > ANNOUNCED_TIME or self.memory > ANNOUNCED_MEMORY
+        if announce is not None and is_large:
+            announce(f"{work}: this takes {self}")
 
 
 def duration(seconds: float) -> str:
-    """A time in words with two digits: "40 s", "3.5 min", "12 h", "2.1 days"."""
+    """Return a time [s] in words with two digits: "40 s", "3.5 min", "12 h", "2.1 days"."""
     for unit, length in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 1.5 * length:
             return f"{float(f'{seconds / length:.2g}'):g} {unit}"
@@ -73,14 +77,13 @@ def duration(seconds: float) -> str:
 
 
 def machine_memory() -> float | None:
-    """Memory of the machine or of the container that this process runs in [bytes]; None where
-    unknown."""
+    """Return the memory of the machine or of the container [bytes]; None if unknown."""
     known = []
     with contextlib.suppress(AttributeError, OSError, ValueError):  # Windows
         known.append(float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES"))
     for file in CGROUP_LIMITS:
         try:
             known.append(float(file.read_text(encoding="ascii")))
-        except (OSError, ValueError):  # not there, or "max": no limit
+        except (OSError, ValueError):  # absent, or "max": no limit
             continue
     return min(known, default=None)

@@ -13,30 +13,30 @@ from types import FrameType
 from typing import Any
 
 NAMES = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminated"}
-"""Signals that end a command, and the word for it."""
-PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
+"""Signals that end a command -> the word for it in messages."""
+PR_SET_PDEATHSIG = 1
+"""Option of `prctl`, of <sys/prctl.h>: the signal that a process gets when its parent ends."""
 
 
 class Interruption(KeyboardInterrupt):
-    """A signal that ends a command; its text is the word for it."""
+    """A signal that ends a command; its text is the word of NAMES."""
 
 
 @contextlib.contextmanager
 def handled(end: Callable[[str], None] | None) -> Iterator[None]:
-    """Handle the signals within the block, unless they are ignored already (`nohup`, background
-    jobs).
+    """Handle the signals within the block, except ignored ones (`nohup`, background jobs).
 
-    Forked worker processes do not see signals to the group of the process (Ctrl-C of a terminal,
-    `timeout`) and end with it.
+    Forked worker processes do not receive signals to the process group (Ctrl-C of a terminal,
+    `timeout`), and end with their parent.
 
     Args:
-        end: Called with the word for the signal; it should end the process. It is called where an
-            exception would be lost or printed: Python drops what is raised in callbacks of the
-            garbage collector, and extension modules turn an interrupted import into another error.
-            None: `Interruption` is raised, and the handlers of before are restored after the block.
+        end: Called with the word for the signal; it should end the process. An exception instead
+            could be lost: Python discards exceptions in callbacks of the garbage collector, and
+            extension modules convert an interrupted import into another error. None: `Interruption`
+            is raised, and the former handlers are restored after the block.
     """
-    if threading.current_thread() is not threading.main_thread():  # which alone may handle signals
-        yield
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may handle signals
         return
     if sys.platform == "linux":
         import ctypes
@@ -48,11 +48,8 @@ def handled(end: Callable[[str], None] | None) -> Iterator[None]:
         if (old := signal.getsignal(kind)) not in (None, signal.SIG_IGN)
     }
     _state.end = end
-    if (
-        end is not None
-        # the first that is registered is called last: after it, Python would restore the system's
-        # handlers
-    ):
+    if end is not None:
+        # registered first, so called last: afterwards Python would restore the system's handlers
         atexit.register(_replace_handlers, signal.SIG_IGN)
     for kind in before:
         signal.signal(kind, _handle)
@@ -67,8 +64,10 @@ def handled(end: Callable[[str], None] | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def raised() -> Iterator[None]:
-    """Raise the signals as `Interruption` within the block, for commands that run until they are
-    interrupted."""
+    """Raise the signals as `Interruption` within the block.
+
+    For commands that run until they are interrupted.
+    """
     end, _state.end = _state.end, None
     try:
         yield
@@ -77,19 +76,21 @@ def raised() -> Iterator[None]:
 
 
 def exit_with(code: int) -> None:
-    """Let signals end the process with an exit code from now on: the command is done, and only the
-    interpreter has to end."""
+    """Let signals end the process with an exit code from now on.
+
+    The command has ended, and only the interpreter has to end.
+    """
     if threading.current_thread() is threading.main_thread():
         _replace_handlers(lambda number, frame: os._exit(code))
 
 
 class _State:
-    """How signals are handled, and what forked worker processes need to know.
+    """Handling of signals, and the data that forked worker processes need.
 
     Attributes:
         end: As in `handled`.
-        parent: The process of the command, while it runs.
-        prctl: The function of Linux's C library.
+        parent: Process number of the command, while it runs.
+        prctl: Function of the C library of Linux.
     """
 
     end: Callable[[str], None] | None = None
@@ -118,32 +119,29 @@ def _replace_handlers(handler: Callable[[int, FrameType | None], None] | signal.
 
 
 def _block() -> None:
-    """Before a fork: a signal that reaches the child before it has handlers of its own would be
-    lost, and a pool wait for ever."""
+    """Block the signals before a fork.
+
+    A signal that reaches the child before it has its own handlers would be lost, and a pool of
+    processes would wait for ever.
+    """
     if _state.parent is not None:
         signal.pthread_sigmask(signal.SIG_BLOCK, _kinds())
 
 
 def _unblock() -> None:
+    """Unblock the signals after a fork."""
     if _state.parent is not None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _kinds())
 
 
 def _become_worker() -> None:
-    """In a forked child: leave the process group, and end with the parent."""
+    """Leave the process group in a forked child, and let it end with its parent."""
     if _state.parent is None:
         return
     _replace_handlers(signal.SIG_DFL)
-    os.setpgid(
-        0,
-        0,
-        # signals to the group are for the parent: a worker that dies of one may take a lock of the
-        # pool
-        # with it
-    )
-    if (
-        _state.prctl is not None
-    ):  # without that, workers of a pool wait for ever for a process that was killed
+    # signals to the group are for the parent: a worker that is ended may hold a lock of the pool
+    os.setpgid(0, 0)
+    if _state.prctl is not None:  # otherwise workers would wait for ever for a killed parent
         _state.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != _state.parent:
             os._exit(1)

@@ -1,5 +1,4 @@
-"""Staging directories: fresh, hidden directories in which files are completed before they take
-their place."""
+"""Staging directories: hidden directories in which files are completed before they are moved."""
 
 from __future__ import annotations
 
@@ -15,28 +14,25 @@ from pathlib import Path
 
 try:
     import fcntl
-except (
-    ImportError
-):  # Windows: without locks, the process number alone tells whether an owner is alive
+except ImportError:  # Windows: no locks; the process number alone identifies the owner
     fcntl = None  # type: ignore[assignment]
 
 SUFFIX = ".partial"
+"""End of the names of staging directories."""
 NAME_BYTES = 100
-"""Bytes of a name that enter the name of its staging directory; file systems allow 255 for all of
-it."""
+"""Bytes of a name that are part of the name of its staging directory; file systems allow 255 in
+total."""
 REUSE_AGE = 60.0
-"""Age [s] from which an unlocked staging directory is abandoned although a process of its number is
-alive: numbers are reused, and each container counts its own. Locking a directory after its creation
-takes well under a millisecond."""
+"""Age from which an unlocked staging directory is abandoned although a process with its number is
+alive [s]: process numbers are reused, and each container has its own. A directory is locked within
+a millisecond of its creation."""
 
 
 class StagingDirectory:
-    """A fresh directory `.<name>.<process>.<random>.partial`, locked for as long as its process
-    lives.
+    """A new directory `.<name>.<process>.<random>.partial`, locked while its process runs.
 
-    The lock (`flock` on the directory) ends with the process, however that ends, so that a later
-    run can tell abandoned directories from those in use. As a context manager it removes itself at
-    the end.
+    The lock (`flock` on the directory) ends with the process, so that a later run can distinguish
+    abandoned directories from those in use. As a context manager the directory removes itself.
 
     Attributes:
         path: The directory.
@@ -46,8 +42,8 @@ class StagingDirectory:
         """Create and lock the directory.
 
         Args:
-            parent: Where; on the file system of the place to which its content will be moved.
-            name: What is staged; `remove_abandoned` looks for this name.
+            parent: Parent directory, on the file system to which the content will be moved.
+            name: Name of the file or folder that is staged, for `remove_abandoned`.
 
         Raises:
             OSError: The directory cannot be created.
@@ -56,9 +52,7 @@ class StagingDirectory:
             tempfile.mkdtemp(prefix=f"{_prefix(name)}{os.getpid()}.", suffix=SUFFIX, dir=parent)
         )
         self._lock: int | None = None
-        with contextlib.suppress(
-            BlockingIOError
-        ):  # somebody looks whether it is abandoned, just now
+        with contextlib.suppress(BlockingIOError):  # another process is checking its lock
             self._lock = _try_lock(self.path)
 
     def remove(self) -> None:
@@ -76,10 +70,10 @@ class StagingDirectory:
 
 
 def staging_directories(parent: Path, name: str) -> Iterator[tuple[Path, bool]]:
-    """Find the user's own staging directories of a name.
+    """Find the staging directories of a name that belong to the user.
 
     Yields:
-        Each directory, and whether it is abandoned: its process ended without removing it.
+        Each directory, and True if it is abandoned: its process has ended without removing it.
     """
     pattern = re.compile(rf"{re.escape(_prefix(name))}(\d+)\.\w{{8}}{re.escape(SUFFIX)}")
     try:
@@ -90,7 +84,7 @@ def staging_directories(parent: Path, name: str) -> Iterator[tuple[Path, bool]]:
         match = pattern.fullmatch(entry.name)
         if match is None or not entry.is_dir(follow_symlinks=False):
             continue
-        with contextlib.suppress(OSError):  # removed in the meantime, or not ours to open
+        with contextlib.suppress(OSError):  # removed meanwhile, or no permission
             status = entry.stat(follow_symlinks=False)
             if not hasattr(os, "geteuid") or status.st_uid == os.geteuid():
                 yield (
@@ -110,14 +104,14 @@ def remove_abandoned(parent: Path, name: str) -> None:
 def locked(directory: Path, patience: float = 5.0) -> Iterator[None]:
     """Hold the lock of a directory against other processes of this package.
 
-    Where the file system has no locks for directories (some network file systems) none is held.
+    On file systems without locks for directories (some network file systems) it does nothing.
 
     Args:
         directory: An existing directory.
-        patience: How long to wait for another process [s].
+        patience: Longest time to wait for another process [s].
 
     Raises:
-        OSError: Another process held the lock all the time.
+        OSError: Another process has held the lock for that time.
     """
     until = time.monotonic() + patience
     while True:
@@ -130,7 +124,7 @@ def locked(directory: Path, patience: float = 5.0) -> Iterator[None]:
             continue
         if handle is None or os.path.samestat(os.fstat(handle), os.stat(directory)):
             break
-        os.close(handle)  # the folder was exchanged for another in the meantime
+        os.close(handle)  # the folder was exchanged meanwhile
     try:
         yield
     finally:
@@ -139,7 +133,7 @@ def locked(directory: Path, patience: float = 5.0) -> Iterator[None]:
 
 
 def status_of(path: Path) -> os.stat_result | None:
-    """The status of a path itself, not of what a link leads to; None where there is nothing."""
+    """Return the status of a path without following links; None if it does not exist."""
     try:
         return os.lstat(path)
     except (FileNotFoundError, NotADirectoryError):
@@ -151,9 +145,9 @@ def write_new(path: Path, content: bytes, like: Path) -> None:
 
     Args:
         path: The file, which must not exist.
-        content: All of it.
-        like: The file that it will replace: it gets its mode, and its owner where that is
-            permitted. Where there is none, the umask decides.
+        content: Its content.
+        like: The file that it will replace, which determines its mode, and its owner if that is
+            permitted. Without such a file the umask determines the mode.
     """
     with open(path, "xb") as stream:
         old = status_of(like)
@@ -167,7 +161,7 @@ def write_new(path: Path, content: bytes, like: Path) -> None:
 
 
 def sync_directory(path: Path) -> None:
-    """Write a directory's entries to the disk, where the file system can do that."""
+    """Write the entries of a directory to the disk, if the file system supports it."""
     with contextlib.suppress(OSError):
         handle = os.open(path, os.O_RDONLY)
         try:
@@ -192,7 +186,7 @@ def _is_abandoned(path: Path, process: int, age: float) -> bool:
 
 
 def _is_alive(process: int) -> bool:
-    if os.name == "nt":  # where os.kill(process, 0) is no question
+    if os.name == "nt":  # where os.kill(process, 0) ends the process
         return True
     try:
         os.kill(process, 0)
@@ -204,13 +198,13 @@ def _is_alive(process: int) -> bool:
 
 
 def _try_lock(directory: Path) -> int | None:
-    """Take a directory's lock.
+    """Take the lock of a directory.
 
     Returns:
-        The handle that holds it; None where there are no such locks.
+        The handle that holds the lock; None if the file system has no locks.
 
     Raises:
-        BlockingIOError: Somebody else holds it.
+        BlockingIOError: Another process holds the lock.
     """
     if fcntl is None:
         return None

@@ -1,30 +1,21 @@
-"""Public interface: the functions that the commands call, for use in Python.
+"""Public interface: the functions behind the commands, for use in Python.
 
 Every function takes paths as `str` or `Path` and robots as a path, a built-in name or a loaded
-`Robot`, and returns a result with
-`save(folder)` and `report(path)`.
+`Robot`, and returns a result with `save` and `report`. The names below are those of `excite`;
+`excite/__init__.py` imports this package when one of them is first used.
 """
 
-from .design_result import DesignResult, design
-from .diagnosis_result import DiagnosisResult, diagnose
-from .identification_result import IdentificationResult, identify, predict, read_recording
-from .robots import load_robot
-from .simulated_recording import SimulatedRecording, simulate
-from .verification_result import VerificationResult, export, verify
-
-__all__ = [
-    "DesignResult",
-    "DiagnosisResult",
-    "IdentificationResult",
-    "SimulatedRecording",
-    "VerificationResult",
-    "design",
-    "diagnose",
-    "export",
-    "identify",
-    "load_robot",
-    "predict",
-    "read_recording",
-    "simulate",
-    "verify",
-]
+from .design_result import DesignResult as DesignResult
+from .design_result import design as design
+from .diagnosis_result import DiagnosisResult as DiagnosisResult
+from .diagnosis_result import diagnose as diagnose
+from .identification_result import IdentificationResult as IdentificationResult
+from .identification_result import identify as identify
+from .identification_result import predict as predict
+from .identification_result import read_recording as read_recording
+from .robots import load_robot as load_robot
+from .simulated_recording import SimulatedRecording as SimulatedRecording
+from .simulated_recording import simulate as simulate
+from .verification_result import VerificationResult as VerificationResult
+from .verification_result import export as export
+from .verification_result import verify as verify

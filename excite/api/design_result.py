@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import _json, recordings
 from .._system.output_files import output_files, output_folder
+from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..collision import clearance_builder, scene_file
 from ..collision.workcell import NOT_CHECKED, Cell
@@ -31,8 +32,8 @@ from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 
-Progress = Callable[[str], None]
 MOTION_FILES = ("trajectory.json", "trajectory.csv")
+"""Files of a motion."""
 DESIGN_FILES = (
     *MOTION_FILES,
     "identifiability.json",
@@ -41,8 +42,8 @@ DESIGN_FILES = (
 )
 """Files of a design; a validation motion of an earlier design is removed with it."""
 THRESHOLD = 1e-2
-"""Largest scale-free variance of a direction that counts as identifiable [1]: about 10 % (Lee, Lee
-and Park 2021)."""
+"""Largest scale-free variance of an identifiable direction [1]: a standard deviation of about 10 %
+(Lee, Lee and Park 2021)."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,10 @@ class CellOptions:
     Attributes:
         scene: Scene file (TOML), None without.
         floor: Height of the floor in the base frame [m]; False: none; None: the mounting plane.
-        clearance: Least distance to keep [m]; None: the scene's, or 0.02.
+        clearance: Smallest allowed distance [m]; None: that of the scene, or 0.02.
         srdf: SRDF whose disabled pairs of links may touch.
         packages: Folders of `package://` meshes.
-        check: False: distances are not checked.
+        check: True if distances are checked.
     """
 
     scene: str | Path | None = None
@@ -66,7 +67,15 @@ class CellOptions:
     check: bool = True
 
     def cell(self, robot: Robot, limits: Limits) -> tuple[Cell | None, str]:
-        """Build the cell; or return None and the reason why there is nothing to check."""
+        """Build the cell.
+
+        Returns:
+            The cell, or None if distances cannot be checked or are not to be checked; and the
+            reason in the latter case.
+
+        Raises:
+            UnusableInput: A file cannot be used.
+        """
         if not self.check:
             return None, f"{NOT_CHECKED} (--no-collision)"
         scene = scene_file.Scene() if self.scene is None else scene_file.read(Path(self.scene))
@@ -85,15 +94,16 @@ class CellOptions:
 
 @dataclass(frozen=True)
 class DesignResult:
-    """A designed motion with its certificate and what it will show.
+    """A designed motion with its certificate and its identifiability analysis.
 
     Attributes:
-        delivery: The trajectory, its certificate, and how it was found.
+        delivery: The trajectory, its certificate, and the record of the search.
         robot: The robot.
-        analysis: What the motion makes identifiable.
-        validation: The second, different motion, None where none was asked for.
-        cell: Surroundings that were checked, None where none were.
-        plan: Trade-off of robot time, None where no time budget was given.
+        analysis: Directions of the parameters that the motion makes identifiable.
+        validation: The second, different motion; None if none was requested.
+        cell: Surroundings that were checked; None if distances were not checked.
+        plan: Trade-off of robot time; None without a time budget.
+        given_root: Root of the information of earlier recordings; None without. Shape (m, P).
     """
 
     delivery: pipeline.CertifiedDesign
@@ -122,7 +132,7 @@ class DesignResult:
         return self.delivery.design.setup.problem.parameters
 
     def at(self, t: float | FloatArray, order: int = 0) -> FloatArray:
-        """Evaluate the whole motion or a time derivative of it.
+        """Evaluate the complete motion or a time derivative of it.
 
         Args:
             t: Time from the start [s]. Shape () or (N,).
@@ -177,12 +187,22 @@ class DesignResult:
         )
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write `trajectory.json`, `trajectory.csv`, `identifiability.json` and `report.html`;
-        return their paths."""
+        """Write `trajectory.json`, `trajectory.csv`, `identifiability.json` and `report.html`.
+
+        Returns:
+            The paths of the files.
+
+        Raises:
+            UnusableInput: The files cannot be written.
+        """
         return output_folder(Path(folder), DESIGN_FILES).replace(self.contents())
 
     def report(self, path: str | Path) -> Path:
-        """Write the report alone."""
+        """Write the report alone; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
         path = Path(path)
         return output_files(path).replace({path.name: self.html()})[0]
 
@@ -238,10 +258,9 @@ def design(
 ) -> DesignResult:
     """Design, certify and analyse an excitation trajectory, as `excite design` does.
 
-    The motion is a finite Fourier series (Swevers et al. 1997) optimised for the geometric
-    criterion σ(I·H₀⁻¹) (Lee, Lee and Park,
-    Automatica 131, 2021) under the robot's limits and the clearances of its cell, with ramps from
-    rest to rest.
+    The motion is a finite Fourier series (Swevers et al. 1997) that is optimal for the geometric
+    criterion σ(I·H₀⁻¹) (Lee, Lee and Park, Automatica 131, 2021) under the limits of the robot and
+    the clearances of its cell, with ramps from rest to rest.
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
@@ -249,33 +268,33 @@ def design(
         margin: Share of velocity, acceleration, jerk and torque limits to keep free [1].
         cell: Surroundings; by default the floor and the robot itself, by the URDF's collision
             shapes.
-        options: Criterion, noise, boxes and search; single ones may be given by keyword, as
+        options: Criterion, noise, boxes and search; single fields may be given by keyword, e.g.
             `starts=4`.
         period: Period of the Fourier series [s]; None: from the limits.
         harmonics: Number of harmonics; None: 5, or chosen for `time`.
-        samples: Optimiser's samples over one period; None: 20 per harmonic.
-        periods: Repeats in the motion; None: 2, or what fits `time`.
-        time: Robot time with ramps [s], for which the four above are chosen.
+        samples: Samples of the optimiser over one period; None: 20 per harmonic.
+        periods: Repeats of the period; None: 2, or as many as fit into `time`.
+        time: Robot time with ramps [s], for which the four options above are chosen.
         start: Pose at which the motion begins and ends at rest. Shape (n,) [rad or m].
-        given: Trajectories or recordings whose information is there already.
-        validate: Design a second, different motion too.
+        given: Trajectories or recordings whose information is already available.
+        validate: Also design a second, different motion.
         speed: Share of the speed at which the motion is played.
         threshold: Largest scale-free variance of an identifiable direction.
-        force: Return a motion even when its certificate fails.
-        progress: Called with a line of text now and then.
+        force: Return a motion even if its certificate fails.
+        progress: Called with each line of progress; None: the logger "excite" at level INFO.
         notes: Further entries of the file's `design`.
-        **search: Fields of `Options`, e.g. criterion, starts, seed, jobs, iterations, uncertainty,
-            rate.
+        **search: Fields of `DesignOptions`, e.g. criterion, starts, seed, jobs, iterations,
+            uncertainty, rate.
 
     Raises:
         UnusableInput: An argument or a file cannot be used.
-        Infeasible: No motion obeys all limits.
+        Infeasible: No motion satisfies all limits.
         CheckFailed: The certificate fails and `force` is not set.
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits, margin)
-    wish = time_budget.MotionRequest(period, harmonics, samples, periods)
-    chosen = wish.complete(replace(options, **search), table)
+    request = time_budget.MotionRequest(period, harmonics, samples, periods)
+    chosen = request.complete(replace(options, **search), table)
     for box in chosen.boxes:
         loaded.frame(box.frame)
     pose = None if start is None else np.asarray(start, float)
@@ -285,23 +304,23 @@ def design(
         **(notes or {}),
         "given": [str(path) for path in given],
         "speed": speed,
-        "chosen": wish.unspecified,
+        "chosen": request.unspecified,
     }
     if chosen.noise is None:
         facts["torque_noise_source"] = "1 % of each torque limit (default)"
     workcell, unchecked = cell.cell(loaded, table)
     plan = None
     if time is not None:
-        covers = None if workcell is None else clearance_builder.build_constraint(workcell)
+        clearance = None if workcell is None else clearance_builder.build_constraint(workcell)
         plan = time_budget.plan_for_budget(
             loaded,
             table,
             chosen,
-            wish,
+            request,
             time,
             start=pose,
             earlier_information=information,
-            clearance=covers,
+            clearance=clearance,
         )
         facts["plan"] = plan.reproducible_document()
     run = partial(
@@ -312,15 +331,17 @@ def design(
         notes=facts,
         force=force,
         speed=speed,
-        progress=progress,
+        progress=progress or logger.info,
         cell=workcell,
         unchecked_reason=unchecked,
     )
 
-    def deliver(apart: OverlapPenalty | None = None) -> pipeline.CertifiedDesign:
-        # a validation motion should show everything, known or not
+    def deliver(overlap: OverlapPenalty | None = None) -> pipeline.CertifiedDesign:
+        # the validation motion has to excite all directions, identified before or not
         search_once = partial(
-            run, overlap_penalty=apart, earlier_information=information if apart is None else None
+            run,
+            overlap_penalty=overlap,
+            earlier_information=information if overlap is None else None,
         )
         return (
             search_once(chosen) if plan is None else time_budget.run_plan(plan, chosen, search_once)
@@ -333,9 +354,9 @@ def design(
 
 
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:
-    """Return `trajectory.json` and `trajectory.csv` of a motion."""
+    """Return the texts of `trajectory.json` and `trajectory.csv` by their names."""
     torque = nominal_torque(robot, standard)
-    job = file_format.Job(
+    job = file_format.ExportJob(
         trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, torque
     )
     return {
@@ -345,7 +366,7 @@ def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> 
 
 
 def nominal_torque(robot: Robot, standard: Parameters) -> Callable[[Samples], FloatArray]:
-    """Return the function from sampled motion to nominal torque. Shape (N, n) [N m]."""
+    """Return the function from samples to nominal torque. Shape (N, n) [N m]."""
     return lambda samples: dynamics.torque(robot, standard, samples)
 
 
@@ -357,7 +378,16 @@ def compare_experiments(
     threshold: float,
     given: FloatArray | None = None,
 ) -> tuple[experiment_comparison.Scenario, ...]:
-    """Predict what twice the time or twice the speed of a trajectory would buy."""
+    """Predict the gain of information by twice the time and by twice the speed.
+
+    Args:
+        robot: The robot.
+        standard: Its standard parameters.
+        base: Its base parameters.
+        trajectory: The trajectory.
+        threshold: Largest scale-free variance of an identifiable direction [1].
+        given: Root of the information of earlier recordings. Shape (m, P).
+    """
     return experiment_comparison.compare_scenarios(
         robot,
         standard,
@@ -372,7 +402,18 @@ def compare_experiments(
 
 
 def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None]:
-    """Read the samples of a `trajectory.json` at its own rate, or of a recording."""
+    """Read the samples of a trajectory at its own rate, or of a recording.
+
+    Args:
+        path: A `trajectory.json`, or a recording.
+        robot: The robot.
+
+    Returns:
+        The samples, and the trajectory; None for a recording.
+
+    Raises:
+        UnusableInput: The file cannot be used, or moves other joints.
+    """
     if path.suffix != ".json":
         return recordings.read(path, robot).samples(), None
     trajectory = trajectory_file.read_trajectory(path)
@@ -387,8 +428,11 @@ def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None
 def _information(
     paths: Sequence[str | Path], robot: Robot, limits: Limits, options: DesignOptions
 ) -> FloatArray | None:
-    """Return a root of the information of earlier recordings, in standard parameters. Shape (m,
-    P)."""
+    """Return a root of the information of earlier recordings in standard parameters.
+
+    Returns:
+        R with information matrix RᵀR, shape (m, P); None without recordings.
+    """
     if not paths:
         return None
     standard = inertial_parameters.standard(robot, limits, options.drive)

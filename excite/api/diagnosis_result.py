@@ -1,8 +1,8 @@
-"""Diagnose what the model of a robot leaves out."""
+"""Diagnose a robot: find the effects that its base model lacks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 from .. import _json
 from .._system.output_files import output_files, output_folder
+from .._system.progress import Progress, logger
 from ..diagnosis import diagnosis, fitted_effects, residual_atlas
 from ..diagnosis.diagnosis_file import document as diagnosis_document
 from ..identification import identified_model
@@ -21,7 +22,7 @@ from .identification_result import RecordingSource, _read_both
 from .robots import RobotSource, load_robot, resolve_limits
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
-Progress = Callable[[str], None]
+"""Files of a diagnosis."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,10 @@ class DiagnosisResult:
     """Effects that a recording shows beyond the base model.
 
     Attributes:
-        diagnosis: Findings, what remains unexplained, and the errors on held-out recordings.
+        diagnosis: Findings, unexplained torque, and the errors on held-out recordings.
         recordings: Recordings that the model is fitted to.
-        validation: Recordings that it is judged by.
-        with_report: Whether the residual is analysed for a report.
+        validation: Held-out recordings.
+        with_report: True if the residual is analysed for a report.
     """
 
     diagnosis: diagnosis.Diagnosis
@@ -42,7 +43,7 @@ class DiagnosisResult:
 
     @cached_property
     def atlas(self) -> residual_atlas.Atlas | None:
-        """Residual against everything that it might depend on; None without a report."""
+        """Residual over every quantity that it may depend on; None without a report."""
         return residual_atlas.compute_atlas(self.diagnosis) if self.with_report else None
 
     @cached_property
@@ -55,11 +56,11 @@ class DiagnosisResult:
 
     @property
     def findings(self) -> list[Mapping[str, Any]]:
-        """Effects that are reported, the most certain first."""
+        """Effects that are reported, the most probable first."""
         return list(self._document["findings"])
 
     def model(self) -> dict[str, Any]:
-        """Return the content of `model.json`: the findings, and the parameters without them."""
+        """Return the content of `model.json`: parameters with and without the findings."""
         plain = self.diagnosis.identified
         out = identified_model.model_document(self.diagnosis.refitted or plain, self.recordings)
         out["effects"] = [
@@ -89,11 +90,19 @@ class DiagnosisResult:
         return out | ({"report.html": self.html()} if self.with_report else {})
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write `diagnosis.json`, `model.json` and `report.html`; return their paths."""
+        """Write `diagnosis.json`, `model.json` and `report.html`; return their paths.
+
+        Raises:
+            UnusableInput: The files cannot be written.
+        """
         return output_folder(Path(folder), DIAGNOSIS_FILES).replace(self.contents())
 
     def report(self, path: str | Path) -> Path:
-        """Write the report alone."""
+        """Write the report alone; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
         path = Path(path)
         return output_files(path).replace({path.name: self.html()})[0]
 
@@ -114,18 +123,18 @@ def diagnose(
     with_report: bool = True,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
-    """Find the effects that the base model leaves out, as `excite diagnose` does.
+    """Find the effects that the base model lacks, as `excite diagnose` does.
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
         recordings: Recordings that models are fitted to.
-        validate: Recordings to judge by.
+        validate: Held-out recordings.
         limits: Limits file or limits.
-        prior: Parameters that are right as they stand: `excite.prior/1` or a `model.json`.
-        band: Frequency below which torque is examined [Hz]; None: 20, or more where the data ask
-            for it.
+        prior: Trusted parameters: an `excite.prior/1` document or a `model.json`.
+        band: Cutoff frequency of the low-pass filter [Hz]; None: 20, or higher if the data require
+            it.
         with_report: Analyse the residual for the report, which takes a third of the time.
-        progress: Called with a line of text now and then.
+        progress: Called with each line of progress; None: the logger "excite" at level INFO.
 
     Raises:
         UnusableInput: An argument or a file cannot be used.
@@ -134,12 +143,12 @@ def diagnose(
     table = resolve_limits(loaded, limits)
     standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
-    known = (
+    trusted = (
         {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
     )
     train, held_out = _read_both(loaded, table, recordings, validate)
-    say = progress or (lambda text: None)
-    recording_cost.require_diagnosable([*train, *held_out], say)
-    options = diagnosis.DiagnosisOptions(band, known)
-    found = diagnosis.diagnose(loaded, standard, base, train, held_out, options, say)
-    return DiagnosisResult(found, tuple(train), tuple(held_out), with_report)
+    report = progress or logger.info
+    recording_cost.require_diagnosable([*train, *held_out], report)
+    options = diagnosis.DiagnosisOptions(band, trusted)
+    result = diagnosis.diagnose(loaded, standard, base, train, held_out, options, report)
+    return DiagnosisResult(result, tuple(train), tuple(held_out), with_report)

@@ -1,11 +1,11 @@
-"""Identify physically consistent parameters from recordings, and predict torque by a model."""
+"""Identify physically consistent parameters, and predict torque with an identified model."""
 
 from __future__ import annotations
 
 import csv
 import dataclasses
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import _json, recordings
 from .._system.output_files import output_files, output_folder
+from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..diagnosis import fitted_effects
 from ..errors import UnusableInput
@@ -31,8 +32,9 @@ from ..schemas.document_file import DocumentFile
 from .robots import RobotSource, load_robot, resolve_limits
 
 IDENTIFICATION_FILES = ("model.json", "identified.urdf", "report.html")
-Progress = Callable[[str], None]
+"""Files of an identification."""
 RecordingSource = str | Path | Recording
+"""Path of a recording, or a recording that is already read."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,10 @@ class IdentificationResult:
     """An identified model with its uncertainty.
 
     Attributes:
-        identification: Parameters, intervals, and what the data and the prior decided.
+        identification: Parameters, confidence intervals, and the weights of data and prior.
         recordings: Recordings that the model is fitted to.
-        validation: Recordings that it is judged by.
-        lmi: Comparison with a conic solver, None where none was asked for.
+        validation: Held-out recordings.
+        lmi: Comparison with a conic solver; None if none was requested.
     """
 
     identification: Identification
@@ -54,8 +56,8 @@ class IdentificationResult:
     @property
     def parameters(self) -> dict[str, float]:
         """Identified standard parameters by name, in SI units."""
-        found = self.identification
-        return dict(zip(found.model.parameters.names, found.psi.tolist(), strict=True))
+        result = self.identification
+        return dict(zip(result.model.parameters.names, result.psi.tolist(), strict=True))
 
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""
@@ -74,7 +76,11 @@ class IdentificationResult:
         return report.identification_page(self.identification, remarks)
 
     def contents(self, document: Mapping[str, Any] | None = None) -> dict[str, str]:
-        """Return the files of the identification by name."""
+        """Return the files of the identification by name.
+
+        Args:
+            document: Content of `model.json`; None: it is computed.
+        """
         document = self.document() if document is None else document
         return {
             "model.json": _json.dumps(document),
@@ -83,18 +89,29 @@ class IdentificationResult:
         }
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write `model.json`, `identified.urdf` and `report.html`; return their paths."""
+        """Write `model.json`, `identified.urdf` and `report.html`; return their paths.
+
+        Raises:
+            UnusableInput: The files cannot be written.
+        """
         return output_folder(Path(folder), IDENTIFICATION_FILES).replace(self.contents())
 
     def report(self, path: str | Path) -> Path:
-        """Write the report alone."""
+        """Write the report alone; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
         path = Path(path)
         return output_files(path).replace({path.name: self.html()})[0]
 
     def __repr__(self) -> str:
-        found = self.identification
-        known, count = found.analysis.identifiable_count, found.model.base.count
-        return f"<IdentificationResult {found.model.robot.name}: {known} of {count} directions identified>"  # noqa: E501
+        result = self.identification
+        identified, count = result.analysis.identifiable_count, result.model.base.count
+        return (
+            f"<IdentificationResult {result.model.robot.name}: {identified} of {count} "
+            "directions identified>"
+        )
 
 
 @dataclass(frozen=True)
@@ -112,7 +129,7 @@ class PredictedTorque:
     torque: FloatArray
 
     def csv(self) -> str:
-        """Return the rows `t,tau.<joint>…`."""
+        """Return the table `t,tau.<joint>…` as CSV."""
         stream = io.StringIO()
         header = ["t", *(f"tau.{joint}" for joint in self.joints)]
         csv.writer(stream, lineterminator="\n").writerow(header)
@@ -120,7 +137,11 @@ class PredictedTorque:
         return stream.getvalue()
 
     def save(self, path: str | Path) -> Path:
-        """Write the rows as CSV."""
+        """Write the table as CSV; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
         path = Path(path)
         return output_files(path).replace({path.name: self.csv()})[0]
 
@@ -136,19 +157,19 @@ def read_recording(
     period: float | None = None,
     window: tuple[float, float] | None = None,
 ) -> Recording:
-    """Read a recording, check it, and repair what is safe to repair.
+    """Read a recording, check it, and repair faults that are safe to repair.
 
     Args:
-        path: CSV, `.npz`, rosbag2 folder, `.mcap` or Universal Robots' RTDE file; a recording is
-            returned as it is.
+        path: CSV, `.npz`, rosbag2 folder, `.mcap` or RTDE file of Universal Robots; a recording is
+            returned unchanged.
         robot: The robot that was recorded; joints are matched by name.
-        limits: Limits that positions and torques are compared with; None: the URDF's, where it has
-            them.
-        period: Period of the excitation [s], where the recording's `.json` does not state it.
-        window: Times between which the motion repeats [s].
+        limits: Limits that positions and torques are compared with; None: those of the URDF, if it
+            has any.
+        period: Period of the excitation [s], if the `.json` of the recording does not state it.
+        window: Times between which the motion is periodic [s].
 
     Raises:
-        UnusableInput: The file cannot be read, or holds numbers that no measurement has.
+        UnusableInput: The file cannot be read, or contains impossible values.
     """
     if isinstance(path, Recording):
         return path
@@ -160,7 +181,17 @@ def read_recording(
 def with_period(
     recording: Recording, period: float | None, window: tuple[float, float] | None
 ) -> Recording:
-    """Return the recording with a stated period and the window in which it repeats."""
+    """Return a recording with a stated period.
+
+    Args:
+        recording: The recording.
+        period: Period [s]; None: the recording is returned unchanged.
+        window: Times between which the motion is periodic [s]; None: all of the recording.
+
+    Raises:
+        UnusableInput: The period is not shorter than the recording or does not fit it, or a window
+            is stated without a period.
+    """
     if window is not None and period is None:
         raise UnusableInput(
             f"--window {window[0]:g},{window[1]:g}: needs --period S, the time after which the "
@@ -201,18 +232,18 @@ def identify(
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
         recordings: Recordings that the model is fitted to.
-        validate: Recordings to judge the model by; no fit uses them.
+        validate: Held-out recordings; the model is not fitted to them.
         limits: Limits file or limits.
-        drive: Joint parameters besides the inertial ones.
+        drive: Joint parameters of the model, in addition to the inertial parameters.
         bounds: Bounds of masses and centres of mass, or a TOML file with them.
-        prior: Parameters that are right as they stand: `excite.prior/1` or a `model.json`.
-        period: Period of the excitation [s], where a recording's `.json` does not state it.
-        window: Times between which the motion repeats [s].
-        options: Estimator, distance, band and further choices; single ones may be given by keyword,
-            as `band=20.0`.
-        check_lmi: Compare with a conic solver.
-        progress: Called with a line of text now and then.
-        **choices: Fields of `Options`.
+        prior: Trusted parameters: an `excite.prior/1` document or a `model.json`.
+        period: Period of the excitation [s], if the `.json` of a recording does not state it.
+        window: Times between which the motion is periodic [s].
+        options: Estimator, distance, band and further choices; single fields may be given by
+            keyword, e.g. `band=20.0`.
+        check_lmi: Compare the estimate with that of a conic solver.
+        progress: Called with each line of progress; None: the logger "excite" at level INFO.
+        **choices: Fields of `IdentificationOptions`.
 
     Raises:
         UnusableInput: An argument or a file cannot be used.
@@ -221,27 +252,27 @@ def identify(
     table = resolve_limits(loaded, limits)
     standard = inertial_parameters.standard(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
-    known = (
+    trusted = (
         {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
     )
-    limits_of_bodies = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
-    chosen = dataclasses.replace(options, bounds=limits_of_bodies, trusted=known, **choices)
-    say = progress or (lambda text: None)
-    say(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
+    inertial_bounds = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
+    chosen = dataclasses.replace(options, bounds=inertial_bounds, trusted=trusted, **choices)
+    report = progress or logger.info
+    report(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
     train, held_out = _read_both(loaded, table, recordings, validate, period, window)
-    recording_cost.require_identifiable([*train, *held_out], say)
-    found = identification.identify(loaded, standard, base, train, held_out, chosen, say)
+    recording_cost.require_identifiable([*train, *held_out], report)
+    result = identification.identify(loaded, standard, base, train, held_out, chosen, report)
     return IdentificationResult(
-        found, tuple(train), tuple(held_out), _compare_lmi(found) if check_lmi else None
+        result, tuple(train), tuple(held_out), _compare_lmi(result) if check_lmi else None
     )
 
 
 def predict(model: str | Path, recording: RecordingSource) -> PredictedTorque:
-    """Predict torque along a recording by an identified model, as `excite predict` does.
+    """Predict the torque along a recording with an identified model, as `excite predict` does.
 
     Args:
         model: Path of a `model.json`.
-        recording: The motion; a designed `trajectory.csv` will do too.
+        recording: Recording of the motion, or a designed `trajectory.csv`.
 
     Raises:
         UnusableInput: A file cannot be used.
@@ -258,7 +289,11 @@ def predict(model: str | Path, recording: RecordingSource) -> PredictedTorque:
 
 
 def read_bounds(path: str | Path | None, standard: Parameters) -> Bounds:
-    """Read bounds of masses and centres of mass from a TOML file; none without a path.
+    """Read bounds of masses and centres of mass from a TOML file.
+
+    Args:
+        path: The file; None: no bounds.
+        standard: Parameters of the robot.
 
     Raises:
         UnusableInput: The file is missing, breaks a rule of `schemas.bounds`, or names a link that
@@ -293,29 +328,36 @@ def _read_both(
     period: float | None = None,
     window: tuple[float, float] | None = None,
 ) -> tuple[list[Recording], list[Recording]]:
-    """Read training and validation recordings; refuse one that is both."""
-    both = [
-        [read_recording(one, robot, limits=limits, period=period, window=window) for one in paths]
+    """Read training and validation recordings.
+
+    Raises:
+        UnusableInput: A file cannot be used, or a recording is in both sets.
+    """
+    sets = [
+        [read_recording(path, robot, limits=limits, period=period, window=window) for path in paths]
         for paths in (train, held_out)
     ]
-    require_distinct(*both)
+    require_distinct(*sets)
     train_set, held_out_set = (
-        [torque_check.check_torque(one, robot, limits) for one in some] for some in both
+        [torque_check.check_torque(recording, robot, limits) for recording in recordings_of_set]
+        for recordings_of_set in sets
     )
     return train_set, held_out_set
 
 
-def _compare_lmi(found: Identification) -> lmi_check.LmiCheck:
-    """Compare the estimate with a conic solver's; a refined one is compared at where refinement
-    started."""
-    data, model, bounds = found.data, found.model, found.options.bounds
+def _compare_lmi(result: Identification) -> lmi_check.LmiCheck:
+    """Compare the estimate with that of a conic solver.
+
+    The comparison of a refined model concerns the estimate from which the refinement started.
+    """
+    data, model, bounds = result.data, result.model, result.options.bounds
     root, target, estimate = (
         data.information_root @ model.base.matrix,
         data.information_root @ data.theta,
-        found.posterior,
+        result.posterior,
     )
-    if found.options.refine:
+    if result.options.refine:
         estimate = consistency.maximum_a_posteriori(
-            model.parameters, root, target, found.prior, bounds
+            model.parameters, root, target, result.prior, bounds
         )
-    return lmi_check.check_estimate(model.parameters, root, target, found.prior, estimate, bounds)
+    return lmi_check.check_estimate(model.parameters, root, target, result.prior, estimate, bounds)

@@ -1,4 +1,4 @@
-"""Robots and their limits, from what a caller has at hand."""
+"""Load robots and their limits from files, names or objects."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TypeAlias
 from ..robot.limits import Limits, resolve
 from ..robot.robot import GRAVITY, Payload, Robot, load
 
-RobotSource: TypeAlias = "str | Path | Robot"
-"""A URDF's path, the name of a built-in model, or a robot that is loaded already."""
+RobotSource: TypeAlias = str | Path | Robot
+"""Path of a URDF, name of a built-in model, or a robot that is already loaded."""
 
 
 def load_robot(
@@ -20,28 +20,56 @@ def load_robot(
     lock: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
+    mass: float | None = None,
+    packages: Sequence[str] = (),
 ) -> Robot:
     """Load a robot.
 
     Args:
-        source: Path of a URDF or name of a built-in model; a loaded robot is returned as it is.
-        joints: Joints that move; all that are not mimic joints when None. The others are locked.
+        source: Path of a URDF or name of a built-in model; a loaded robot is returned unchanged.
+        joints: Joints that move; None: all except mimic joints. The others are locked.
         lock: Positions of locked joints [rad or m].
         payload: Body attached to a link.
         gravity: Gravity in the base frame. Shape (3,) [m/s²].
+        mass: Mass of the complete robot [kg], for a robot with links that state no inertia; see
+            `collision.nominal_inertia`.
+        packages: Folders in which `package://` meshes of these links are searched.
 
     Raises:
         UnusableInput: The file cannot be used, or a joint or link is unknown.
     """
     if isinstance(source, Robot):
         return source
-    return load(str(source), joints=joints, lock=lock, payload=payload, gravity=gravity)
+    inertias = None
+    if mass is not None:
+        from ..collision.nominal_inertia import nominal_inertias  # slow to import
+
+        inertias = nominal_inertias(str(source), mass, packages)
+    return load(
+        str(source),
+        joints=joints,
+        lock=lock,
+        payload=payload,
+        gravity=gravity,
+        inertias=inertias,
+    )
 
 
 def resolve_limits(
     robot: Robot, limits: str | Path | Limits | None, margin: float | None = None
 ) -> Limits:
-    """Resolve the limits of a robot, overridden by a limits file or given as they are."""
+    """Resolve the limits of a robot.
+
+    Args:
+        robot: The robot.
+        limits: Limits file that overrides the URDF, or limits, which are returned unchanged; None:
+            the limits of the URDF.
+        margin: Share of velocity, acceleration, jerk and torque limits to keep free [1].
+
+    Raises:
+        UnusableInput: The limits file cannot be used.
+        MissingLimit: A joint has no usable limit.
+    """
     if isinstance(limits, Limits):
         return limits
     return resolve(robot, None if limits is None else Path(limits), margin)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Sequence
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +15,12 @@ import numpy as np
 
 from .._system.output_files import OutputFiles, output_files
 from ..errors import UnusableInput
-from ..robot import urdf
+from ..robot import source_text, urdf, xml_file
+from ..robot.limits import Limits
 from ..robot.robot import locate
 from ..schemas.document_file import DocumentFile
 from ..schemas.truth import SCHEMA, TruthDocument
 from ..trajectory import trajectory_file
-
-Picture = Callable[[Any, Any, tuple[Any, ...]], str]
 
 
 @dataclass(frozen=True)
@@ -27,8 +29,8 @@ class SimulatedRecording:
 
     Attributes:
         recording: Measured positions and torques.
-        truth: Content of the `.truth.json`: bodies, joint parameters, hidden effects and their
-            severities.
+        truth: Content of the `.truth.json`: inertial and joint parameters, hidden effects and
+            their severities.
         effects: The hidden effects.
         undisturbed: The same run without the hidden effects.
         severity: RMS of the effects' torque after a refit of the base model, over the noise RMS
@@ -49,7 +51,11 @@ class SimulatedRecording:
         return tuple(self.recording.joints)
 
     def contents(self, name: str) -> dict[str, str]:
-        """Return the files of the recording `<name>.csv`: sidecar, truth, picture and rows."""
+        """Return the files of the recording: rows, sidecar, ground truth and plot.
+
+        Args:
+            name: Name of the CSV file.
+        """
         from ..simulator import recording_file
 
         stem = name.removesuffix(".csv")
@@ -61,28 +67,43 @@ class SimulatedRecording:
         }
 
     def picture(self) -> str:
-        """Draw the torque with and without the hidden effects, as SVG."""
+        """Plot the torque with and without the hidden effects, as SVG."""
         from ..report.figures.simulation import torque_with_and_without_effects
 
         return torque_with_and_without_effects(self.recording, self.undisturbed, self.effects)
 
     def save(self, path: str | Path) -> list[Path]:
-        """Write the CSV, its sidecar, its truth and a picture; return their paths."""
+        """Write the CSV file, its sidecar, its ground truth and a plot; return their paths.
+
+        Raises:
+            UnusableInput: The files cannot be written.
+        """
         path = checked_path(path)
         return recording_files(path).replace(self.contents(path.name))
 
     def report(self, path: str | Path) -> Path:
-        """Write the picture alone."""
+        """Write the plot alone; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
         path = Path(path)
         return output_files(path).replace({path.name: self.picture()})[0]
 
     def __repr__(self) -> str:
         hidden = ", ".join(effect.name for effect in self.effects) or "nothing hidden"
-        return f"<SimulatedRecording of {len(self.joints)} joints, {len(self.recording.t)} rows: {hidden}>"  # noqa: E501
+        return (
+            f"<SimulatedRecording of {len(self.joints)} joints, "
+            f"{len(self.recording.t)} rows: {hidden}>"
+        )
 
 
 def checked_path(path: str | Path) -> Path:
-    """Return the path of a recording to be written; its name has to end in `.csv`."""
+    """Return the path of a recording to be written.
+
+    Raises:
+        UnusableInput: Its name does not end in `.csv`.
+    """
     path = Path(path)
     if path.suffix != ".csv":
         raise UnusableInput(
@@ -92,7 +113,15 @@ def checked_path(path: str | Path) -> Path:
 
 
 def recording_files(path: Path, inputs: Sequence[Path] = ()) -> OutputFiles:
-    """Return the files of a recording, checked to be writable and none of the inputs."""
+    """Return the output files of a recording.
+
+    Args:
+        path: The CSV file.
+        inputs: Files that must not be replaced.
+
+    Raises:
+        UnusableInput: A file cannot be written, or is one of the inputs.
+    """
     siblings = (f"{path.stem}.json", f"{path.stem}.truth.json", f"{path.stem}.svg")
     return output_files(path, siblings, inputs)
 
@@ -114,10 +143,10 @@ def simulate(
         robot: Path of a URDF or name of a built-in model.
         trajectory: Path of a `trajectory.json`.
         effects: Hidden effects, each as `NAME:JOINT[:k=v,…]`.
-        severity: Scale each effect until a refit of the base model leaves this many times the noise
-            of it [1].
-        trusted: With `severity`: nothing is refit, as with a trusted prior.
-        like: `.truth.json` of another recording: the same robot, and effects of the same size.
+        severity: Scale each effect to this RMS torque after a refit of the base model, over the
+            noise RMS [1].
+        trusted: With `severity`: without the refit, as with a trusted prior.
+        like: `.truth.json` of another recording: same robot, and effects of the same size.
         periods: Repeats of the excitation; None: as the trajectory states.
         **setting: Fields of the simulator's `ExperimentSettings`: seed, rate, noise, colour,
             jitter, encoder, model_error.
@@ -134,32 +163,34 @@ def simulate(
     from ..simulator import severity as severities
 
     given = {name: value for name, value in setting.items() if value is not None}
-    asked = {
+    stated = {
         "effects": effects or None,
         "severity": severity,
         **{k: given.get(k) for k in ("seed", "model_error")},
     }
-    source, sibling = locate(str(robot)), None if like is None else _read_sibling(Path(like), asked)
-    urdf.read(source)  # the simulator, which shares nothing with the rest, checks less
+    source, sibling = (
+        locate(str(robot)),
+        None if like is None else _read_sibling(Path(like), stated),
+    )
+    urdf.read(source)  # the simulator has a reader of its own, which checks less
     chosen = _setting(given, None if sibling is None else sibling.setting)
-    trajectory_file.read_trajectory(
-        Path(trajectory)
-    )  # the simulator reads it by itself, but validates nothing
+    # the simulator has a reader of its own, which does not validate the file
+    designed = trajectory_file.read_trajectory(Path(trajectory))
     motion = reference_trajectory.read_reference(Path(trajectory), periods)
-    plant = experiment.build_robot(source, motion, chosen)
+    with _urdf_file(source, designed.limits) as file:
+        plant = experiment.build_robot(file, motion, chosen)
     chain = experiment.measurement_chain(plant, chosen)
     if sibling is not None:
         if sibling.joints != plant.joints:
             raise UnusableInput(
-                f"{like}: has joints {', '.join(sibling.joints)}; give the robot that it is of"
+                f"{like}: has joints {', '.join(sibling.joints)}; give the robot of that recording"
             )
         if (
             recording_file.json_text(recording_file.truth_document(plant, chain, {})["bodies"])
             != sibling.bodies
         ):
             raise UnusableInput(
-                f"{like}: its bodies are not those of {source}; give the URDF that it was recorded "
-                "with"
+                f"{like}: its links are not those of {source}; give the URDF of that recording"
             )
         hidden = sibling.effects
     else:
@@ -195,7 +226,14 @@ def simulate(
 
 @dataclass(frozen=True)
 class _Sibling:
-    """The robot of another recording, from its truth. bodies: as JSON."""
+    """Robot of another recording, from its ground truth.
+
+    Attributes:
+        joints: Names of the joints.
+        bodies: True link inertial parameters as JSON.
+        setting: Settings of the simulator.
+        effects: Hidden effects.
+    """
 
     joints: tuple[str, ...]
     bodies: str
@@ -203,14 +241,24 @@ class _Sibling:
     effects: tuple[Any, ...]
 
 
-def _read_sibling(path: Path, asked: dict[str, Any]) -> _Sibling:
-    """Read the robot of another recording; refuse options that it decides."""
+def _read_sibling(path: Path, stated: dict[str, Any]) -> _Sibling:
+    """Read the robot of another recording.
+
+    Args:
+        path: Its `.truth.json`.
+        stated: Options that the other recording decides, None where not stated.
+
+    Raises:
+        UnusableInput: The file cannot be used, or such an option is stated.
+    """
     from ..simulator import effect_instance, experiment, recording_file
 
-    for name, value in asked.items():
+    for name, value in stated.items():
         if value is not None:
             option = "effect" if name == "effects" else name.replace("_", "-")
-            raise UnusableInput(f"--{option}: is as {path} says; leave it out, or leave out --like")
+            raise UnusableInput(
+                f"--{option}: is stated by {path}; leave it out, or leave out --like"
+            )
     file = DocumentFile(
         path, "a truth", "simulate it again", "the .truth.json of 'excite simulate'"
     )
@@ -219,10 +267,7 @@ def _read_sibling(path: Path, asked: dict[str, Any]) -> _Sibling:
     document = file.converted(truth, TruthDocument)
     try:
         effects = effect_instance.effects_of_truth(truth)
-    except (
-        KeyError,
-        ValueError,
-    ) as error:  # the catalogue of hidden effects is the simulator's own
+    except (KeyError, ValueError) as error:  # the schema does not know the simulator's effects
         raise file.error(f"no such effect ({error})", "effects") from error
     bodies = recording_file.json_text(truth["bodies"])
     return _Sibling(
@@ -233,11 +278,47 @@ def _read_sibling(path: Path, asked: dict[str, Any]) -> _Sibling:
     )
 
 
+@contextmanager
+def _urdf_file(source: Path, limits: Limits) -> Iterator[Path]:
+    """The robot's file where it is a URDF, else a temporary URDF that it is converted to.
+
+    An MJCF has no velocity limits; those of the trajectory fill the gaps.
+    """
+    text = source_text.read_urdf_text(source)
+    if text == xml_file.read_text(source, "a URDF"):
+        yield source
+        return
+    root = xml_file.parse_text(source, text)
+    for joint in root.findall("joint"):
+        if joint.get("name") not in limits.joints:
+            continue
+        place = limits.joints.index(str(joint.get("name")))
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ElementTree.SubElement(joint, "limit")
+        known = {"velocity": limits.velocity[place], "effort": limits.torque[place]}
+        for key, value in known.items():
+            limit.attrib.setdefault(key, repr(float(value)))
+    text = ElementTree.tostring(root, encoding="unicode")
+    with tempfile.TemporaryDirectory(prefix="excite-") as folder:
+        file = Path(folder) / f"{source.stem}.urdf"
+        file.write_text(text, encoding="utf-8")
+        yield file
+
+
 def _setting(given: dict[str, Any], like: Any) -> Any:
-    """Return the simulator's setting: as given, else as the other recording's, else the default."""
+    """Return the settings of the simulator.
+
+    Args:
+        given: Stated settings.
+        like: Settings of another recording; None: the defaults.
+
+    Raises:
+        UnusableInput: A setting is out of its range.
+    """
     from ..simulator.experiment import ExperimentSettings
 
-    least = {
+    lower_bounds = {
         "seed": 0.0,
         "rate": 125.0,
         "noise": 0.0,
@@ -245,7 +326,7 @@ def _setting(given: dict[str, Any], like: Any) -> Any:
         "encoder": 0.0,
         "model_error": 0.0,
     }
-    for name, low in least.items():
+    for name, low in lower_bounds.items():
         value = given.get(name, low)
         if not np.isfinite(value) or value < low or (name == "rate" and value > 1000.0):
             remedy = "be between 125 and 1000 Hz" if name == "rate" else "be a number not below 0"

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import _json
-from .. import exporters as formats
+from .. import _json, exporters
 from .._system.output_files import output_files, output_folder
 from ..designer import certificate as certificates
 from ..designer.certificate import Certificate, CertificateVerdict
@@ -31,7 +30,7 @@ class VerificationResult:
         certificate: Verdicts on limits and clearance, with every margin.
         trajectory: Content of the file.
         robot: The robot.
-        limits: Limits from their sources.
+        limits: Limits, read from their sources.
     """
 
     certificate: Certificate
@@ -59,12 +58,20 @@ class VerificationResult:
         return self.certificate.document()
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write `certificate.json`; return its path."""
+        """Write `certificate.json`; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
         contents = {"certificate.json": _json.dumps(self.document())}
         return output_folder(Path(folder), tuple(contents)).replace(contents)
 
     def report(self, path: str | Path) -> Path:
-        """Write the table of margins as a text file."""
+        """Write the table of margins as a text file; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
         path = Path(path)
         return output_files(path).replace({path.name: self.text() + "\n"})[0]
 
@@ -82,12 +89,12 @@ def verify(
 ) -> VerificationResult:
     """Recompute limits, clearance and criteria of a trajectory file, as `excite verify` does.
 
-    Limits are compared with their sources, and the cell is made again from what is on disk.
+    Limits are compared with their sources, and the cell is built again from its files.
 
     Args:
         trajectory: Path of a `trajectory.json`.
-        robot: Where the URDF is now; None: where the file says.
-        limits: Where the limits file is now; None: where the file says.
+        robot: Present path of the URDF; None: that of the file.
+        limits: Present path of the limits file; None: that of the file.
         packages: Further folders of `package://` meshes.
 
     Raises:
@@ -104,14 +111,14 @@ def verify(
 
 @dataclass(frozen=True)
 class ExportedFile:
-    """A file for a controller.
+    """A file that was exported for a controller.
 
     Attributes:
         path: The file.
         format: Its format.
-        verdict: Lines about clearance and limits; a third one where a slower run breaks a limit.
+        verdict: Lines about clearance and limits; a third line if the slower motion breaks a limit.
         certificate: Certificate of the exported trajectory at full speed.
-        forced: Whether the file was written although a check failed.
+        forced: True if the file was written although a check failed.
     """
 
     path: Path
@@ -143,17 +150,17 @@ def export(
     limits: str | Path | None = None,
     packages: Sequence[str] = (),
 ) -> ExportedFile:
-    """Verify a trajectory and write it for a controller, as `excite export` does.
+    """Verify a trajectory and export it for a controller, as `excite export` does.
 
     Args:
         trajectory: Path of a `trajectory.json`.
         format: Name of a format; `excite.exporters.FORMATS` lists them.
         path: The file to write.
         speed: Share of the speed at which the motion is played.
-        rate: Rows or knots a second, where the format leaves it open [Hz].
-        force: Write the file even when a check fails; it says so.
-        robot: Where the URDF is now.
-        limits: Where the limits file is now.
+        rate: Rows or knots per second, if the format allows a choice [Hz].
+        force: Write the file even if a check fails; it states the failure.
+        robot: Present path of the URDF.
+        limits: Present path of the limits file.
         packages: Further folders of `package://` meshes.
 
     Raises:
@@ -161,35 +168,36 @@ def export(
         CheckFailed: The certificate fails, or the slower motion breaks a limit, and `force` is not
             set.
     """
-    if format not in formats.FORMATS:
-        known = ", ".join(formats.FORMATS)
+    if format not in exporters.FORMATS:
+        known = ", ".join(exporters.FORMATS)
         raise UnusableInput(f"--format {format}: no such format; there are {known}")
     file_format.check_options(speed, rate)
-    output_files(
-        Path(path), inputs=[Path(trajectory)]
-    )  # refused before the certificate, which takes time
-    found = verify(trajectory, robot=robot, limits=limits, packages=packages)
-    certificate, verdict = found.certificate, list(found.certificate.verdict_lines())
+    # checked before the certificate is computed, which takes time
+    output_files(Path(path), inputs=[Path(trajectory)])
+    verified = verify(trajectory, robot=robot, limits=limits, packages=packages)
+    certificate, verdict = verified.certificate, list(verified.certificate.verdict_lines())
     broken = None
     if speed != 1.0:
-        broken = certificates.broken_when_slowed(found.trajectory, found.robot, found.limits, speed)
+        broken = certificates.broken_when_slowed(
+            verified.trajectory, verified.robot, verified.limits, speed
+        )
     if broken is not None:
         verdict.append(f"at --speed {speed:g} the {broken.describe()}")
-    is_safe = found.ok and broken is None
+    is_safe = verified.ok and broken is None
     if not is_safe and not force:
         raise CheckFailed(f"{trajectory}: {'; '.join(verdict)}; design it again, or --force")
-    # what the new file states of itself is what was computed now
+    # the exported file states the values that were computed now
     content = dataclasses.replace(
-        found.trajectory,
+        verified.trajectory,
         criteria=certificate.criteria,
         margins=[margin.document() for margin in certificate.margins],
         collision=certificate.collision,
         forced=not is_safe,
     )
     kinds = content.design.get("drive", inertial_parameters.DRIVE)
-    standard = inertial_parameters.standard(found.robot, found.limits, kinds)
-    torque = nominal_torque(found.robot, standard)
-    written = formats.write(content, format, Path(path), speed=speed, rate=rate, tau=torque)
+    standard = inertial_parameters.standard(verified.robot, verified.limits, kinds)
+    torque = nominal_torque(verified.robot, standard)
+    written = exporters.write(content, format, Path(path), speed=speed, rate=rate, tau=torque)
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced)
 
 

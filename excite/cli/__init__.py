@@ -1,1 +1,1 @@
-"""The command line: a grammar, what the commands print, and one module a command."""
+"""The command line: its grammar, its output, and one module for each command."""

@@ -8,6 +8,7 @@ from typing import Any
 
 from .. import api
 from .._system.output_files import output_folder
+from .._system.progress import logger
 from ..api.design_result import DESIGN_FILES, CellOptions
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
@@ -19,7 +20,7 @@ from .outcome import Outcome, with_files, written_lines
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Design a motion, with the starts where `--backend` sends them."""
+    """Run `excite design`, with its starts on the back end of `--backend`."""
     with cluster.backend(arguments.backend, arguments.cluster):
         return _design(arguments)
 
@@ -44,10 +45,9 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         speed=arguments.speed,
         threshold=arguments.threshold,
         force=arguments.force,
-        progress=arguments.console.progress,
         notes={"parameters": arguments.parameters},
     )
-    arguments.console.progress("writing the report")
+    logger.info("writing the report")
     written = output.replace(result.contents())
     document = with_files(result.document(), written)
     return (0 if result.ok else 1), document, _text(result, document, written)
@@ -65,7 +65,7 @@ def _cell_options(arguments: argparse.Namespace) -> CellOptions:
 
 
 def _options(arguments: argparse.Namespace, robot: Robot) -> DesignOptions:
-    """Choices of the design but for the motion's period, harmonics, samples and repeats."""
+    """Options of the design, except period, harmonics, samples and repeats of the motion."""
     free = arguments.optimise_period
     if free is not None and not free[0] < free[1]:
         raise UnusableInput(
@@ -93,16 +93,16 @@ def _box(frame: str, v: tuple[float, ...]) -> WorkspaceBox:
 
 def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path]) -> str:
     trajectory, certificate = result.trajectory, result.delivery.certificate
-    chosen, plain = Criterion(trajectory.design["criterion"]), bool(trajectory.design["plain"])
+    criterion, plain = Criterion(trajectory.design["criterion"]), bool(trajectory.design["plain"])
     periodic, complete = (
-        criteria.select_criterion(trajectory.criteria[part], chosen, plain=plain)
+        criteria.select_criterion(trajectory.criteria[part], criterion, plain=plain)
         for part in ("optimum", "exported")
     )
-    kind = "" if chosen is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")
+    kind = "" if criterion is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")
     directions = f"{document['identifiable']} of {document['base_parameters']} directions"
     lines = [
         f"{document['robot']}: {directions} practically identifiable",
-        f"{kind}{chosen.value}: {periodic:.6g} per sample of the periodic part, "
+        f"{kind}{criterion.value}: {periodic:.6g} per sample of the periodic part, "
         f"{complete:.6g} of the whole motion",
         f"{trajectory.motion.duration:.2f} s: "
         f"{' → '.join(s.kind for s in trajectory.motion.segments)}",

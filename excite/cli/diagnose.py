@@ -1,4 +1,4 @@
-"""`excite diagnose`: what the model of a robot leaves out."""
+"""`excite diagnose`: find effects that the base model lacks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .outcome import Outcome, with_files, written_lines
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Read recordings, diagnose, report."""
+    """Run `excite diagnose`."""
     output = output_folder(Path(arguments.out), DIAGNOSIS_FILES)
     robot = shared.robot(arguments)
     result = api.diagnose(
@@ -26,63 +26,64 @@ def run(arguments: argparse.Namespace) -> Outcome:
         prior=arguments.prior,
         band=arguments.band,
         with_report=not arguments.no_report,
-        progress=arguments.console.progress,
     )
     written = output.replace(result.contents())
     document = result.document()
     return 0, with_files(document, written), _text(document, written)
 
 
-def _changed(told: dict[str, Any]) -> str:
-    share = told.get("relative")
-    return f"{told['value']:+.3g} ± {told['std']:.2g} {told['unit']}" + (
+def _change_text(change: dict[str, Any]) -> str:
+    share = change.get("relative")
+    return f"{change['value']:+.3g} ± {change['std']:.2g} {change['unit']}" + (
         "" if share is None else f" ({100 * share:+.0f} %)"
     )
 
 
-def _gear(joint: str, gear: dict[str, Any]) -> str:
-    told = {
+def _gear_text(joint: str, gear: dict[str, Any]) -> str:
+    estimates = {
         "stiffness": gear["stiffness"],
         "lost motion": gear["lost_motion"],
-        "read apart by": gear["read_apart"],
+        "difference of the readings": gear["read_apart"],
     }
     words = [
         f"{name} {v['value']:.3g} ± {v['std']:.2g} {v['unit']}"
-        for name, v in told.items()
+        for name, v in estimates.items()
         if v is not None
     ]
     return f"two encoders at {joint}: {', '.join(words)}"
 
 
-def _text(stated: dict[str, Any], written: list[Path]) -> str:
-    lines = [f"verdict: {stated['verdict']}"]
-    for one in stated["findings"]:
-        place = one["joint"] or "the whole robot"
+def _text(document: dict[str, Any], written: list[Path]) -> str:
+    lines = [f"verdict: {document['verdict']}"]
+    for finding in document["findings"]:
+        place = finding["joint"] or "the whole robot"
         values = ", ".join(
             f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}"
-            for key, v in one["parameters"].items()
+            for key, v in finding["parameters"].items()
         )
-        alike = f" (or {', '.join(one['equivalents'])})" if one["equivalents"] else ""
-        lacking = f"; not shown: {', '.join(one['not_shown'])}" if "not_shown" in one else ""
+        alternatives = finding["equivalents"]
+        alternatives_text = f" (or {', '.join(alternatives)})" if alternatives else ""
+        missing = finding.get("not_shown", [])
+        missing_text = f"; not shown: {', '.join(missing)}" if missing else ""
         lines.append(
-            f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: "
-            f"{values}{lacking}"
+            f"{finding['effect']}{alternatives_text} at {place}, "
+            f"probability {finding['probability']:.2f}: {values}{missing_text}"
         )
-    physics = [one for one in stated["unknown"] if one["where"]["regime"] != "recording"]
+    physics = [u for u in document["unknown"] if u["where"]["regime"] != "recording"]
     lines += [
-        f"unknown at {one['joint']}: {100 * one['share']:.0f} % of what is left repeats"
-        for one in physics
+        f"unknown at {entry['joint']}: {100 * entry['share']:.0f} % of the residual is repeatable"
+        for entry in physics
     ]
-    for one in stated["between_recordings"]:
-        values = ", ".join(f"{kind} {_changed(one[kind])}" for kind in KINDS)
+    for change in document["between_recordings"]:
+        values = ", ".join(f"{kind} {_change_text(change[kind])}" for kind in KINDS)
         lines.append(
-            f"another friction or offset at {one['joint']} in {Path(one['recording']).name}: "
-            f"{values}"
+            f"different friction or offset at {change['joint']} in "
+            f"{Path(change['recording']).name}: {values}"
         )
-    lines += [_gear(joint, gear) for joint, gear in stated["encoders"].items()]
+    lines += [_gear_text(joint, gear) for joint, gear in document["encoders"].items()]
     lines.append(f"{'joint':25}{'before':>11}{'after':>11}{'noise':>11}")
     lines += [
         f"{j:25}{v['rmse_before']:11.4g}{v['rmse_after']:11.4g}{v['noise_floor']:11.4g}"
-        for j, v in stated["joints"].items()
+        for j, v in document["joints"].items()
     ]
     return "\n".join([*lines, *written_lines(written)])

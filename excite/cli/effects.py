@@ -9,7 +9,7 @@ from .outcome import Outcome
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """List the effects that a diagnosis can report, with their parameters and units."""
+    """Run `excite effects`: list all effects with their parameters and units."""
     rows = [
         {"name": effect.name, "description": effect.signature, "parameters": dict(effect.units)}
         for effect in EFFECTS

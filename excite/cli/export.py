@@ -9,7 +9,7 @@ from .outcome import Outcome
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Verify a trajectory and write the controller's file."""
+    """Run `excite export`: verify a trajectory and write the file for the controller."""
     result = api.export(
         arguments.trajectory,
         arguments.format,

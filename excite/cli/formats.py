@@ -9,7 +9,7 @@ from .outcome import Outcome
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """List the formats, each with one line that says what it is."""
+    """Run `excite formats`: list the formats, each with a description in one line."""
     rows = [{"name": name, "description": text} for name, text in FORMATS.items()]
     width = max(map(len, FORMATS))
     return (

@@ -1,4 +1,4 @@
-"""`excite identifiability`: say what a trajectory or a recording reveals."""
+"""`excite identifiability`: analyse which parameters a motion makes identifiable."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .outcome import Outcome, written_lines
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Analyse which directions of the parameters a motion reveals."""
+    """Run `excite identifiability`."""
     from .. import report
 
     output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
@@ -44,6 +44,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
     contents = {"identifiability.json": text, "report.html": page}
     written = output.replace(contents)
     document = json.loads(text)
-    known = sum(bool(direction["identifiable"]) for direction in document["directions"])
-    line = f"{robot.name}: {known} of {base.count} directions practically identifiable"
+    identifiable = sum(bool(direction["identifiable"]) for direction in document["directions"])
+    line = f"{robot.name}: {identifiable} of {base.count} directions practically identifiable"
     return 0, document, "\n".join([line, *written_lines(written)])

@@ -1,4 +1,4 @@
-"""`excite identify`: physically consistent parameters from recordings."""
+"""`excite identify`: estimate physically consistent parameters from recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .outcome import Outcome, with_files, written_lines
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Read recordings, identify, report."""
+    """Run `excite identify`."""
     output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)
     robot = shared.robot(arguments)
     result = api.identify(
@@ -34,7 +34,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
         window=arguments.window,
         options=_options(arguments),
         check_lmi=arguments.check_lmi,
-        progress=arguments.console.progress,
     )
     document = result.document()
     written = output.replace(result.contents(document))
@@ -63,18 +62,19 @@ def _options(arguments: argparse.Namespace) -> IdentificationOptions:
     )
 
 
-def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) -> str:
-    robot = found.model.robot
-    shown = found.validations or found.fits
+def _text(identification: Identification, facts: Sequence[str], written: Sequence[Path]) -> str:
+    robot = identification.model.robot
+    predictions = identification.validations or identification.fits
     lines = [
-        f"{robot.name}: {found.analysis.identifiable_count} of {found.model.base.count} "
-        f"directions identified; band {found.spectra.hertz:.3g} Hz",
-        f"{'held out' if found.validations else 'on the data fitted (no --validate)'}: torque "
-        "error per joint",
+        f"{robot.name}: {identification.analysis.identifiable_count} of "
+        f"{identification.model.base.count} "
+        f"directions identified; band {identification.spectra.hertz:.3g} Hz",
+        f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: "
+        "torque error per joint",
         f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
     ]
-    for prediction in shown:
-        if len(shown) > 1:
+    for prediction in predictions:
+        if len(predictions) > 1:
             lines.append(prediction.source)
         for i, joint in enumerate(robot.joints):
             floor = "" if prediction.noise_floor is None else f"{prediction.noise_floor[i]:.4g}"
@@ -85,11 +85,11 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
             )
             percent = f"{100 * share:.2f}%" if np.isfinite(share) else "-"
             lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{percent:>10}")
-    common, spread = found.delay.common
-    if abs(common) > 3.0 * spread and not found.options.align:
+    common, spread = identification.delay.common
+    if abs(common) > 3.0 * spread and not identification.options.align:
         order = "after" if common > 0 else "before"
         lines.append(
-            f"torque comes {abs(1e3 * common):.3g} ms {order} position on average (--align takes "
-            "that out)"
+            f"torque is recorded {abs(1e3 * common):.3g} ms {order} position on average "
+            "(--align removes the delay)"
         )
     return "\n".join([*lines, *facts, *written_lines(written)])

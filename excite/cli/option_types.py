@@ -1,9 +1,8 @@
-"""Types of command-line options that hold numbers: each states the range and the unit that its
-option accepts.
+"""Types of numeric command-line options: each states the accepted range and the unit.
 
-An option with one of these types refuses, before its command runs, what is no number, not finite,
-or outside the range; `argparse` puts the option's name in front of the message. An option whose
-text is a name, a path or one of several words needs none of them.
+An option with one of these types refuses, before its command runs, a text that is no number, not
+finite, or outside the range; `argparse` prepends the name of the option to the message. Options
+whose values are names, paths or words of a list need no type.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from itertools import pairwise
 
 from ..physical_ranges import Range
 
-SHOWN = 40
-"""Characters of an option's text that a message repeats."""
+MAX_SHOWN = 40
+"""Largest number of characters of an option's text that a message repeats."""
 
 
 def _shown(text: str) -> str:
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
 
 
 @dataclass(frozen=True)
@@ -29,14 +28,18 @@ class Number:
 
     Attributes:
         accepted: Its range.
-        whole: Whether it is an integer.
+        whole: True for integers.
     """
 
     accepted: Range
     whole: bool = False
 
     def __call__(self, text: str) -> float:
-        """The number that a text states. Raises ArgumentTypeError, in words, for another text."""
+        """Parse the text of an option.
+
+        Raises:
+            ArgumentTypeError: The text has another form, or a number is out of range.
+        """
         kind = "a whole number" if self.whole else "a number"
         try:
             value = int(text) if self.whole else float(text)
@@ -55,9 +58,9 @@ class Numbers:
     """Numbers separated by commas.
 
     Attributes:
-        accepted: The range of each, or one range for each place.
-        counts: How many there may be; None where the robot decides.
-        increasing: Whether each has to be above the one before.
+        accepted: Range of all numbers, or one range for each of them.
+        counts: Accepted counts of numbers; None: any, the robot decides.
+        increasing: True if every number has to be above the previous one.
     """
 
     accepted: Range | Sequence[Range]
@@ -65,7 +68,11 @@ class Numbers:
     increasing: bool = False
 
     def __call__(self, text: str) -> tuple[float, ...]:
-        """The numbers that a text states. Raises ArgumentTypeError, in words, for another text."""
+        """Parse the text of an option.
+
+        Raises:
+            ArgumentTypeError: The text has another form, or a number is out of range.
+        """
         words = text.split(",")
         if self.counts is not None and len(words) not in self.counts:
             raise ArgumentTypeError(
@@ -83,12 +90,12 @@ class Numbers:
 
 @dataclass(frozen=True)
 class NamedNumbers:
-    """A name and numbers that belong to it: `joint=0.5`, `link:1.5,0,0,0.1`.
+    """A name and the numbers assigned to it: `joint=0.5`, `link:1.5,0,0,0.1`.
 
     Attributes:
         form: The form, for messages: "NAME=VALUE".
-        separator: What stands between; where the name holds it too, its last occurrence.
-        numbers: The numbers.
+        separator: Separator of name and numbers; its last occurrence separates.
+        numbers: Type of the numbers.
     """
 
     form: str
@@ -96,8 +103,11 @@ class NamedNumbers:
     numbers: Numbers
 
     def __call__(self, text: str) -> tuple[str, tuple[float, ...]]:
-        """The name and the numbers that a text states. Raises ArgumentTypeError, in words, for
-        another text."""
+        """Parse the text of an option.
+
+        Raises:
+            ArgumentTypeError: The text has another form, or a number is out of range.
+        """
         name, separator, numbers = text.rpartition(self.separator)
         if not separator:
             raise ArgumentTypeError(f"{_shown(text)} should read {self.form}")
@@ -106,14 +116,22 @@ class NamedNumbers:
 
 @dataclass(frozen=True)
 class WordOrNumbers:
-    """One of several words, or numbers in its place."""
+    """One of several words, or numbers instead.
+
+    Attributes:
+        words: Accepted words.
+        numbers: Type of the numbers.
+    """
 
     words: Sequence[str]
     numbers: Numbers
 
     def __call__(self, text: str) -> str | tuple[float, ...]:
-        """The word or the numbers that a text states. Raises ArgumentTypeError, in words, for
-        another text."""
+        """Parse the text of an option.
+
+        Raises:
+            ArgumentTypeError: The text has another form, or a number is out of range.
+        """
         if text in self.words:
             return text
         try:
@@ -123,4 +141,4 @@ class WordOrNumbers:
 
 
 NUMERIC = (Number, Numbers, NamedNumbers, WordOrNumbers)
-"""All types of this module."""
+"""All types of numeric options."""

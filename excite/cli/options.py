@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
-from ..api.robots import resolve_limits
+from ..api.robots import load_robot, resolve_limits
 from ..errors import UnusableInput
 from ..robot import inertial_parameters
 from ..robot.limits import Limits
-from ..robot.robot import Payload, Robot, load
+from ..robot.robot import Payload, Robot
 
 
-def robot(arguments: argparse.Namespace) -> Robot:
-    """Load the robot that the options describe."""
+def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of `api.load_robot` that the options state."""
     payload = None
     if arguments.payload:
         link, values = arguments.payload
@@ -20,18 +21,38 @@ def robot(arguments: argparse.Namespace) -> Robot:
         payload = Payload(link, values[0], values[1:4], values[4:])
     joints = arguments.joints.split(",") if arguments.joints else None
     lock = {name: value for name, (value,) in arguments.lock}
-    return load(
-        arguments.robot, joints=joints, lock=lock, payload=payload, gravity=arguments.gravity
-    )
+    return {
+        "source": arguments.robot,
+        "joints": joints,
+        "lock": lock,
+        "payload": payload,
+        "gravity": arguments.gravity,
+        "mass": None if arguments.mass is None else arguments.mass[0],
+        "packages": getattr(arguments, "packages", ()),
+    }
+
+
+def robot(arguments: argparse.Namespace) -> Robot:
+    """Load the robot that the options describe."""
+    return load_robot(**robot_choices(arguments))
 
 
 def limits(arguments: argparse.Namespace, machine: Robot) -> Limits:
-    """Resolve the limits of a robot with the limits file and the margin of the options."""
+    """Resolve the limits of a robot with the limits file and the margin of the options.
+
+    Raises:
+        UnusableInput: The limits file cannot be used.
+        MissingLimit: A joint has no usable limit.
+    """
     return resolve_limits(machine, arguments.limits or None, getattr(arguments, "margin", None))
 
 
 def drive(arguments: argparse.Namespace) -> tuple[str, ...]:
-    """Which joint parameters the options leave in."""
+    """Return the joint parameters that the model contains, by `--parameters` and `--without`.
+
+    Raises:
+        UnusableInput: `--without` names an unknown parameter.
+    """
     without = [name for name in arguments.without.split(",") if name]
     unknown = set(without) - set(inertial_parameters.DRIVE)
     if unknown:
@@ -47,7 +68,11 @@ def drive(arguments: argparse.Namespace) -> tuple[str, ...]:
 
 
 def noise(arguments: argparse.Namespace, machine: Robot) -> tuple[float, ...] | None:
-    """Torque noise per joint as stated, None where it is not."""
+    """Return the stated torque noise per joint [N m or N]; None if none is stated.
+
+    Raises:
+        UnusableInput: The number of values does not equal that of the joints.
+    """
     if arguments.torque_noise is None:
         return None
     return of_joints(
@@ -60,8 +85,16 @@ def noise(arguments: argparse.Namespace, machine: Robot) -> tuple[float, ...] | 
 
 
 def of_joints(option: str, values: tuple[float, ...], machine: Robot) -> tuple[float, ...]:
-    """An option's numbers, one per moving joint. Raises UnusableInput for another number of
-    them."""
+    """Return the numbers of an option with one number per moving joint.
+
+    Args:
+        option: Name of the option, for messages.
+        values: Its numbers.
+        machine: The robot.
+
+    Raises:
+        UnusableInput: The number of values does not equal that of the joints.
+    """
     if len(values) != machine.n:
         raise UnusableInput(
             f"{option}: should hold {machine.n} number(s), one per moving joint "

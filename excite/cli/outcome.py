@@ -1,4 +1,4 @@
-"""The result of a command, as the command line prints it."""
+"""Result of a command: exit code, JSON document and text."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ Outcome: TypeAlias = tuple[int, Any, str]
 
 
 def with_files(document: dict[str, Any], paths: Iterable[Path]) -> dict[str, Any]:
-    """Add the paths of the written files to a document."""
+    """Return a document with the paths of the files that were written."""
     return document | {"files": [str(path) for path in paths]}
 
 
 def written_lines(paths: Iterable[Path]) -> list[str]:
-    """One line for each written file."""
+    """Return one line for each file that was written."""
     return [f"wrote {path}" for path in paths]

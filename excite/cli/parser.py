@@ -1,4 +1,7 @@
-"""The grammar of the command line. It imports nothing heavy: `excite --help` has to be quick."""
+"""Grammar of the command line.
+
+It imports nothing large, so that `excite --help` is quick.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,21 @@ from .. import physical_ranges as ranges
 from .._system.console import emit
 from ..errors import UnusableInput
 from ..physical_ranges import Range
+from .completion import SHELLS, PrintCompletion
 from .option_types import NamedNumbers, Number, Numbers, WordOrNumbers
 
-SECONDS, HERTZ = ranges.PERIOD, ranges.RATE
+SECONDS = ranges.PERIOD
+"""Range of options in seconds."""
+HERTZ = ranges.RATE
+"""Range of options in hertz."""
 SLOWDOWN = Range(1e-3, 1.0, "1")
+"""Range of shares of the designed speed."""
 SEED = Number(ranges.SEED, whole=True)
-"""Seeds are stated in JSON files, of which many readers take integers up to 2⁵³ exactly."""
+"""Seeds are stated in JSON files; many readers represent integers exactly only up to 2⁵³."""
 VARIANCE = Range(1e-12, 1e12, "1")
+"""Range of scale-free variances and weights."""
 SHARE = Range(0.0, 10.0, "1", smallest=1e-12)
+"""Range of relative sizes."""
 
 EXAMPLES = """examples:
   excite design ur10e -o out/ur10e
@@ -33,24 +43,25 @@ EXAMPLES = """examples:
 
 
 RECORDINGS = """recordings:
-  A CSV has columns t, q.<joint> and tau.<joint> [s, rad or m, N m or N], or i.<joint> [A] with a drive_gain per joint; dq, qref,
-  qlink and temp are read too. run.json beside run.csv says what columns cannot: {"schema": "excite.recording/1", "period": 6.2,
-  "periodic": [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. A noise floor takes two whole periods within that window.
+  A CSV has the columns t [s], q.<joint> [rad or m] and tau.<joint> [N m or N], or i.<joint> [A]
+  and a drive_gain per joint; dq, qref, qlink and temp are read too. A file run.json next to run.csv
+  holds the metadata: {"schema": "excite.recording/1", "period": 6.2, "periodic": [0.8, 25.6],
+  "drive_gain": {"elbow": 0.11}}. The noise floor is estimated from two or more periods in that
+  window.
 
 examples:
   excite identify ur10e monday.csv --validate tuesday.csv -o out/model
-  excite identify arm.urdf a.csv b.csv --validate c.csv --period 8 --bounds masses.toml --check-lmi -o out/model
-"""  # noqa: E501
+  excite identify arm.urdf a.csv b.csv --validate c.csv --bounds masses.toml -o out/model
+"""
 
 
 class _Parser(argparse.ArgumentParser):
-    """Wrong use is one line, exit code 2."""
+    """Parser that reports wrong use in one line, with exit code 2."""
 
     def _print_message(self, message: str, file: object = None) -> None:
         emit(message)  # --help, --version
 
     def error(self, message: str) -> NoReturn:
-        # the name of the program stands before every message
         command = self.prog.removeprefix("excite").strip()
         message += self._suggestion(message)
         raise UnusableInput(
@@ -58,7 +69,7 @@ class _Parser(argparse.ArgumentParser):
         )
 
     def _suggestion(self, message: str) -> str:
-        """Return a known command or option that is spelt nearly like the one that is refused."""
+        """Return the known command or option that is most similar to an unknown one."""
         unknown = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: (\S+)", message)
         if unknown is None:
             return ""
@@ -71,8 +82,10 @@ class _Parser(argparse.ArgumentParser):
         return f"; did you mean {near[0]}?" if near else ""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse a command line; `--option=--`, of which argparse makes an empty list whatever the
-        option's type, is refused."""
+        """Parse a command line.
+
+        `--option=--` is refused: argparse turns it into an empty list, whatever the option's type.
+        """
         words = sys.argv[1:] if args is None else list(args)
         for word in words:
             if word.startswith("-") and word.endswith("=--"):
@@ -81,16 +94,26 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parser() -> argparse.ArgumentParser:
-    """The whole command line."""
+    """Return the parser of all commands."""
     top = _Parser(
         prog="excite",
-        description="Excitation trajectories for robots, and physically consistent parameters from what was recorded.",  # noqa: E501
+        description=(
+            "Excitation trajectories for robots, and physically consistent parameters from "
+            "recordings."
+        ),
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"excite {__version__}")
+    top.add_argument(
+        "--print-completion",
+        action=PrintCompletion,
+        choices=SHELLS,
+        help="print the completion script of a shell (extra [completion])",
+    )
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _robots(commands)
+    _check(commands)
     _command(commands, "effects", "list the effects that a diagnosis can report")
     _command(commands, "formats", "list the formats of excite export")
     _design(commands)
@@ -115,12 +138,17 @@ def _command(commands: Commands, name: str, text: str) -> argparse.ArgumentParse
     sub.add_argument(
         "--json",
         action="store_true",
-        help="print one JSON document on standard output, nothing else there",
+        help="print one JSON document, and nothing else, on standard output",
     )
     volume = sub.add_mutually_exclusive_group()
-    volume.add_argument("-q", "--quiet", action="store_true", help="no progress, no warnings")
     volume.add_argument(
-        "-v", "--verbose", action="store_true", help="every step of the progress, with its time"
+        "-q", "--quiet", action="store_true", help="print neither progress nor warnings"
+    )
+    volume.add_argument(
+        "-v",
+        "--verbose",
+        action="store_true",
+        help="print every step of the progress with its time",
     )
     return sub
 
@@ -129,13 +157,36 @@ def _robots(commands: Commands) -> None:
     _command(commands, "robots", "list the built-in robots")
 
 
+def _check(commands: Commands) -> None:
+    sub = _command(commands, "check", "say what is missing or implausible in a robot, all at once")
+    sub.epilog = (
+        "Exit code 0: usable; 1: something has to be corrected before a design; 2: the file cannot "
+        "be used."
+    )
+    _robot_options(sub)
+    sub.add_argument(
+        "--limits-template",
+        metavar="FILE",
+        help="write a limits file with what is known and blanks for the rest",
+    )
+    sub.add_argument(
+        "--packages",
+        metavar="DIR",
+        action="append",
+        default=[],
+        help="a folder of package:// meshes",
+    )
+
+
 def _robot_options(sub: argparse.ArgumentParser) -> None:
     group = sub.add_argument_group("robot")
     group.add_argument(
-        "robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists"
+        "robot",
+        metavar="ROBOT",
+        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
     group.add_argument(
-        "--joints", metavar="A,B,…", help="the joints that move; the others are locked"
+        "--joints", metavar="A,B,…", help="joints that move; the others are locked (default: all)"
     )
     group.add_argument(
         "--lock",
@@ -156,14 +207,21 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
         "--payload",
         type=NamedNumbers(body, ":", Numbers(quantities, (1, 4, 10))),
         metavar=body,
-        help="a body at a link: kg, m, kg m² about its centre",
+        help="body attached to a link: mass [kg], centre of mass [m], inertia about it [kg m²]",
+    )
+    group.add_argument(
+        "--mass",
+        type=Numbers(ranges.MASS, (1,)),
+        metavar="KG",
+        help="mass of the complete robot: links without <inertial> get uniform bodies in their "
+        "collision shapes",
     )
     group.add_argument(
         "--gravity",
         type=Numbers(ranges.GRAVITY, (3,)),
         metavar="X,Y,Z",
         default="0,0,-9.81",
-        help="in the base frame [m/s²] (default %(default)s)",
+        help="gravity in the base frame [m/s²] (default %(default)s)",
     )
 
 
@@ -173,7 +231,10 @@ def _model_options(sub: argparse.ArgumentParser) -> None:
         "--parameters",
         choices=("inertial", "full"),
         default="full",
-        help="full: with rotor inertia, friction and offset (default)",
+        help=(
+            "inertial: link inertial parameters only; full: also rotor inertia, friction and "
+            "offset (default)"
+        ),
     )
     group.add_argument(
         "--without",
@@ -185,13 +246,16 @@ def _model_options(sub: argparse.ArgumentParser) -> None:
         "--torque-noise",
         type=Numbers(Range(1e-9, 1e9, "N m or N")),
         metavar="SIGMA[,…]",
-        help="standard deviation, one or per joint [N m] (default 1 %% of the torque limit)",
+        help=(
+            "standard deviation of the torque noise, one value or one per joint [N m] (default: "
+            "1 %% of the torque limit)"
+        ),
     )
     group.add_argument(
         "--threshold",
         type=Number(VARIANCE),
         default=1e-2,
-        help="largest scale-free variance that counts as identifiable (default %(default)s)",
+        help="largest scale-free variance of an identifiable direction (default %(default)s)",
     )
 
 
@@ -211,79 +275,84 @@ def _design(commands: Commands) -> None:
         "--criterion",
         choices=("a", "d", "e", "cond", "cond_regressor"),
         default="a",
-        help="default %(default)s",
+        help="optimality criterion (default %(default)s)",
     )
     group.add_argument(
-        "--plain", action="store_true", help="the Euclidean criterion instead of the geometric one"
+        "--plain",
+        action="store_true",
+        help="use the Euclidean criterion instead of the geometric one",
     )
     group.add_argument(
         "--given",
         metavar="FILE",
         action="append",
         default=[],
-        help="trajectory.json or recording whose information is already there",
+        help="trajectory.json or recording whose information is already available",
     )
     group = sub.add_argument_group("motion")
     group.add_argument(
         "--time",
         type=Number(SECONDS),
         metavar="S",
-        help="robot time, ramps included [s]: choose the next four for it unless given",
+        help="robot time including ramps [s]: choose period, harmonics, samples and repeats for it",
     )
     group.add_argument(
         "--harmonics",
         type=Number(ranges.HARMONICS, whole=True),
         metavar="K",
-        help="default 5, or chosen for --time",
+        help="number of harmonics (default: 5, or chosen for --time)",
     )
     group.add_argument(
         "--period",
         type=Number(SECONDS),
         metavar="S",
-        help="[s] (default: from the limits: a sweep of the ranges at full speed)",
+        help="period [s] (default: the time of a sweep of the joint ranges at full speed)",
     )
     group.add_argument(
         "--optimise-period",
         type=Numbers(SECONDS, (2,), increasing=True),
         metavar="MIN,MAX",
-        help="let the period vary between these [s]",
+        help="optimise the period within these bounds [s]",
     )
     group.add_argument(
         "--samples",
         type=Number(Range(3, ranges.SAMPLES.upper, "1"), whole=True),
         metavar="N",
-        help="the optimiser's grid over one period (default 20 per harmonic)",
+        help="samples of the optimiser over one period (default: 20 per harmonic)",
     )
     group.add_argument(
         "--periods",
         type=Number(Range(2, ranges.PERIODS.upper, "1"), whole=True),
         metavar="N",
-        help="repeats in the motion (default 2, or what fits --time)",
+        help="repeats of the period (default: 2, or as many as fit into --time)",
     )
     group.add_argument(
         "--rate",
         type=Number(HERTZ),
         default=100.0,
         metavar="HZ",
-        help="rows a second in trajectory.csv (default %(default)s)",
+        help="rows per second in trajectory.csv (default %(default)s)",
     )
     group.add_argument(
         "--validation",
         action="store_true",
-        help="a second, different motion too, in DIR/validation, to judge the identified model by",
+        help=(
+            "design a second, different motion for validating the identified model, in "
+            "DIR/validation"
+        ),
     )
     group.add_argument(
         "--speed",
         type=Number(SLOWDOWN),
         default=1.0,
         metavar="F",
-        help="play the motion at F times its speed, for a first careful run",
+        help="deliver the motion at F times its speed, for a first careful run",
     )
     group.add_argument(
         "--start",
         type=Numbers(ranges.POSITION),
         metavar="Q1,…,QN",
-        help="pose at which the motion starts and ends, at rest (default: nearest the excitation)",
+        help="pose at which the motion starts and ends at rest (default: near the periodic motion)",
     )
     group.add_argument(
         "--box",
@@ -291,20 +360,26 @@ def _design(commands: Commands) -> None:
         metavar="FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX",
         action="append",
         default=[],
-        help="keep a frame's origin in a box [m]",
+        help="keep the origin of a frame inside a box [m]",
     )
     group.add_argument(
         "--margin",
         type=Number(Range(0.0, 0.99, "1")),
         metavar="F",
-        help="share of velocity, acceleration, jerk and torque limits to keep free (default: the limits file's [margin], or 0.02)",  # noqa: E501
+        help=(
+            "share of velocity, acceleration, jerk and torque limits to keep free (default: the "
+            "limits file's [margin], or 0.02)"
+        ),
     )
     group.add_argument(
         "--uncertainty",
         type=Number(Range(0.0, 100.0, "1")),
         default=0.1,
         metavar="R",
-        help="torque limits hold for all robots this near (default %(default)s)",
+        help=(
+            "torque limits hold for all robots within this distance of the nominal one (default "
+            "%(default)s)"
+        ),
     )
     _surroundings(sub)
     group = sub.add_argument_group("search")
@@ -313,77 +388,90 @@ def _design(commands: Commands) -> None:
         type=Number(Range(1, 1e6, "1"), whole=True),
         default=2,
         metavar="N",
-        help="random starts (default %(default)s)",
+        help="number of random starts (default %(default)s)",
     )
-    group.add_argument("--seed", type=SEED, default=0, metavar="N", help="default %(default)s")
+    group.add_argument(
+        "--seed", type=SEED, default=0, metavar="N", help="random seed (default %(default)s)"
+    )
     group.add_argument(
         "--jobs",
         type=Number(Range(-1024, 1024, "1", zero=False), whole=True),
         default=-1,
         metavar="N",
-        help="processes (default: one per core)",
+        help="number of processes (default: one per core)",
     )
     group.add_argument(
         "--backend",
         choices=("multiprocessing", "loky", "dask", "ray"),
-        help="where starts run (default: processes here)",
+        help="where the starts run (default: processes on this machine)",
     )
     group.add_argument(
         "--cluster",
         metavar="ADDRESS",
-        help="of a running Dask scheduler (tcp://host:8786) or Ray head (ray://host:10001)",
+        help="address of a running Dask scheduler (tcp://host:8786) or Ray head (ray://host:10001)",
     )
     group.add_argument(
         "--iterations",
         type=Number(Range(1, 1e6, "1"), whole=True),
         default=300,
         metavar="N",
-        help="per start (default %(default)s)",
+        help="largest number of iterations per start (default %(default)s)",
     )
     group.add_argument(
         "--force",
         action="store_true",
-        help="write the files even when the certificate fails; they say so",
+        help="write the files even if the certificate fails; they state it",
     )
 
 
 def _surroundings(sub: argparse.ArgumentParser) -> None:
     group = sub.add_argument_group(
         "surroundings",
-        "what the robot must not touch, besides itself; shapes are those of the URDF's <collision>",
+        "obstacles around the robot; the shapes of the robot are those of <collision> in the URDF",
     )
     group.add_argument(
         "--scene",
         metavar="FILE",
-        help="TOML: boxes, spheres, capsules, cylinders and meshes around the robot or on its links",  # noqa: E501
+        help=(
+            "TOML: boxes, spheres, capsules, cylinders and meshes around the robot or on its links"
+        ),
     )
     group.add_argument(
         "--floor",
         type=Number(ranges.LENGTH),
         metavar="Z",
-        help="height in the base frame [m] (default: 0, or the lowest point of the links that do not move)",  # noqa: E501
+        help=(
+            "height of the floor in the base frame [m] (default: 0, or the lowest point of the "
+            "fixed links)"
+        ),
     )
-    group.add_argument("--no-floor", action="store_true", help="there is none")
+    group.add_argument("--no-floor", action="store_true", help="no floor")
     group.add_argument(
         "--clearance",
         type=Number(Range(0.0, 1e4, "m")),
         metavar="M",
-        help="least distance to keep [m] (default: the scene's, or 0.02)",
+        help="smallest allowed distance [m] (default: that of the scene, or 0.02)",
     )
     group.add_argument(
         "--srdf",
         metavar="FILE",
-        help="pairs of links that may touch (default: neighbours, and what always touches)",
+        help=(
+            "SRDF with the pairs of links that may touch (default: adjacent links and pairs that "
+            "always touch)"
+        ),
     )
     group.add_argument(
         "--packages",
         metavar="DIR",
         action="append",
         default=[],
-        help="where package:// meshes are, besides ROS_PACKAGE_PATH and the URDF's folders",
+        help=(
+            "folder of package:// meshes, in addition to ROS_PACKAGE_PATH and the folders of the "
+            "URDF"
+        ),
     )
     group.add_argument(
-        "--no-collision", action="store_true", help="check no distances; the files say so"
+        "--no-collision", action="store_true", help="do not check distances; the files state it"
     )
 
 
@@ -391,59 +479,66 @@ def _verify(commands: Commands) -> None:
     sub = _command(
         commands, "verify", "recompute every limit and the criterion of a trajectory from its file"
     )
-    sub.add_argument("trajectory", metavar="TRAJECTORY")
+    sub.add_argument("trajectory", metavar="TRAJECTORY", help="path of a trajectory.json")
     _sources(sub)
 
 
 def _sources(sub: argparse.ArgumentParser) -> None:
-    """Options of commands that check a trajectory against the files it was designed with."""
+    """Add the options of commands that check a trajectory against its source files."""
     group = sub.add_argument_group(
-        "sources", "where the files that the motion was designed with are now, if they have moved"
+        "sources",
+        "present places of the files that the motion was designed with, if they have moved",
     )
-    group.add_argument("--robot", metavar="URDF", help="the robot's URDF")
-    group.add_argument("--limits", metavar="FILE", help="the limits file")
+    group.add_argument("--robot", metavar="URDF", help="URDF of the robot")
+    group.add_argument("--limits", metavar="FILE", help="limits file")
     group.add_argument(
         "--packages",
         metavar="DIR",
         action="append",
         default=[],
-        help="a folder of package:// meshes",
+        help="folder of package:// meshes",
     )
 
 
 def _export(commands: Commands) -> None:
     sub = _command(commands, "export", "write a trajectory for a controller")
-    sub.add_argument("trajectory", metavar="TRAJECTORY")
+    sub.add_argument("trajectory", metavar="TRAJECTORY", help="path of a trajectory.json")
     sub.add_argument(
         "--format",
         required=True,
         metavar="F",
-        help="csv, json, ros2-joint-trajectory, ros2-follow-joint-trajectory, ur-csv, …",
+        help=(
+            "name of a format: csv, json, ros2-joint-trajectory, urscript, … (see 'excite formats')"
+        ),
     )
-    sub.add_argument("-o", dest="out", metavar="FILE", required=True)
+    sub.add_argument("-o", dest="out", metavar="FILE", required=True, help="file to write")
     sub.add_argument(
         "--rate",
         type=Number(HERTZ),
         metavar="HZ",
-        help="rows or knots a second, where the format leaves it open",
+        help="rows or knots per second, if the format allows a choice",
     )
     sub.add_argument(
         "--speed",
         type=Number(SLOWDOWN),
         default=1.0,
         metavar="F",
-        help="play at F times its speed, for a first careful run",
+        help="export the motion at F times its speed, for a first careful run",
     )
     _sources(sub)
     sub.add_argument(
         "--force",
         action="store_true",
-        help="export a trajectory that fails its certificate; the file says so",
+        help="export a trajectory even if its certificate fails; the file states it",
     )
 
 
 def _identifiability(commands: Commands) -> None:
-    sub = _command(commands, "identifiability", "say what a trajectory or a recording reveals")
+    sub = _command(
+        commands,
+        "identifiability",
+        "analyse which parameters a trajectory or a recording makes identifiable",
+    )
     sub.add_argument(
         "-o",
         dest="out",
@@ -452,7 +547,9 @@ def _identifiability(commands: Commands) -> None:
         help="folder for identifiability.json and report.html",
     )
     _robot_options(sub)
-    sub.add_argument("motion", metavar="TRAJECTORY_OR_RECORDING")
+    sub.add_argument(
+        "motion", metavar="TRAJECTORY_OR_RECORDING", help="a trajectory.json or a recording"
+    )
     _model_options(sub)
 
 
@@ -460,7 +557,7 @@ def _identify(commands: Commands) -> None:
     sub = _command(
         commands,
         "identify",
-        "find physically consistent parameters from recordings, and say how sure they are",
+        "estimate physically consistent parameters from recordings, with confidence intervals",
     )
     sub.epilog, sub.formatter_class = RECORDINGS, argparse.RawDescriptionHelpFormatter
     sub.add_argument(
@@ -475,122 +572,142 @@ def _identify(commands: Commands) -> None:
         "recordings",
         metavar="RECORDING",
         nargs="+",
-        help="CSV, .npz, rosbag2 folder, .mcap or ur_rtde CSV",
+        help=(
+            "recording that the model is fitted to: CSV, .npz, rosbag2 folder, .mcap or ur_rtde CSV"
+        ),
     )
     sub.add_argument(
         "--validate",
         metavar="RECORDING",
         nargs="+",
         default=[],
-        help="recordings to judge the model by, not used to fit it",
+        help="held-out recordings for validation; the model is not fitted to them",
     )
     group = sub.add_argument_group("parameters")
     group.add_argument(
         "--without",
         metavar="A,B,…",
         default="",
-        help="leave out of: rotor_inertia, viscous, coulomb, offset",
+        help="joint parameters to leave out: rotor_inertia, viscous, coulomb, offset",
     )
     group.add_argument(
         "--parameters",
         choices=("inertial", "full"),
         default="full",
-        help="full: with all these (default)",
+        help="inertial: link inertial parameters only; full: also the joint parameters (default)",
     )
     group.add_argument(
         "--threshold",
         type=Number(VARIANCE),
         default=1e-2,
-        help="largest scale-free variance of what counts as identified (default %(default)s)",
+        help="largest scale-free variance of an identified direction (default %(default)s)",
     )
     group = sub.add_argument_group("signals")
     group.add_argument(
         "--band",
         type=Number(HERTZ),
         metavar="HZ",
-        help="torque below this frequency is fitted (default: from the data)",
+        help="cutoff of the low-pass filter of the torque (default: chosen from the data)",
     )
     group.add_argument(
         "--period",
         type=Number(SECONDS),
         metavar="S",
-        help="of the excitation, where the recording's .json does not say it",
+        help="period of the excitation [s], if the recording's .json does not state it",
     )
     group.add_argument(
         "--window",
         type=Numbers(Range(-1e12, 1e12, "s"), (2,), increasing=True),
         metavar="T0,T1",
-        help="where it repeats, with --period (default: the whole recording) [s]",
+        help="times between which the motion is periodic, with --period (default: all) [s]",
     )
     group.add_argument(
-        "--align", action="store_true", help="move each joint's torque by the delay that is found"
+        "--align", action="store_true", help="compensate the estimated torque delay of each joint"
     )
     group = sub.add_argument_group("estimation")
     group.add_argument(
         "--estimator",
         choices=("ols", "wls", "full", "huber", "iv"),
         default="wls",
-        help="all rows alike; weighted by each joint's noise; by its covariance; robust to outliers; instruments (default %(default)s)",  # noqa: E501
+        help=(
+            "ordinary least squares; weighted by the noise of each joint; by its covariance; "
+            "robust to outliers (Huber); instrumental variables (default %(default)s)"
+        ),
     )
     group.add_argument(
         "--distance",
         choices=("riemannian", "bregman", "pullback", "euclidean"),
         default="bregman",
-        help="how far a body is from the nominal one (default %(default)s)",
+        help="distance of the inertial parameters from the nominal ones (default %(default)s)",
     )
     group.add_argument(
         "--gamma",
         type=WordOrNumbers(("evidence", "heldout"), Numbers(VARIANCE, (1, 2))),
         default="evidence",
         metavar="G",
-        help="weight of the nominal robot: evidence, heldout (blocks left out), a number, or two for bodies,drives (default %(default)s)",  # noqa: E501
+        help=(
+            "weight of the prior: chosen by evidence, by cross-validation (heldout), a number, "
+            "or two numbers for links,joint parameters (default %(default)s)"
+        ),
     )
     group.add_argument(
         "--hausman",
         action="store_true",
-        help="test whether instruments are needed; takes the commanded motion, qref.<joint>",
+        help="Hausman test for the bias of least squares; needs the commanded motion, qref.<joint>",
     )
     group.add_argument(
-        "--simulate", action="store_true", help="also judge the model by positions simulated ahead"
+        "--simulate",
+        action="store_true",
+        help="also validate the model by forward simulation of the positions",
     )
     group.add_argument(
         "--refine",
         action="store_true",
-        help="refine the parameters against positions simulated ahead",
+        help="refine the parameters by the error of the simulated positions",
     )
     group.add_argument(
         "--check-lmi",
         action="store_true",
-        help="solve for consistent parameters by a conic solver too, and compare",
+        help="compare the consistent estimate with that of a conic solver (extra [lmi])",
     )
     group.add_argument(
-        "--prior", metavar="FILE", help="what is right as it stands: excite.prior/1 or a model.json"
+        "--prior",
+        metavar="FILE",
+        help="trusted parameters: an excite.prior/1 document or a model.json",
     )
     group.add_argument(
         "--bounds",
         metavar="FILE",
-        help="TOML: [links.NAME] mass = [least, most], centre = [[x, y, z], [x, y, z]]",
+        help="TOML with bounds: [links.NAME] mass = [min, max], centre = [[x, y, z], [x, y, z]]",
     )
 
 
 def _predict(commands: Commands) -> None:
-    sub = _command(commands, "predict", "predict torque along a recording by an identified model")
-    sub.add_argument("model", metavar="MODEL", help="the model.json of 'excite identify'")
+    sub = _command(
+        commands, "predict", "predict the torque along a recording with an identified model"
+    )
     sub.add_argument(
-        "recording", metavar="RECORDING", help="the motion; a designed trajectory.csv will do too"
+        "model", metavar="MODEL", help="model.json of 'excite identify' or 'excite diagnose'"
+    )
+    sub.add_argument(
+        "recording",
+        metavar="RECORDING",
+        help="recording of the motion, or a designed trajectory.csv",
     )
     sub.add_argument(
         "-o",
         dest="out",
         metavar="FILE.csv",
         required=True,
-        help="t,tau.<joint>… at the recording's own times",
+        help="file for t,tau.<joint>… at the times of the recording",
     )
 
 
 def _diagnose(commands: Commands) -> None:
     sub = _command(
-        commands, "diagnose", "say what the model leaves out, where, how much, and how sure that is"
+        commands,
+        "diagnose",
+        "find effects that the base model lacks, with joint, size and probability",
     )
     sub.add_argument(
         "-o",
@@ -608,21 +725,23 @@ def _diagnose(commands: Commands) -> None:
         metavar="RECORDING",
         nargs="+",
         default=[],
-        help="recordings to judge by (needed)",
+        help="held-out recordings for validation (required)",
     )
     sub.add_argument(
-        "--prior", metavar="FILE", help="what is right as it stands: excite.prior/1 or a model.json"
+        "--prior",
+        metavar="FILE",
+        help="trusted parameters: an excite.prior/1 document or a model.json",
     )
     sub.add_argument(
         "--band",
         type=Number(HERTZ),
         metavar="HZ",
-        help="torque below this is looked at (default: 20, more where the data asks for it)",
+        help="cutoff of the low-pass filter (default: 20, or higher if the data require it)",
     )
     sub.add_argument(
         "--no-report",
         action="store_true",
-        help="leave report.html out, which takes a third of the time",
+        help="do not write report.html, which takes a third of the time",
     )
 
 
@@ -630,114 +749,118 @@ def _simulate(commands: Commands) -> None:
     sub = _command(
         commands,
         "simulate",
-        "record a simulated robot that follows a trajectory, with physics that its model does not "
-        "have",
+        "record a simulated robot that follows a trajectory, with effects that its model lacks",
     )
     sub.add_argument(
-        "robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists"
+        "robot",
+        metavar="ROBOT",
+        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
-    sub.add_argument(
-        "trajectory", metavar="TRAJECTORY", help="the trajectory.json of 'excite design'"
-    )
+    sub.add_argument("trajectory", metavar="TRAJECTORY", help="trajectory.json of 'excite design'")
     sub.add_argument(
         "-o",
         dest="out",
         metavar="FILE",
         required=True,
-        help="the recording; beside it .json, .truth.json and .svg",
+        help="CSV file for the recording; .json, .truth.json and .svg are written next to it",
     )
     sub.add_argument(
         "--effect",
         metavar="NAME:JOINT[:k=v,…]",
         action="append",
         default=[],
-        help="hide this; 'list' tells what there is",
+        help="hidden effect; 'list' prints all effects",
     )
     sub.add_argument(
         "--severity",
         type=Number(Range(1e-3, 1e6, "1")),
         metavar="S",
-        help="scale each effect until a refit of the base model leaves S times the noise of it",
+        help=(
+            "scale each effect to this RMS torque after a refit of the base model, over the "
+            "noise RMS"
+        ),
     )
     sub.add_argument(
         "--trusted",
         action="store_true",
-        help="with --severity: nothing is refit, as with a trusted prior",
+        help="with --severity: without the refit, as with a trusted prior",
     )
     sub.add_argument(
         "--like",
         metavar="FILE",
-        help="the .truth.json of another recording: the same robot, and effects of the same size",
+        help=".truth.json of another recording: same robot, and effects of the same size",
     )
     sub.add_argument(
         "--seed",
         type=SEED,
         metavar="N",
-        help="of the true bodies, the drives and the noise (default 0)",
+        help="random seed of the true parameters and of the noise (default 0)",
     )
     sub.add_argument(
         "--model-error",
         type=Number(SHARE),
         metavar="F",
-        help="how far the true bodies are from the URDF's (default 0.05)",
+        help="relative deviation of the true link inertial parameters from the URDF (default 0.05)",
     )
     sub.add_argument(
         "--periods",
         type=Number(ranges.PERIODS, whole=True),
         metavar="N",
-        help="repeats of the excitation (default: as the trajectory says)",
+        help="repeats of the excitation (default: as the trajectory states)",
     )
     group = sub.add_argument_group("measurement")
     group.add_argument(
         "--rate",
         type=Number(Range(125.0, 1000.0, "Hz")),
         metavar="HZ",
-        help="125 to 1000 (default 500)",
+        help="sampling rate, 125 to 1000 (default 500)",
     )
     group.add_argument(
         "--noise",
         type=Number(SHARE),
         metavar="F",
-        help="of torque, over the torque limit (default 0.005)",
+        help="standard deviation of the torque noise over the torque limit (default 0.005)",
     )
     group.add_argument(
         "--colour",
         type=Number(HERTZ),
         metavar="HZ",
-        help="corner of the noise's spectrum (default: white)",
+        help="corner frequency of the noise (default: white noise)",
     )
     group.add_argument(
         "--jitter",
         type=Number(Range(0.0, 1.0, "s")),
         metavar="S",
-        help="of the times of sampling, unseen by the clock [s]",
+        help="timestamp jitter: deviation of the sampling times from the recorded times [s]",
     )
     group.add_argument(
         "--encoder",
         type=Number(Range(0.0, 1.0, "rad or m")),
         metavar="RAD",
-        help="resolution of position (default 2e-6)",
+        help="resolution of the position (default 2e-6)",
     )
 
 
 def _view(commands: Commands) -> None:
     sub = _command(
-        commands, "view", "play a trajectory in a browser, among its surroundings (extra [view])"
+        commands, "view", "play a trajectory in a browser, with its surroundings (extra [view])"
     )
-    sub.add_argument("trajectory", metavar="TRAJECTORY")
-    sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
+    sub.add_argument("trajectory", metavar="TRAJECTORY", help="path of a trajectory.json")
+    sub.add_argument("--robot", metavar="URDF", help="URDF of the robot, if it has moved")
     sub.add_argument(
         "--speed",
         type=Number(Range(1e-3, 4.0, "1")),
         default=1.0,
         metavar="F",
-        help="play at F times its speed",
+        help="play the motion at F times its speed",
     )
-    sub.add_argument("--once", action="store_true", help="end after one play")
-    sub.add_argument("--host", default="localhost", help="default %(default)s")
+    sub.add_argument("--once", action="store_true", help="play the motion once and end")
+    sub.add_argument(
+        "--host", default="localhost", help="host name of the server (default %(default)s)"
+    )
     sub.add_argument(
         "--port",
         type=Number(Range(1, 65535, "1"), whole=True),
         default=8080,
-        help="default %(default)s, or the next free one",
+        help="port of the server (default %(default)s, or the next free one)",
     )

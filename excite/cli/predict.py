@@ -1,4 +1,4 @@
-"""`excite predict`: torque by an identified model along a recording."""
+"""`excite predict`: predict the torque along a recording with an identified model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .outcome import Outcome
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Predict torque at the recording's own times."""
+    """Run `excite predict`: predict torque at the times of the recording."""
     path = Path(arguments.out)
     inputs = [Path(arguments.model), Path(arguments.recording)]
     output = output_files(path, inputs=inputs)

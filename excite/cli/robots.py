@@ -10,7 +10,7 @@ from .outcome import Outcome
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """List the built-in models with their joints and moving mass."""
+    """Run `excite robots`: list the built-in models with their joints and moving mass."""
     rows: list[dict[str, Any]] = []
     for name in builtin_names():
         robot = load(name)

@@ -1,4 +1,4 @@
-"""`excite simulate`: record a simulated robot with physics that its model does not have."""
+"""`excite simulate`: record a simulated robot with effects that its model lacks."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ..api.simulated_recording import checked_path, recording_files
 from .outcome import Outcome, written_lines
 
 SETTINGS = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error")
-"""Options that are fields of the simulator's settings."""
+"""Options that are fields of the settings of the simulator."""
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Simulate, measure, write the recording, its sidecar, its truth and a picture."""
+    """Run `excite simulate`: write the recording, its sidecar, its ground truth and a plot."""
     path = checked_path(arguments.out)
     inputs = (arguments.robot, arguments.trajectory, arguments.like)
     output = recording_files(path, [Path(name) for name in inputs if name is not None])
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def _text(result: api.SimulatedRecording, written: list[Path]) -> str:
-    lines = [_effect_words(effect) for effect in result.effects]
+    lines = [_effect_text(effect) for effect in result.effects]
     if result.effects:
         lines.append(
             f"severity {result.severity:.3g} after a refit of the base model "
@@ -55,8 +55,8 @@ def _text(result: api.SimulatedRecording, written: list[Path]) -> str:
     return "\n".join([*lines, *written_lines(written), more])
 
 
-def _effect_words(effect: Any) -> str:
-    """An effect with the values of its parameters."""
+def _effect_text(effect: Any) -> str:
+    """Return an effect with the values of its parameters in words."""
     place = "" if effect.joint is None else f" in {effect.joint}"
     values = [
         f"{q.name} {effect.values[q.name]:.4g}{'' if q.unit == '1' else ' ' + q.unit}"

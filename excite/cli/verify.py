@@ -9,7 +9,7 @@ from .outcome import Outcome
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Recompute everything from the file and its sources."""
+    """Run `excite verify`: recompute everything from the file and its sources."""
     result = api.verify(
         arguments.trajectory,
         robot=arguments.robot,

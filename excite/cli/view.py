@@ -1,5 +1,7 @@
-"""`excite view`: a motion in a browser, the robot's shapes among its surroundings (pin's viser
-visualizer; extra [view])."""
+"""`excite view`: play a motion in a browser, with the shapes of the robot and its surroundings.
+
+It uses Pinocchio's visualizer for viser (extra [view]).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from .._system.progress import logger
 from .._system.signals import raised
+from .._types import FloatArray
 from ..collision import scene_file
 from ..collision.distance_query import Body
 from ..collision.geometry import ShapeKind
@@ -28,15 +32,22 @@ from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
 from .outcome import Outcome
 
-Array = np.ndarray
-FRAMES = 50.0
-"""Pictures a second."""
-FLOOR = 4.0
-ROBOT, AROUND = np.array([0.35, 0.55, 0.8, 1.0]), np.array([0.65, 0.68, 0.72, 0.6])
+FRAME_RATE = 50.0
+"""Frames per second [Hz]."""
+FLOOR_SIZE = 4.0
+"""Side of the square that represents the floor [m]."""
+ROBOT_COLOUR = np.array([0.35, 0.55, 0.8, 1.0])
+"""Red, green, blue and opacity of the robot's shapes."""
+SURROUNDINGS_COLOUR = np.array([0.65, 0.68, 0.72, 0.6])
+"""Red, green, blue and opacity of the shapes around the robot."""
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Play a trajectory over and over until interrupted; `--once` once."""
+    """Run `excite view`: repeat a trajectory until interrupted, or play it once with `--once`.
+
+    Raises:
+        UnusableInput: viser is not installed, or a file cannot be used.
+    """
     if not 0.0 < arguments.speed <= 4.0:
         raise UnusableInput(f"--speed {arguments.speed:g} should be above 0 and at most 4")
     trajectory = trajectory_file.read_trajectory(Path(arguments.trajectory))
@@ -49,16 +60,14 @@ def run(arguments: argparse.Namespace) -> Outcome:
     import viser
     from pinocchio.visualize import ViserVisualizer
 
-    shown = geometry(cell)
-    player = ViserVisualizer(robot.model, shown, shown)
-    with contextlib.redirect_stdout(
-        sys.stderr
-    ):  # what viser says has no place where the document goes
+    shapes = geometry(cell)
+    player = ViserVisualizer(robot.model, shapes, shapes)
+    with contextlib.redirect_stdout(sys.stderr):  # standard output is for the JSON document
         player.initViewer(viewer=viser.ViserServer(arguments.host, arguments.port))
         player.loadViewerModel()
         player.displayCollisions(False)
         address = f"http://{player.viewer.get_host()}:{player.viewer.get_port()}"
-        arguments.console.progress(
+        logger.info(
             f"{address} shows {trajectory.motion.duration:.1f} s of {robot.name}; Ctrl-C ends it"
         )
         with contextlib.suppress(KeyboardInterrupt), raised():
@@ -70,7 +79,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def _cell(trajectory: Trajectory, robot: Robot) -> Cell:
-    """What the file states; where it states none, the shapes of the URDF without surroundings."""
+    """Build the cell that the file states; without one, the shapes of the URDF alone."""
     if CELL_KEY in trajectory.design:
         cell, fault = scene_file.rebuild_cell(robot, trajectory.limits, trajectory.design[CELL_KEY])
         if cell is None:
@@ -83,42 +92,48 @@ def _play(player: Any, trajectory: Trajectory, robot: Robot, speed: float) -> No
     begun, duration = time.perf_counter(), trajectory.motion.duration / speed
     while (now := time.perf_counter() - begun) < duration:
         player.display(robot.expand(trajectory.motion.at(np.array([now * speed]))[0]))
-        time.sleep(1.0 / FRAMES)
+        time.sleep(1.0 / FRAME_RATE)
 
 
 def geometry(cell: Cell) -> pin.GeometryModel:
-    """All bodies as the visualizer can draw them: it knows neither capsules nor half spaces."""
+    """Return all bodies in shapes that the visualizer can draw.
+
+    It has neither capsules nor half spaces: these become a cylinder with two spheres, and a thin
+    box.
+    """
     model = pin.GeometryModel()
     for body in cell.bodies:
-        for number, (solid, placement, path, scale) in enumerate(_drawn(body)):
+        for number, (solid, placement, path, scale) in enumerate(_drawable_shapes(body)):
             entry = pin.GeometryObject(
                 f"{body.name}_{number}", body.joint, placement, solid, path, scale
             )
-            entry.meshColor = AROUND if body.is_surrounding else ROBOT
+            entry.meshColor = SURROUNDINGS_COLOUR if body.is_surrounding else ROBOT_COLOUR
             model.addGeometryObject(entry)
     return model
 
 
-def _drawn(body: Body) -> Iterator[tuple[coal.CollisionGeometry, pin.SE3, str, Array]]:
-    one_to_one = np.ones(3)
-    for one, placement, solid in zip(body.shapes, body.placements, body.solids, strict=True):
-        if one.kind is ShapeKind.CAPSULE:
-            radius, length = one.size
-            yield coal.Cylinder(radius, length), placement, "", one_to_one
+def _drawable_shapes(
+    body: Body,
+) -> Iterator[tuple[coal.CollisionGeometry, pin.SE3, str, FloatArray]]:
+    unit_scale = np.ones(3)
+    for shape, placement, solid in zip(body.shapes, body.placements, body.solids, strict=True):
+        if shape.kind is ShapeKind.CAPSULE:
+            radius, length = shape.size
+            yield coal.Cylinder(radius, length), placement, "", unit_scale
             for end in (-0.5 * length, 0.5 * length):
                 yield (
                     coal.Sphere(radius),
                     placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, end])),
                     "",
-                    one_to_one,
+                    unit_scale,
                 )
-        elif one.kind is ShapeKind.FLOOR:
+        elif shape.kind is ShapeKind.FLOOR:
             below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.01]))
-            yield coal.Box(FLOOR, FLOOR, 0.02), placement * below, "", one_to_one
+            yield coal.Box(FLOOR_SIZE, FLOOR_SIZE, 0.02), placement * below, "", unit_scale
         else:
             yield (
                 solid,
                 placement,
-                one.file or "",
-                np.array(one.size) if one.kind is ShapeKind.MESH else one_to_one,
+                shape.file or "",
+                np.array(shape.size) if shape.kind is ShapeKind.MESH else unit_scale,
             )

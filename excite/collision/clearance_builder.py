@@ -19,7 +19,7 @@ from .capsule_cover import Capsule
 from .clearance_constraint import EXACT_BELOW, ClearanceConstraint, CoverPairKind, PlacedHull
 from .distance_query import Body, BodyPair
 from .geometry import ShapeKind
-from .workcell import Cell
+from .workcell import CONSTANT_DISTANCE, Cell
 
 POSES = 1000
 """Poses, spread over the position ranges, at which pairs of covers are selected."""
@@ -29,9 +29,9 @@ MAX_FALSE_SHARE = 0.05
 """Share of poses in which covers may violate a clearance that the bodies keep [1]."""
 EXACT_POSES = 15
 """Number of poses with a violation at which the bodies themselves are evaluated."""
-MAX_HULL_VIOLATION_SHARE = 0.5
-"""Share of poses in which hulls violate the clearance above which they are no useful constraint
-[1]."""
+MAX_FALSE_HULL_SHARE = 0.2
+"""Share of poses in which hulls may violate a clearance that the meshes keep [1]; meshes take about
+a hundred times longer."""
 
 
 @dataclass
@@ -79,20 +79,23 @@ class _Covers:
         return len(self.capsules), len(self.boxes), len(self.planes)
 
     def pairs_of(self, pair: BodyPair) -> Iterator[tuple[int, int, int]]:
-        """Yield kind, index of the capsule and index of the other cover for a pair of bodies."""
+        """Yield kind, index of the capsule and index of the other cover for a pair of bodies.
+
+        A body may have capsules and boxes at once, as a base of cylinders and boxes has.
+        """
         first, second = self.of_bodies[pair.first], self.of_bodies[pair.second]
-        if not first[0]:
-            first, second = second, first
-        for kind, others in enumerate(second):
-            yield from ((kind, capsule, other) for capsule in first[0] for other in others)
+        for with_capsules, other in ((first, second), (second, first)):
+            for kind in (CoverPairKind.CAPSULE_BOX, CoverPairKind.CAPSULE_PLANE):
+                yield from ((kind, a, b) for a in with_capsules[0] for b in other[kind])
+        yield from ((CoverPairKind.CAPSULES, a, b) for a in first[0] for b in second[0])
 
 
 @lru_cache(maxsize=2)
 def build_constraint(cell: Cell) -> ClearanceConstraint | None:
     """Cover the bodies of a cell and select the pairs of covers that can come near each other.
 
-    Convex hulls replace the covers of a pair where these are too loose. Where the hulls are too
-    loose as well, the pair is left to the certificate.
+    Convex hulls replace the covers of a pair where these are too loose, and meshes replace hulls
+    that are too loose as well, so that every pair that can come near each other is constrained.
 
     Returns:
         The constraint; None if no pair can come near each other.
@@ -140,7 +143,9 @@ def _select_pairs(
     """
     poses = spread_poses(cell.limits, POSES)
     excess = constraint.evaluate(poses).distances() - constraint.required
-    dropped = np.asarray(excess.min(axis=0) >= EXACT_BELOW)
+    # the motion does not change distances that are the same at all poses
+    constant = (np.ptp(excess, axis=0) < CONSTANT_DISTANCE) & (excess.min(axis=0) >= 0.0)
+    dropped = np.asarray((excess.min(axis=0) >= EXACT_BELOW) | constant)
     loose, query = list[BodyPair](), cell.distance_query()
     for number, bodies in enumerate(cell.pairs):
         rows = pair == number
@@ -161,7 +166,7 @@ def _select_pairs(
 def _with_hulls(
     constraint: ClearanceConstraint, cell: Cell, pairs: Sequence[BodyPair]
 ) -> ClearanceConstraint:
-    """Add the hulls of pairs of bodies, except those that violate the clearance in most poses."""
+    """Add the hulls of pairs of bodies, or their meshes where the hulls are too loose."""
     numbers = sorted({i for pair in pairs for i in (pair.first, pair.second)})
     hulls, of_bodies = list[PlacedHull](), dict[int, range]()
     for i in numbers:
@@ -187,5 +192,20 @@ def _with_hulls(
     )
     poses = spread_poses(cell.limits, HULL_POSES)
     violated = extended.evaluate(poses).distances() - extended.required < 0.0
-    useless = np.mean(violated, axis=0) > MAX_HULL_VIOLATION_SHARE
-    return extended.without_pairs(np.logical_and(extended.kind == CoverPairKind.HULLS, useless))
+    kind = extended.kind.copy()
+    for row in np.flatnonzero((kind == CoverPairKind.HULLS) & violated.any(axis=0)):
+        if not any(hulls[i].has_mesh for i in (extended.first[row], extended.second[row])):
+            continue
+        exact = _with_meshes_only(extended, int(row))
+        sample = poses[violated[:, row]][:: max(int(violated[:, row].sum()) // EXACT_POSES, 1)]
+        kept = exact.evaluate(sample).distances()[:, 0] >= exact.required[0]
+        if np.mean(kept) * np.mean(violated[:, row]) > MAX_FALSE_HULL_SHARE:
+            kind[row] = CoverPairKind.MESHES
+    return dataclasses.replace(extended, kind=kind)
+
+
+def _with_meshes_only(constraint: ClearanceConstraint, row: int) -> ClearanceConstraint:
+    """Return the constraint with a single pair of hulls, whose meshes are evaluated."""
+    others = np.arange(len(constraint)) != row
+    single = constraint.without_pairs(others)
+    return dataclasses.replace(single, kind=np.array([CoverPairKind.MESHES], int))

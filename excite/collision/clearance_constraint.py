@@ -31,6 +31,11 @@ MAX_SCALE = 0.4
 SAMPLING_ALLOWANCE = 4e-3
 """Clearance that is added at the samples for what happens between them [m]; less for pairs whose
 required clearance is less than five times this."""
+MESH_BELOW = 0.03
+"""Excess of a distance of hulls over the required clearance below which meshes are evaluated [m];
+beyond it the constraint is inactive, and the distance of the hulls is a lower bound."""
+CONTACT_DEPTH = 1e-4
+"""Least depth that is stated for meshes in contact, whose own distance has no gradient [m]."""
 EXACT_BELOW = 0.15
 """Excess over the required clearance up to which distances are exact [m]; beyond it they are lower
 bounds."""
@@ -43,6 +48,11 @@ class CoverPairKind(IntEnum):
     CAPSULE_BOX = 1
     CAPSULE_PLANE = 2
     HULLS = 3
+    MESHES = 4
+
+
+HULL_KINDS = (CoverPairKind.HULLS, CoverPairKind.MESHES)
+"""Kinds whose indices refer to `ClearanceConstraint.hulls`."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +166,11 @@ class PlacedHull:
     rotation: FloatArray
     position: FloatArray
 
+    @property
+    def has_mesh(self) -> bool:
+        """True if the hull may differ from the shape."""
+        return self.shape.kind is ShapeKind.MESH
+
     def bounding_ball(self) -> tuple[FloatArray, float]:
         """Centre in the joint's frame, shape (3,) [m], and radius [m] of an enclosing ball."""
         if self.shape.kind is ShapeKind.FLOOR:
@@ -199,6 +214,7 @@ class ClearanceEvaluation:
         """
         self.constraint, self.rotation, self.origin = constraint, rotation, origin
         self._cached_twists: FloatArray | None = None
+        self._mesh_points: dict[tuple[int, int], FloatArray] = {}
         R, p = rotation[:, constraint.joint], origin[:, constraint.joint]
         self.ends = [
             (R @ end[:, :, None])[..., 0] + p for end in (constraint.begin, constraint.end)
@@ -218,7 +234,7 @@ class ClearanceEvaluation:
             pairs = np.flatnonzero(c.kind == kind)
             if not len(pairs):
                 continue
-            distance = self._lower_bound(kind, c.first[pairs], c.second[pairs])
+            distance = self._lower_bound(kind, pairs)
             sample, column = np.nonzero(distance < c.required[pairs] + EXACT_BELOW)
             if len(sample):
                 nearest = self._nearest_points(kind, sample, pairs[column])
@@ -249,9 +265,9 @@ class ClearanceEvaluation:
             nearest = self._nearest_points(kind, sample[rows], pair[rows])
             moment = np.cross(nearest.first, nearest.direction)
             wrench[rows] = np.hstack([moment, nearest.direction])
-            joints = c.hull_arrays.joint if kind == CoverPairKind.HULLS else c.joint
+            joints = c.hull_arrays.joint if kind in HULL_KINDS else c.joint
             moves[rows] = c.tree.support[joints[c.first[pair[rows]]]]
-            if kind in (CoverPairKind.CAPSULES, CoverPairKind.HULLS):
+            if kind not in (CoverPairKind.CAPSULE_BOX, CoverPairKind.CAPSULE_PLANE):
                 moves[rows] -= c.tree.support[joints[c.second[pair[rows]]]]
         rates = (self._joint_twists()[sample] @ wrench[:, :, None])[..., 0] * moves
         return np.asarray(-(rates[:, 1:] @ c.tree.spread) / c.scale[pair, None])
@@ -261,10 +277,11 @@ class ClearanceEvaluation:
             self._cached_twists = self.constraint.tree.joint_twists(self.rotation, self.origin)
         return self._cached_twists
 
-    def _lower_bound(self, kind: CoverPairKind, a: IntArray, b: IntArray) -> FloatArray:
+    def _lower_bound(self, kind: CoverPairKind, pairs: IntArray) -> FloatArray:
         """Distances of balls around the covers. Shape (N, pairs of the kind) [m]."""
         c = self.constraint
-        if kind == CoverPairKind.HULLS:
+        a, b = c.first[pairs], c.second[pairs]
+        if kind in HULL_KINDS:
             h = c.hull_arrays
             R, p = self.rotation[:, h.joint], self.origin[:, h.joint]
             centre = (R @ h.centre[:, :, None])[..., 0] + p
@@ -274,10 +291,15 @@ class ClearanceEvaluation:
         if kind == CoverPairKind.CAPSULES:
             return np.asarray(_norm(centre - middle[:, b]) - radius[a] - radius[b])
         if kind == CoverPairKind.CAPSULE_BOX:
-            transposed = np.swapaxes(c.box_pose[b], 1, 2)
-            in_box_frame = (transposed @ (centre - c.box_centre[b])[..., None])[..., 0]
-            outside = np.maximum(np.abs(in_box_frame) - c.box_half[b], 0.0)
-            return np.asarray(_norm(outside) - radius[a])
+            offset = centre - c.box_centre[b]
+            bound = np.asarray(_norm(offset) - _norm(c.box_half[b]) - radius[a])
+            # the box itself where the ball around it is near
+            sample, column = np.nonzero(bound < c.required[pairs] + EXACT_BELOW)
+            near = b[column]
+            in_box_frame = np.einsum("mji,mj->mi", c.box_pose[near], offset[sample, column])
+            outside = np.maximum(np.abs(in_box_frame) - c.box_half[near], 0.0)
+            bound[sample, column] = _norm(outside) - radius[a[column]]
+            return bound
         return np.asarray(np.sum(centre * c.normal[b], axis=2) - c.height[b] - radius[a])
 
     def _nearest_points(
@@ -291,6 +313,8 @@ class ClearanceEvaluation:
         a, b = c.first[pair], c.second[pair]
         if kind == CoverPairKind.HULLS:
             return self._nearest_points_of_hulls(sample, a, b)
+        if kind == CoverPairKind.MESHES:
+            return self._nearest_points_of_meshes(sample, pair)
         segment = self.ends[0][sample, a], self.ends[1][sample, a]
         if kind == CoverPairKind.CAPSULES:
             nearest = segment_distance.segment_to_segment(
@@ -306,8 +330,13 @@ class ClearanceEvaluation:
             nearest = segment_distance.segment_to_plane(*segment, c.normal[b], c.height[b])
         return dataclasses.replace(nearest, distance=nearest.distance - c.radius[a])
 
-    def _nearest_points_of_hulls(self, sample: IntArray, a: IntArray, b: IntArray) -> NearestPoints:
-        solids = [hull.shape.hull() for hull in self.constraint.hulls]
+    def _nearest_points_of_hulls(
+        self, sample: IntArray, a: IntArray, b: IntArray, *, exact: bool = False
+    ) -> NearestPoints:
+        """Nearest points of hulls, or of the exact shapes, each pair at its own pose."""
+        solids = [
+            hull.shape.solid() if exact else hull.shape.hull() for hull in self.constraint.hulls
+        ]
         placements = [self._hull_placements(sample, hull) for hull in (a, b)]
         out = np.empty((len(sample), 10))
         request, result = coal.DistanceRequest(), coal.DistanceResult()
@@ -322,7 +351,36 @@ class ClearanceEvaluation:
                 *result.getNearestPoint1(),
                 *result.getNearestPoint2(),
             )
-        return NearestPoints(out[:, 0], out[:, 1:4], out[:, 4:7], out[:, 7:])
+        return NearestPoints.from_table(out)
+
+    def _nearest_points_of_meshes(self, sample: IntArray, pair: IntArray) -> NearestPoints:
+        """Nearest points of meshes; of their hulls where these are far apart or the meshes touch.
+
+        Results are kept, as gradients are evaluated where distances were.
+        """
+        c, cache = self.constraint, self._mesh_points
+        missing = np.array(
+            [key not in cache for key in zip(sample.tolist(), pair.tolist(), strict=True)]
+        )
+        if missing.any():
+            at, rows = sample[missing], pair[missing]
+            a, b = c.first[rows], c.second[rows]
+            table = self._nearest_points_of_hulls(at, a, b).table()
+            near = np.flatnonzero(table[:, 0] < c.required[rows] + MESH_BELOW)
+            if len(near):
+                exact = self._nearest_points_of_hulls(
+                    at[near], a[near], b[near], exact=True
+                ).table()
+                apart = exact[:, 0] > 0.0
+                # coal states no normal for meshes
+                exact[apart, 1:4] = (exact[apart, 4:7] - exact[apart, 7:]) / exact[apart, :1]
+                table[near[apart]] = exact[apart]
+                touching = near[~apart]
+                table[touching, 0] = np.minimum(table[touching, 0], -CONTACT_DEPTH)
+            keys = zip(at.tolist(), rows.tolist(), strict=True)
+            cache.update(zip(keys, table, strict=True))
+        rows_of_table = [cache[key] for key in zip(sample.tolist(), pair.tolist(), strict=True)]
+        return NearestPoints.from_table(np.array(rows_of_table).reshape(-1, 10))
 
     def _hull_placements(self, sample: IntArray, hull: IntArray) -> tuple[FloatArray, FloatArray]:
         """Orientations and origins of hulls in the base frame. Shapes (m, 3, 3), (m, 3)."""

@@ -215,8 +215,7 @@ def _grid(motion: Motion, segment: MotionSegment) -> _Grid:
         max_acceleration = max_acceleration * oversampling_bound(count, fourier.harmonics)
     else:
         velocity = segment.profile.at(local, 1)
-        # the acceleration is linear between knots, hence extremal at knots
-        max_acceleration = np.abs(segment.profile.at(segment.profile.knots(), 2)).max(axis=0)
+        max_acceleration = segment.profile.max_acceleration(duration)
     highest = np.maximum(np.abs(velocity[:-1]), np.abs(velocity[1:]))
     speed = highest + 0.5 * (duration / count) * max_acceleration
     return _Grid(time, _poses(motion, segment, time), speed)

@@ -24,6 +24,10 @@ POLYGON_SIDES = 24
 surfaces enclose their shapes."""
 
 
+MAX_NEIGHBOURS = 100
+"""Triangles around a vertex of a hull; coal counts neighbours in one byte and raises an error."""
+
+
 class ShapeKind(Enum):
     """Kinds of shapes, with the meaning of `Shape.size` [m].
 
@@ -211,6 +215,10 @@ def _hull(file: str, scale: tuple[float, ...]) -> coal.CollisionGeometry:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError):  # flat, or fewer than four vertices
         return _mesh(file, scale)
+    if _max_neighbours(hull.simplices) > MAX_NEIGHBOURS:
+        # Qhull triangulates a flat facet as a fan around one vertex; joggled input has no flat
+        # facets of more than three vertices
+        hull = ConvexHull(vertices, qhull_options="QJ Pp")
     points, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     corners = np.sort(hull.vertices)
     points.extend(list(vertices[corners]))
@@ -218,6 +226,11 @@ def _hull(file: str, scale: tuple[float, ...]) -> coal.CollisionGeometry:
         [coal.Triangle(*face) for face in np.searchsorted(corners, hull.simplices).tolist()]
     )
     return coal.Convex(points, faces)
+
+
+def _max_neighbours(triangles: IntArray) -> int:
+    """Return the largest number of triangles around a vertex. Shape of `triangles`: (m, 3)."""
+    return int(np.bincount(triangles.ravel()).max())
 
 
 @lru_cache(maxsize=256)

@@ -387,6 +387,11 @@ def _floor_height(
     return height, []
 
 
+def default_floor(robot: Robot, limits: Limits, link_shapes: Sequence[Shape]) -> float | None:
+    """Height of the floor where none is stated [m]; None where none is assumed."""
+    return _floor_height(robot, limits, link_shapes, Scene())[0]
+
+
 def _lowest_moving_point(robot: Robot, link_shapes: Sequence[Shape], q: FloatArray) -> FloatArray:
     """Height of the lowest point of the capsules of links whose height changes with the pose.
 

@@ -36,6 +36,15 @@ class NearestPoints:
     first: FloatArray
     second: FloatArray
 
+    def table(self) -> FloatArray:
+        """Return all columns side by side; inverse of `from_table`. Shape (m, 10)."""
+        return np.column_stack([self.distance, self.direction, self.first, self.second])
+
+    @staticmethod
+    def from_table(table: FloatArray) -> NearestPoints:
+        """Return the nearest points of a table. Shape (m, 10)."""
+        return NearestPoints(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7:])
+
 
 def segment_to_segment(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> NearestPoints:
     """Nearest points of segments a–b and c–d. Shapes (m, 3) each [m]."""

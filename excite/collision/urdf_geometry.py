@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
+import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
 from .. import physical_ranges as ranges
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..physical_ranges import Range
-from ..robot import xml_file
+from ..robot import source_text, xml_file
 from ..robot.robot import locate
 from ..robot.urdf import numbers
 from . import mesh_file
@@ -51,21 +52,37 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
         UnusableInput: A shape is not valid.
     """
     path = locate(source)
-    root = xml_file.parse(path, "a URDF")
+    root = xml_file.parse_text(path, source_text.read_urdf_text(path))
     out = []
     for link in root.findall("link"):
         name = str(link.get("name"))
         rounded = {capsule.get("name") for capsule in link.findall("collision_checking/capsule")}
         for collision in link.findall("collision"):
             geometry = collision.find("geometry")
-            if geometry is None or not len(geometry):
-                raise UnusableInput(
-                    f"{path}: link '{name}': a <collision> has no geometry; add it or remove the "
-                    "element"
+            if geometry is None or not len(geometry) or _has_no_extent(geometry[0]):
+                warnings.warn(
+                    f"{path}: link '{name}': a <collision> shape without extent is left out",
+                    ExciteWarning,
+                    stacklevel=2,
                 )
+                continue
             is_rounded = collision.get("name") in rounded
             out.append(_shape(path, name, collision, geometry[0], is_rounded, packages))
     mesh_file.read_all([shape.file for shape in out if shape.file is not None])
+    return out
+
+
+def missing_meshes(source: str, packages: Sequence[str] = ()) -> list[tuple[str, str]]:
+    """Links and file names of the collision meshes that do not exist; see `read`."""
+    path = locate(source)
+    root = xml_file.parse_text(path, source_text.read_urdf_text(path))
+    out = []
+    for link in root.findall("link"):
+        for mesh in link.findall("collision/geometry/mesh"):
+            try:
+                _find_mesh(path, str(link.get("name")), mesh.get("filename", ""), packages)
+            except MissingMesh as error:
+                out.append((str(link.get("name")), error.mesh))
     return out
 
 
@@ -101,6 +118,17 @@ def _shape(
         for key, accepted in (("xyz", ranges.LENGTH), ("rpy", ranges.ANGLE))
     )
     return Shape(link, kind, size, position, rotation, link, file)  # type: ignore[arg-type]
+
+
+def _has_no_extent(solid: ElementTree.Element) -> bool:
+    """True for a box, sphere or cylinder that has a size, but one of 0."""
+    if solid.tag not in ("box", "sphere", "cylinder"):
+        return False
+    words = " ".join(solid.get(word, "") for word in SIZE_KEYS[ShapeKind(solid.tag)]).split()
+    try:
+        return any(float(word) == 0.0 for word in words)
+    except ValueError:
+        return False
 
 
 def _numbers(path: Path, link: str, text: str, count: int, accepted: Range) -> tuple[float, ...]:

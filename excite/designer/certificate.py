@@ -22,10 +22,10 @@ from ..collision.continuous_check import PairDistance
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..robot import base_parameters, dynamics, inertial_parameters
 from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
-from ..robot.robot import Robot
+from ..robot.robot import Robot, require_possible_bodies
 from ..robot.samples import Samples
 from ..trajectory.fourier import VERIFICATION_DENSITY, oversampling_bound
-from ..trajectory.rest_to_rest import Motion, MotionSegment
+from ..trajectory.rest_to_rest import Motion, MotionSegment, PhaseProfile
 from ..trajectory.trajectory_file import Trajectory
 from . import constraint_margins, criteria
 from .constraint_margins import BoundedQuantity, MotionConstraints
@@ -52,9 +52,6 @@ MAX_LISTED_FAULTS = 3
 
 MAX_LISTED_PAIRS = 12
 """Pairs of bodies that a certificate lists, the nearest to their margin [1]."""
-
-MIN_STEPS_PER_PIECE = 4
-"""Least number of steps over one cubic of a ramp for quantities without a closed form [1]."""
 
 
 class CertificateVerdict(Enum):
@@ -298,6 +295,7 @@ def recompute_criteria(
 
     The periodic part is sampled as in the optimisation.
     """
+    require_possible_bodies(robot)
     motion = trajectory.motion
     base = base_parameters.find(robot, standard, limits)
     samples = int(trajectory.design.get("samples", round(motion.fourier.period * trajectory.rate)))
@@ -440,8 +438,8 @@ def _fourier_quantities(
     factor = oversampling_bound(count, fourier.harmonics) - 1.0
     for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
         values = fourier.at(t, order)
-        swing = values - (fourier.offset if order == 0 else 0.0)
-        more = factor * np.abs(swing).max(axis=0)
+        # a constant may be subtracted first; the middle of the samples gives the tightest bound
+        more = factor * 0.5 * np.ptp(values, axis=0)
         yield (
             segment.start + t,
             constraint_margins.joint_quantity(limit, constraints, values - more, values + more),
@@ -456,11 +454,20 @@ def _ramp_quantities(
 ) -> Iterator[tuple[FloatArray, BoundedQuantity]]:
     """Yield the bounded quantities of a ramp.
 
-    Position, velocity, acceleration and jerk are exact. Torque and frames are sampled within each
-    cubic and bounded between the samples.
+    Position, velocity, acceleration and jerk of piecewise constant jerk are exact, those of a ramp
+    along the path of the periodic motion are bounded between samples. Torque and frames are sampled
+    within each piece and bounded between the samples.
     """
     profile, length = segment.profile, segment.end - segment.start
     assert profile is not None
+    samples = int(trajectory.design.get("samples", 100))
+    step = constraint_margins.ramp_step(trajectory.motion.fourier.period, samples, trajectory.rate)
+    if isinstance(profile, PhaseProfile):
+        for local, quantity in constraint_margins.phase_quantities(
+            constraints, profile, length, step
+        ):
+            yield segment.start + local, quantity
+        return
     times = profile.critical_times(length)
     for order, limit in enumerate(("position", "velocity", "acceleration")):
         values = profile.at(times, order)
@@ -471,19 +478,9 @@ def _ramp_quantities(
     middle = 0.5 * (times[:-1] + times[1:])
     jerk = profile.at(middle, 3)
     yield segment.start + middle, constraint_margins.joint_quantity("jerk", constraints, jerk, jerk)
-    step = min(
-        trajectory.motion.fourier.period
-        / (VERIFICATION_DENSITY * int(trajectory.design.get("samples", 100))),
-        1.0 / trajectory.rate,
-    )
-    counts = np.maximum(np.ceil(np.diff(times) / step).astype(int), MIN_STEPS_PER_PIECE)
-    dense = np.concatenate(
-        [np.linspace(a, b, n + 1) for a, b, n in zip(times[:-1], times[1:], counts, strict=True)]
-    )
-    samples = Samples(*(profile.at(dense, order) for order in range(3)))
-    for quantity in constraint_margins.model_quantities(
-        constraints, samples, np.repeat(np.arange(len(counts)), counts + 1)
-    ):
+    dense, blocks = constraint_margins.divided_pieces(times, step)
+    motion = Samples(*(profile.at(dense, order) for order in range(3)))
+    for quantity in constraint_margins.model_quantities(constraints, motion, blocks):
         yield segment.start + dense, quantity
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,16 @@ from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.limits import Braking, Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
+from ..trajectory.fourier import VERIFICATION_DENSITY
+from ..trajectory.rest_to_rest import PhaseProfile
 from .options import WorkspaceBox
+
+MIN_STEPS_PER_PIECE = 4
+"""Least number of steps over one cubic of a ramp for quantities without a closed form [1]."""
+
+KNOT_INSET = 1e-12
+"""Distance of the samples from the knots of a phase over the length of a piece [1], as the jerk
+jumps there; it is below the rounding of the bounds."""
 
 
 @dataclass(frozen=True)
@@ -227,3 +237,67 @@ def model_quantities(
         *([] if brake is None else [brake]),
         *box_quantities(constraints, motion, blocks),
     ]
+
+
+def ramp_step(period: float, samples: int, rate: float) -> float:
+    """Return the largest time step at which ramps are sampled between their knots [s].
+
+    Args:
+        period: Period of the periodic motion [s].
+        samples: Samples of the optimiser over one period.
+        rate: Rows per second of the exported motion [Hz].
+    """
+    return min(period / (VERIFICATION_DENSITY * samples), 1.0 / rate)
+
+
+def divided_pieces(edges: FloatArray, step: float) -> tuple[FloatArray, IntArray]:
+    """Sample each interval between ascending times at equal steps, both ends included.
+
+    Args:
+        edges: Ascending times. Shape (m,) [s].
+        step: Largest time step [s].
+
+    Returns:
+        Times, shape (N,) [s], and the number of the interval of each, shape (N,).
+    """
+    counts = np.maximum(np.ceil(np.diff(edges) / step).astype(int), MIN_STEPS_PER_PIECE)
+    times = [
+        np.linspace(a, b, n + 1) for a, b, n in zip(edges[:-1], edges[1:], counts, strict=True)
+    ]
+    return np.concatenate(times), np.repeat(np.arange(len(counts)), counts + 1)
+
+
+def phase_quantities(
+    constraints: MotionConstraints, profile: PhaseProfile, length: float, step: float
+) -> Iterator[tuple[FloatArray, BoundedQuantity]]:
+    """Yield the bounded quantities of a ramp along the path of the periodic motion.
+
+    Between two samples that are h apart, a function differs from its linear interpolation by at
+    most h²/8 max|f″|; for a derivative of order k of the motion, f″ is that of order k + 2, which
+    `PhaseProfile.derivative_bound` bounds.
+
+    Args:
+        constraints: Constraints, derived limits included.
+        profile: The ramp.
+        length: Its duration [s].
+        step: Largest time step [s].
+
+    Yields:
+        Times of the samples since the start, shape (N,) [s], and the quantity.
+    """
+    knots = profile.knots()
+    edges = np.unique(np.concatenate([[0.0, length], knots[knots < length]]))
+    pieces = np.diff(edges) > KNOT_INSET * length
+    edges = np.append(edges[:-1][pieces], edges[-1])
+    times, blocks = divided_pieces(edges, step)
+    begin, end = edges[blocks], edges[blocks + 1]
+    inside = np.clip(times, begin + KNOT_INSET * (end - begin), end - KNOT_INSET * (end - begin))
+    widest = float(np.diff(times).max())
+    derivatives = [profile.at(inside, order) for order in range(4)]
+    for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
+        rise = widest**2 / 8.0 * profile.derivative_bound(order + 2, length)
+        values = derivatives[order]
+        yield times, joint_quantity(limit, constraints, values - rise, values + rise)
+    samples = Samples(derivatives[0], derivatives[1], derivatives[2])
+    for quantity in model_quantities(constraints, samples, blocks):
+        yield times, quantity

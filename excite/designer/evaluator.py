@@ -16,6 +16,13 @@ from . import casadi_model, criteria
 from .casadi_batch import MappedFunction, PaddedFunction
 from .problem import DesignProblem
 
+NEARLY_ACTIVE = 0.98
+"""Constraint value from which a constraint is named as one that leaves no room [1]."""
+
+UNEXCITED_RATIO = 1e-20
+"""Ratio of an eigenvalue of the information to the largest one below which its direction is named
+as one that a motion does not show [1]."""
+
 
 @dataclass(frozen=True)
 class ConstraintRows:
@@ -148,6 +155,17 @@ class Evaluator:
             ]
         return value, self._pull_back(x, point, gradients)
 
+    def spectrum_ratio(self, x: FloatArray) -> float:
+        """Return the least over the largest eigenvalue of the information of a motion [1].
+
+        Shape of `x`: (size,).
+        """
+        point, problem = self._at(x), self.problem
+        rows = problem.weighting.rows(self._regressor_at(point))
+        stacked = rows if problem.earlier_root is None else np.vstack([rows, problem.earlier_root])
+        values = criteria.information_eigenvalues(stacked)
+        return float(values[0] / values[-1]) if values[-1] > 0.0 else 0.0
+
     def _pull_back(self, x: FloatArray, point: _Point, gradients: list[FloatArray]) -> FloatArray:
         """Return the gradient by the variables from the gradients by q, q̇ and q̈."""
         p = self.problem
@@ -258,6 +276,51 @@ class Evaluator:
     def max_constraint_value(self, x: FloatArray) -> float:
         """Return the largest value of all constraints; at most 1 where the samples are feasible."""
         return max(float(values.max()) for values in self.constraint_values(x).values())
+
+    def active_constraints(self, x: FloatArray, count: int = 2) -> list[str]:
+        """Name the constraints that are violated or all but active, the worst first.
+
+        Args:
+            x: Variables. Shape (size,).
+            count: Number of names at most.
+        """
+        worst: list[tuple[float, str]] = []
+        for kind, values in self.constraint_values(x).items():
+            largest = values.max(axis=(0, 1))
+            worst += [
+                (float(largest[index]), self._constraint_name(kind, int(index)))
+                for index in np.flatnonzero(largest > NEARLY_ACTIVE)
+            ]
+        return [name for _, name in sorted(worst, reverse=True)[:count]]
+
+    def _constraint_name(self, kind: str, index: int) -> str:
+        """Return the name of a constraint: of its pair of bodies, its frame or its joint."""
+        problem = self.problem
+        if kind == "clearance":
+            assert problem.clearance is not None
+            return f"the clearance of {problem.clearance.names[index]}"
+        if kind.startswith("box"):
+            return f"the box of '{problem.boxes[int(kind[3:])].frame}'"
+        return f"the {kind} limit of '{problem.robot.joints[index]}'"
+
+    def unexcited_parameters(self, x: FloatArray, count: int = 3) -> list[str]:
+        """Name the parameters that a motion shows least.
+
+        Args:
+            x: Variables. Shape (size,).
+            count: Number of names at most.
+
+        Returns:
+            Names, the one with the largest share of unexcited directions first.
+        """
+        rows = self.problem.weighting.rows(self._regressor_at(self._at(x)))
+        _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+        hidden = singular**2 < UNEXCITED_RATIO * singular[0] ** 2
+        hidden[-1] = True
+        share = np.linalg.norm(right[hidden] @ self.problem.weighting.columns.T, axis=0)
+        order = np.argsort(-share)
+        names = self.problem.parameters.names
+        return [names[i] for i in order[:count]]
 
     def rows_above(self, x: FloatArray, threshold: float) -> BoolArray:
         """Return the flat mask of the constraints above a threshold, in the order of `kinds`."""

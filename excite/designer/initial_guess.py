@@ -6,6 +6,8 @@ active.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from .._types import FloatArray
@@ -19,7 +21,25 @@ COMFORTABLE_ROW_VALUE = 0.95
 """Largest constraint value of a static pose to start from [1]."""
 
 MAX_INITIAL_ROW_VALUE = 0.99
-"""Largest constraint value of the initial motion [1]."""
+"""Largest constraint value of the initial motion where its pose has more slack [1]."""
+
+POSE_SLACK_SHARE = 0.8
+"""Share of the slack of a constraint at the pose that the initial motion may use up where the
+slack is little [1]."""
+
+USUAL_SLACK = 0.25
+"""Slack at which a constraint counts as satisfied with ease [1]; constraints that reach less in
+nine of ten poses are judged by what they reach."""
+
+RANGE_SHARE = 0.97
+"""Share of the position ranges in which poses are improved [1], so that a pose at the end of a
+range does not hide the constraint that drove it there."""
+
+AMPLITUDE_STEPS = 12
+"""Bisections of the amplitude of the initial motion."""
+
+AMPLITUDE_TOLERANCE = 0.1
+"""Relative tolerance of that amplitude [1]."""
 
 CLEARANCE_SCALING = 2.5
 """Factor on the slack of clearance constraints of static poses [1].
@@ -27,6 +47,9 @@ CLEARANCE_SCALING = 2.5
 Their unit is many times the required clearance, and neighbouring bodies may never be more than two
 units apart, so that without it no pose would count as comfortable.
 """
+
+FLOOR_NAME = " floor"
+"""End of the name of a pair of bodies of which one is the floor."""
 
 POSES_PER_LINE = 60
 """Steps along the straight line from the start pose on which clearance is checked [1]."""
@@ -61,6 +84,21 @@ class _StaticPoses:
             ],
             axis=0,
         )
+
+    def relative_max_values(self, poses: FloatArray) -> FloatArray:
+        """Return the largest constraint value of each pose, by what each constraint can reach.
+
+        Bodies that are close by construction leave little slack at all poses, and a constant
+        constraint the same at all; both would outweigh all others. Shape (N,).
+        """
+        worst = np.full(len(poses), -np.inf)
+        for kind, values in self.evaluator.static_constraint_values(poses).items():
+            scaled = _scale_slack(kind, values)
+            reached = np.quantile(1.0 - scaled, 0.9, axis=1, keepdims=True)
+            tight = (scaled < 1.0) & (reached < USUAL_SLACK) & (reached > 0.0)
+            relative = 1.0 - USUAL_SLACK * (1.0 - scaled) / np.where(reached > 0.0, reached, 1.0)
+            worst = np.maximum(worst, np.where(tight, relative, scaled).max(axis=(0, 2)))
+        return worst
 
     def active_constraint(self, pose: FloatArray) -> tuple[str, int, float]:
         """Return kind, joint and value of the largest constraint value at one pose."""
@@ -102,6 +140,7 @@ def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int
     limits, count = problem.limits, problem.options.samples
     lower, upper = ranges(limits).T
     static = _StaticPoses(evaluator)
+    feasible: list[FloatArray] = []
     for attempt in range(tries):
         # the first batch stays in the middle of the ranges, where motions can be large
         share = 0.6 if attempt == 0 else 1.0
@@ -116,6 +155,11 @@ def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int
         if good.any():
             order = np.argsort(worst[good])
             return np.asarray(candidates[good][order])
+        relative = static.relative_max_values(candidates)
+        good = relative < COMFORTABLE_ROW_VALUE
+        feasible += list(candidates[good][np.argsort(relative[good])])
+    if feasible:
+        return np.array(feasible)
     return _improved(evaluator, static, candidates[np.argsort(worst)[:8]])
 
 
@@ -170,21 +214,18 @@ def _minimise_largest(evaluator: Evaluator, pose: FloatArray) -> FloatArray:
     """Minimise s subject to g ≤ s over poses within the joint ranges, by SLSQP. Shape (n,)."""
     from scipy import optimize  # rarely needed, slow to import
 
+    # all samples of a robot at rest are equal
+    options = dataclasses.replace(evaluator.problem.options, samples=1)
+    evaluator = Evaluator(dataclasses.replace(evaluator.problem, options=options))
     problem = evaluator.problem
     n = problem.robot.n
     columns = np.arange(n) * problem.scale.shape[1] + problem.scale.shape[1] - 1
     # position limits are bounds of the optimiser instead of constraints
     position = evaluator.kinds.index("position") if "position" in evaluator.kinds else -1
-    first = np.zeros(problem.options.samples, bool)
-    first[0] = True
 
     def rows_at(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         x = stationary_variables(problem, z[:n])
-        table = evaluator.constraint_values(x)
-        mask = np.concatenate(
-            [np.broadcast_to(first[None, :, None], v.shape).ravel() for v in table.values()]
-        )
-        rows: ConstraintRows = evaluator.rows(mask)
+        rows: ConstraintRows = evaluator.rows(evaluator.rows_above(x, -np.inf))
         values = evaluator.row_values(x, rows)
         keep = np.isfinite(values) & (rows.kind != position)
         slopes = evaluator.row_gradients(x, rows)[:, columns] / problem.scale[:, -1]
@@ -193,18 +234,25 @@ def _minimise_largest(evaluator: Evaluator, pose: FloatArray) -> FloatArray:
     slack = rows_at(np.append(pose, 0.0))[0].max()
     result = optimize.minimize(
         lambda z: z[-1],
-        np.append(pose, slack),
+        np.append(np.clip(pose, *_inner_range(problem.limits.position).T), slack),
         jac=lambda z: np.append(np.zeros(n), 1.0),
         constraints={
             "type": "ineq",
             "fun": lambda z: z[-1] - rows_at(z)[0],
             "jac": lambda z: np.column_stack([-(s := rows_at(z)[1]), np.ones(len(s))]),
         },
-        bounds=[*problem.limits.position, (None, None)],
+        bounds=[*_inner_range(problem.limits.position), (None, None)],
         method="SLSQP",
         options={"maxiter": 60},
     )
     return np.asarray(result.x[:n])
+
+
+def _inner_range(position: FloatArray) -> FloatArray:
+    """Return the middle share of position ranges; unbounded ones stay. Shape (n, 2) -> (n, 2)."""
+    lower, upper = position.T
+    trimmed = 0.5 * (1.0 - RANGE_SHARE) * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+    return np.column_stack([lower + trimmed, upper - trimmed])
 
 
 def _raise_infeasible(problem: DesignProblem, static: _StaticPoses, pose: FloatArray) -> None:
@@ -222,9 +270,15 @@ def _raise_infeasible(problem: DesignProblem, static: _StaticPoses, pose: FloatA
         raise Infeasible(text) if problem.boxes else UnusableInput(text)
     if kind == "clearance":
         assert problem.clearance is not None
+        pair = problem.clearance.names[joint]
+        remedy = (
+            "give the floor's height with --floor, or --no-floor"
+            if pair.endswith(FLOOR_NAME)
+            else "clear the scene"
+        )
         raise Infeasible(
-            f"{robot.source}: no pose keeps the clearance of {problem.clearance.names[joint]}; "
-            "clear the scene, lower --clearance, or widen the position limits"
+            f"{robot.source}: no pose keeps the clearance of {pair}; "
+            f"{remedy}, lower --clearance, or widen the position limits"
         )
     name = problem.boxes[int(kind[3:])].frame if kind.startswith("box") else robot.joints[joint]
     raise Infeasible(
@@ -245,7 +299,7 @@ def scale_random_motion(
         rng: Random number generator.
 
     Returns:
-        Variables of the motion, which is feasible. Shape (size,).
+        Variables of the motion, which is feasible; at rest if the pose is not. Shape (size,).
     """
     problem = evaluator.problem
     stationary = stationary_variables(problem, pose)
@@ -255,13 +309,18 @@ def scale_random_motion(
     step[: problem.scale.size].reshape(problem.scale.shape)[:, : 2 * K] = amplitude.reshape(
         problem.robot.n, -1
     )
+    allowed = {
+        kind: np.maximum(MAX_INITIAL_ROW_VALUE, 1.0 - (1.0 - POSE_SLACK_SHARE) * (1.0 - values))
+        for kind, values in evaluator.constraint_values(stationary).items()
+    }
     low, high = 0.0, 1.0
-    for _ in range(12):
+    for _ in range(AMPLITUDE_STEPS):
         middle = 0.5 * (low + high)
-        if evaluator.max_constraint_value(stationary + middle * step) < MAX_INITIAL_ROW_VALUE:
+        values = evaluator.constraint_values(stationary + middle * step)
+        if all((values[kind] < allowed[kind]).all() for kind in values):
             low = middle
         else:
             high = middle
-        if low > 0.0 and high - low < 0.1 * low:
+        if low > 0.0 and high - low < AMPLITUDE_TOLERANCE * low:
             break
     return np.asarray(stationary + low * step)

@@ -38,7 +38,7 @@ OVERLAP_WEIGHT = 0.5
 
 Over the built-in robots and three seeds each, ρ falls from 0.67 (another start, no penalty) to 0.41
 and the standard deviation that the second motion predicts rises by 2 %; twice the weight gives 0.35
-and 4 % (scripts/choices.py).
+and 4 % (scripts/period_and_validation.py).
 """
 
 MAX_COMPARED_SAMPLES = 60

@@ -31,6 +31,13 @@ Earlier the ranking says little about the final one: over 60 starts of two arms 
 correlation is 0.3 after 40, 0.7 after 60 and 0.8 after 90 iterations.
 """
 
+MAX_GUESSES = 4
+"""Initial guesses that one start tries until its search ends with a feasible motion that excites
+all base parameters."""
+
+MIN_SPECTRUM_RATIO = 1e-24
+"""Ratio of eigenvalues of the information below which a direction is rounding noise [1]."""
+
 MIN_STARTS_FOR_HALVING = 8
 """Number of starts below which all of them run to their end [1]."""
 
@@ -48,6 +55,7 @@ class Attempt:
         worst: Largest constraint value of each iterate, at most 1 where it is feasible.
         stage: Stage of the smoothing of each iterate.
         state: State of its search.
+        excites_all: True if the motion excites all base parameters.
         stopped: True if it was stopped early, because other starts were better.
     """
 
@@ -60,6 +68,23 @@ class Attempt:
     stage: tuple[int, ...]
     state: sqp.SearchState
     stopped: bool = False
+    excites_all: bool = True
+
+    @property
+    def feasible(self) -> bool:
+        """True if the motion keeps all limits at the samples."""
+        return bool(np.isfinite(self.state.best_value))
+
+    @property
+    def usable(self) -> bool:
+        """True if the motion keeps all limits and excites all base parameters."""
+        return self.feasible and self.excites_all
+
+    @property
+    def rank(self) -> tuple[bool, float, float, int]:
+        """Key that sorts attempts, the best first; infeasible ones last, by their excess."""
+        excess = 0.0 if self.feasible else self.state.best_excess
+        return not self.usable, excess, self.objective, self.number
 
 
 @dataclass(frozen=True)
@@ -109,15 +134,13 @@ def run_starts(
         )
         ended = _run_round(_Round(problem, build_time, until), alive, report)
         errors += [e for e in ended if isinstance(e, ExciteError)]
-        ranked = sorted(
-            (a for a in ended if isinstance(a, Attempt)), key=lambda a: (a.objective, a.number)
-        )
+        ranked = sorted((a for a in ended if isinstance(a, Attempt)), key=lambda a: a.rank)
         kept = len(ranked) if until == end else -(-len(ranked) // 2)
         stopped += [dataclasses.replace(a, stopped=not a.state.done) for a in ranked[kept:]]
         alive = list(ranked[:kept])
     finished = [a for a in alive if isinstance(a, Attempt)]
     # a start that was stopped may still be better than one that ran to its end
-    return [*sorted([*finished, *stopped], key=lambda a: (a.objective, a.number)), *errors]
+    return [*sorted([*finished, *stopped], key=lambda a: a.rank), *errors]
 
 
 def _run_round(
@@ -200,24 +223,36 @@ def _run_group(task: _Round, starts: Sequence[int | Attempt]) -> list[Attempt | 
 
 
 def _begin(evaluator: Evaluator, task: _Round, number: int) -> Attempt | ExciteError:
-    """Run a new start; errors are returned as values, so that they pass between processes."""
-    rng = np.random.default_rng([task.problem.options.seed, number])
-    try:
-        poses = initial_guess.find_static_poses(evaluator, rng)
-    except ExciteError as error:
-        return error
-    pose = poses[rng.integers(min(len(poses), 1 + len(poses) // 4))]
-    return optimize_from(
-        evaluator,
-        initial_guess.scale_random_motion(evaluator, pose, rng),
-        task.build_time,
-        number,
-        task.until,
-    )
+    """Run a new start; errors are returned as values, so that they pass between processes.
+
+    A search that ends infeasible, or without exciting all base parameters, is repeated from another
+    initial guess.
+    """
+    best: Attempt | None = None
+    for guess in range(MAX_GUESSES):
+        entropy = [task.problem.options.seed, number, *([guess] if guess else [])]
+        rng = np.random.default_rng(entropy)
+        try:
+            poses = initial_guess.find_static_poses(evaluator, rng)
+        except ExciteError as error:
+            return error if best is None else best
+        pose = poses[rng.integers(min(len(poses), 1 + len(poses) // 4))]
+        x = initial_guess.scale_random_motion(evaluator, pose, rng)
+        attempt = optimize_from(evaluator, x, task.build_time, number, task.until)
+        if best is None or attempt.rank < best.rank:
+            best = attempt
+        if best.usable:
+            break
+    return best  # type: ignore[return-value]
 
 
 def optimize_from(
-    evaluator: Evaluator, x: FloatArray, build_time: float, number: int, until: int | None = None
+    evaluator: Evaluator,
+    x: FloatArray,
+    build_time: float,
+    number: int,
+    until: int | None = None,
+    state: sqp.SearchState | None = None,
 ) -> Attempt:
     """Optimise from given variables.
 
@@ -227,17 +262,17 @@ def optimize_from(
         build_time: `time.perf_counter()` when the problem was complete [s].
         number: Number of the start.
         until: Number of iterations; None: to the end.
+        state: State to begin with, at `x`; None: that of a new search.
     """
     sharpness = sqp.sharpness_stages(evaluator.problem.options.criterion)
     history = sqp.History(began=build_time)
     history.add(
         evaluator.objective(x, sharpness[-1])[0],
         evaluator.max_constraint_value(x),
-        len(sharpness) - 1 if len(sharpness) == 1 else 0,
+        0 if state is None else state.stage,
     )
-    return _attempt(
-        evaluator, number, sqp.advance(evaluator, sqp.initial_state(x), history, until), history
-    )
+    state = sqp.initial_state(x) if state is None else state
+    return _attempt(evaluator, number, sqp.advance(evaluator, state, history, until), history)
 
 
 def _resume(evaluator: Evaluator, task: _Round, before: Attempt) -> Attempt:
@@ -273,4 +308,6 @@ def _attempt(
         tuple(h.worst),
         tuple(h.stage),
         state,
+        excites_all=problem.earlier_root is not None
+        or evaluator.spectrum_ratio(state.best) > MIN_SPECTRUM_RATIO,
     )

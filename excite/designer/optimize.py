@@ -16,7 +16,7 @@ from ..errors import ExciteError, UnusableInput
 from ..robot import base_parameters, inertial_parameters
 from ..robot.base_parameters import Base
 from ..robot.limits import Limits
-from ..robot.robot import Robot
+from ..robot.robot import Robot, require_possible_bodies
 from ..trajectory.fourier import FourierSeries
 from . import criteria, design_cost, initial_guess, multistart, problem, sqp
 from .constraint_margins import MotionConstraints
@@ -26,6 +26,20 @@ from .motion_overlap import OverlapPenalty
 from .multistart import Attempt, Progress
 from .options import DesignOptions, check_options, torque_noise_levels
 from .problem import DesignProblem
+
+SHRINKING = (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2)
+"""Factors on the amplitude of a motion that is slightly infeasible, tried in this order [1]."""
+
+STARTS_PER_RESTART = 2
+"""Starts of a search that is repeated because no motion of the first one was certified."""
+
+WARM_ITERATIONS = 40
+"""Iterations of a search that continues with the curvature of an earlier one; the motion changes by
+millimetres."""
+
+WARM_RADIUS = 0.05
+"""First trust-region radius of a search that continues with the curvature of an earlier one, in
+units of the variables: a quarter of that of a new search."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +150,7 @@ def set_up(
         len(options.noise) != robot.n or not all(0.0 < s < np.inf for s in options.noise)
     ):
         raise UnusableInput(f"--torque-noise should be {robot.n} positive numbers, one per joint")
+    require_possible_bodies(robot)
     standard = inertial_parameters.standard(robot, limits, options.drive)
     base = base_parameters.find(robot, standard, limits)
     noise = torque_noise_levels(limits, options.noise)
@@ -155,7 +170,9 @@ def set_up(
     return DesignSetup(built, base, noise, time.perf_counter())
 
 
-def solve(setup: DesignSetup, progress: Progress | None = None) -> OptimizedDesign:
+def solve(
+    setup: DesignSetup, progress: Progress | None = None, restart: int = 0
+) -> OptimizedDesign:
     """Run all starts of a design and rank them.
 
     The result depends on the seed alone, not on the number of processes.
@@ -163,6 +180,7 @@ def solve(setup: DesignSetup, progress: Progress | None = None) -> OptimizedDesi
     Args:
         setup: The design problem.
         progress: Called with a line of text after each start.
+        restart: Number of the restart, 0 for the first search; each has other random streams.
 
     Raises:
         Infeasible: No pose keeps all limits.
@@ -171,9 +189,11 @@ def solve(setup: DesignSetup, progress: Progress | None = None) -> OptimizedDesi
     options = setup.problem.options
     # the starts of a validation motion have other numbers, hence other random streams
     first = 0 if setup.problem.overlap_penalty is None else options.starts
-    results = multistart.run_starts(
-        setup.problem, setup.build_time, range(first, first + options.starts), progress
-    )
+    numbers = range(first, first + options.starts)
+    if restart:
+        begin = 2 * options.starts + (2 * restart + (first > 0)) * STARTS_PER_RESTART
+        numbers = range(begin, begin + min(options.starts, STARTS_PER_RESTART))
+    results = multistart.run_starts(setup.problem, setup.build_time, numbers, progress)
     attempts = [r for r in results if isinstance(r, Attempt)]
     if not attempts:
         raise next(r for r in results if isinstance(r, ExciteError))
@@ -181,27 +201,46 @@ def solve(setup: DesignSetup, progress: Progress | None = None) -> OptimizedDesi
     return _fixed_period(design) if options.free_period is not None else design
 
 
-def improve(setup: DesignSetup, motion: FourierSeries, number: int = 0) -> Attempt:
+def improve(
+    setup: DesignSetup,
+    motion: FourierSeries,
+    number: int = 0,
+    earlier: sqp.SearchState | None = None,
+) -> Attempt:
     """Optimise a motion that may break limits slightly.
 
-    The motion is first shrunk towards its mean pose until it keeps all limits.
+    The motion is first shrunk a little towards its mean pose, so that it keeps all limits; where
+    that does not suffice, the search restores feasibility.
 
     Args:
         setup: The design problem.
         motion: Motion to begin with.
         number: Number of the start that the motion stems from.
+        earlier: State of the search that found the motion, whose curvature is used again; None:
+            begin a new search.
     """
     with threadpoolctl.threadpool_limits(1):
         evaluator = Evaluator(setup.problem)
         x = setup.problem.variables(motion)
         stationary = initial_guess.stationary_variables(setup.problem, motion.offset)
-        for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2):
+        for share in SHRINKING:
             shrunk = stationary + share * (x - stationary)
             if evaluator.max_constraint_value(shrunk) <= 1.0:
                 break
-        else:  # the mean pose itself may be infeasible: leave it to the solver
+        else:
             shrunk = x
-        return multistart.optimize_from(evaluator, shrunk, setup.build_time, number)
+        state = None
+        if earlier is not None:
+            last = len(sqp.sharpness_stages(setup.problem.options.criterion)) - 1
+            state = sqp.SearchState(shrunk, shrunk, stage=last, B=earlier.B, radius=WARM_RADIUS)
+        return multistart.optimize_from(
+            evaluator,
+            shrunk,
+            setup.build_time,
+            number,
+            until=None if state is None else WARM_ITERATIONS,
+            state=state,
+        )
 
 
 def _fixed_period(design: OptimizedDesign) -> OptimizedDesign:

@@ -1,32 +1,36 @@
 """Design a trajectory: optimise the periodic motion, add ramps from rest to rest, and certify it.
 
-A motion that fails its certificate is optimised again with more reserve; it is returned only on
-demand, and then says so.
+A motion that fails its certificate is optimised again with more reserve, and the search is repeated
+from other initial guesses; a motion that fails is returned only on demand, and then says so.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import threadpoolctl
 
 from .._types import FloatArray
 from ..collision import clearance_builder
+from ..collision.clearance_constraint import ClearanceConstraint
 from ..collision.workcell import NOT_CHECKED, Cell
-from ..errors import CheckFailed, Infeasible, UnusableInput
+from ..errors import CheckFailed, ExciteError, ExciteWarning, Infeasible, UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, package_versions
 from . import certificate as certificate_module
 from . import design_cost, optimize, ramps
 from .certificate import CELL_KEY, CLEARANCE, Certificate
+from .evaluator import Evaluator
 from .motion_overlap import OverlapPenalty
-from .multistart import Progress
-from .optimize import OptimizedDesign
+from .multistart import MIN_SPECTRUM_RATIO, Attempt, Progress
+from .optimize import DesignSetup, OptimizedDesign
 from .options import DesignOptions, check_options, samples_per_period
 from .problem import LIMIT_RESERVE
 
@@ -35,14 +39,30 @@ CertifiedTrajectory = tuple[Trajectory, Certificate]
 MAX_LIMIT_RESERVE = 0.3
 """Largest share of torque, braking and box limits that is kept free between samples [1]."""
 
-MAX_TIGHTENINGS = 3
+MAX_TIGHTENINGS = 12
 """Times that a motion is optimised again after its certificate fails [1]."""
+
+STALLED_TIGHTENINGS = 3
+"""Consecutive times after which a motion is given up whose violation does not decrease [1]."""
+
+VIOLATION_DECREASE = 0.8
+"""Ratio of a violation to the least one before, above which it counts as not decreased [1]."""
+
+MAX_REFINEMENT = 2
+"""Largest ratio of the samples to those that were asked for [1]."""
+
+MAX_CERTIFIED_ATTEMPTS = 3
+"""Attempts of one search that are tried, the best first, until one is certified."""
+
+MAX_RESTARTS = 3
+"""Searches that follow the first one, from other initial guesses, until one is certified."""
+
+NOTABLE_LOSS = 0.7
+"""Loss of the objective, a logarithm, beyond which a warning states that the best motion has no
+ramps [1]: a factor of two in the criterion."""
 
 MAX_CLEARANCE_DEFICIT = 5e-3
 """Clearance missed between samples beyond which the samples are too coarse for it [m]."""
-
-SINGULAR_EIGENVALUE_RATIO = 1e-24
-"""Ratio of eigenvalues of the information below which a direction is rounding noise [1]."""
 
 
 @dataclass(frozen=True)
@@ -127,13 +147,21 @@ def design_trajectory(
             trajectory, robot, limits, cell, unchecked_reason=unchecked_reason
         )
 
-    design, (trajectory, certificate) = _add_ramps(design, certify)
-    reserve = LIMIT_RESERVE
-    for _ in range(MAX_TIGHTENINGS):
-        if certificate.ok:
+    search = _CertifiedSearch(limits, certify, report)
+    result = search.best_of(design)
+    for restart in range(1, MAX_RESTARTS + 1):
+        # faults of the file are no matter of the motion
+        if result is not None and (result.certificate.ok or result.certificate.faults):
             break
-        design, reserve = _tighten(design, limits, certificate, reserve, report)
-        trajectory, certificate = certify(design)
+        report(f"{search.reason}; searching from other poses ({restart} of {MAX_RESTARTS})")
+        try:
+            design = optimize.solve(search.tightened(setup), progress, restart)
+        except Infeasible:  # the tightened clearances leave no pose
+            design = optimize.solve(setup, progress, restart)
+        result = search.best_of(design) or result
+    if result is None:
+        raise search.error or _unexcited(setup, design)
+    design, trajectory, certificate = result.design, result.trajectory, result.certificate
     timing |= {
         "solve": time.perf_counter() - setup.build_time,
         "total": time.perf_counter() - begun,
@@ -156,17 +184,47 @@ def _check(
     earlier_information: FloatArray | None,
 ) -> None:
     """Raise CheckFailed for a motion that must not be delivered."""
-    if not certificate.ok and not force:
+    if certificate.faults and not force:
         raise CheckFailed(
             f"{robot.source}: the designed motion fails its certificate: "
-            f"{certificate.failure_reason()}; try another --seed or --force"
+            f"{certificate.failure_reason()}; --force delivers it all the same"
+        )
+    if not certificate.ok and not force:
+        remedy = (
+            "lower --clearance or clear the scene"
+            if certificate.worst().limit == CLEARANCE
+            else "lengthen --period or widen that limit"
+        )
+        raise CheckFailed(
+            f"{robot.source}: no motion of {1 + MAX_RESTARTS} searches keeps all limits between "
+            f"its samples: {certificate.failure_reason()}; {remedy}, or --force"
         )
     # directions known from earlier recordings need not be excited again
-    if earlier_information is None and not _condition(trajectory) < 1.0 / SINGULAR_EIGENVALUE_RATIO:
+    if earlier_information is None and not _condition(trajectory) < 1.0 / MIN_SPECTRUM_RATIO:
         raise CheckFailed(
             f"{robot.source}: the designed motion does not excite all base parameters; "
-            "try another --seed, fewer limits or a longer --period"
+            "widen the limits or lengthen --period"
         )
+
+
+def _unexcited(setup: DesignSetup, design: OptimizedDesign) -> ExciteError:
+    """Return the error that says what no motion of a search could show, or keep."""
+    robot, attempt = setup.problem.robot, design.attempts[0]
+    evaluator = Evaluator(setup.problem)
+    x = attempt.state.best
+    active = evaluator.active_constraints(x)
+    if not attempt.feasible:
+        return Infeasible(
+            f"{robot.source}: no motion of {1 + MAX_RESTARTS} searches keeps all limits: "
+            f"{' and '.join(active)} conflict; widen one of them or lengthen --period"
+        )
+    names = evaluator.unexcited_parameters(x)
+    hint = f"; {' and '.join(active)} leave no room to move" if active else ""
+    return Infeasible(
+        f"{robot.source}: no motion of {1 + MAX_RESTARTS} searches excites all base parameters: "
+        f"{', '.join(names)} stay unknown{hint}; widen those limits, or design with --joints for "
+        "the joints that can move"
+    )
 
 
 def _condition(trajectory: Trajectory) -> float:
@@ -174,26 +232,129 @@ def _condition(trajectory: Trajectory) -> float:
     return float(trajectory.criteria["optimum"]["geometric"]["cond"])
 
 
-def _add_ramps(
-    design: OptimizedDesign, certify: Callable[[OptimizedDesign], CertifiedTrajectory]
-) -> tuple[OptimizedDesign, CertifiedTrajectory]:
-    """Return the best attempt for which ramps, approach and return exist, and its trajectory.
+@dataclass(frozen=True)
+class _Result:
+    """Design with its trajectory and certificate.
 
-    Raises:
-        Infeasible: No attempt has them; the error is that of the best attempt.
+    Attributes:
+        design: The design; its first attempt is the periodic part.
+        trajectory: Content of the trajectory file.
+        certificate: Its certificate, which may fail.
     """
-    first_error = None
-    for attempt in design.attempts:
-        if attempt.motion.period != design.motion.period:  # its period was not rounded
-            continue
-        others = (other for other in design.attempts if other is not attempt)
-        candidate = OptimizedDesign(design.setup, (attempt, *others))
-        try:
-            return candidate, certify(candidate)
-        except Infeasible as error:
-            first_error = first_error or error
-    assert first_error is not None
-    raise first_error
+
+    design: OptimizedDesign
+    trajectory: Trajectory
+    certificate: Certificate
+
+
+class _CertifiedSearch:
+    """Certify the motions of searches, with more reserve where a certificate fails.
+
+    Attributes:
+        limits: Limits of the robot.
+        certify: Function that adds ramps to a design and verifies it.
+        report: Called with a line of text.
+        reason: Why the last motion was not certified.
+        error: First error of a motion without ramps.
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        certify: Callable[[OptimizedDesign], CertifiedTrajectory],
+        report: Progress,
+    ) -> None:
+        """Store the functions."""
+        self.limits, self.certify, self.report = limits, certify, report
+        self.reason = ""
+        self.error: Infeasible | None = None
+        self._clearance: ClearanceConstraint | None = None
+
+    def tightened(self, setup: DesignSetup) -> DesignSetup:
+        """Return a design problem with the clearances that the last certificates asked for."""
+        if self._clearance is None:
+            return setup
+        problem = dataclasses.replace(setup.problem, clearance=self._clearance)
+        return dataclasses.replace(setup, problem=problem)
+
+    def best_of(self, design: OptimizedDesign) -> _Result | None:
+        """Return the certified trajectory of the best attempt that has one.
+
+        Returns:
+            The result; one whose certificate fails where none is certified; None where no motion
+            has ramps, keeps all limits at its samples and excites all base parameters.
+        """
+        failed: _Result | None = None
+        usable = [
+            a for a in design.attempts if a.usable and a.motion.period == design.motion.period
+        ]
+        if not usable:
+            self.reason = (
+                "no motion excites all base parameters"
+                if design.attempts[0].feasible
+                else "no motion keeps all limits"
+            )
+        tried = 0
+        for attempt in usable:
+            others = (other for other in design.attempts if other is not attempt)
+            candidate = OptimizedDesign(design.setup, (attempt, *others))
+            try:
+                result = self._until_certified(candidate)
+            except Infeasible as error:
+                self.error = self.error or error
+                self.reason = f"no ramps ({str(error).rpartition(': ')[2]})"
+                continue
+            if result.certificate.ok:
+                self._warn_of_loss(usable[0], attempt)
+                return result
+            failed = failed or result
+            tried += 1
+            if tried == MAX_CERTIFIED_ATTEMPTS:
+                break
+        return failed
+
+    def _warn_of_loss(self, best: Attempt, delivered: Attempt) -> None:
+        """Warn where the delivered motion is much worse than one that was not certified."""
+        loss = delivered.objective - best.objective
+        if loss > NOTABLE_LOSS:
+            warnings.warn(
+                f"the best motion found was not certified ({self.reason}); the delivered one is "
+                f"worse by a factor of {np.exp(min(loss, 300.0)):.2g} in the criterion",
+                ExciteWarning,
+                stacklevel=4,
+            )
+
+    def _until_certified(self, design: OptimizedDesign) -> _Result:
+        """Optimise a motion with more reserve until its certificate holds or nothing improves.
+
+        Raises:
+            Infeasible: The motion has no ramps.
+        """
+        result = _Result(design, *self.certify(design))
+        reserve, least, stalled = LIMIT_RESERVE, np.inf, 0
+        asked = design.setup.problem.options.samples
+        for _ in range(MAX_TIGHTENINGS):
+            if result.certificate.ok or result.certificate.faults:
+                break
+            self.reason = result.certificate.failure_reason()
+            violation = -result.certificate.worst().spare_share
+            stalled = 0 if violation < VIOLATION_DECREASE * least else stalled + 1
+            least = min(least, violation)
+            if stalled >= STALLED_TIGHTENINGS:
+                break
+            design, reserve = _tighten(
+                design,
+                self.limits,
+                result.certificate,
+                reserve,
+                MAX_REFINEMENT * asked,
+                self.report,
+            )
+            self._clearance = design.setup.problem.clearance
+            if not design.attempts[0].usable:
+                break
+            result = _Result(design, *self.certify(design))
+        return result
 
 
 def _tighten(
@@ -201,6 +362,7 @@ def _tighten(
     limits: Limits,
     certificate: Certificate,
     reserve: float,
+    max_samples: int,
     report: Progress,
 ) -> tuple[OptimizedDesign, float]:
     """Optimise a motion again with more reserve, or clearance, than its certificate found.
@@ -210,13 +372,17 @@ def _tighten(
     """
     worst, deficits = certificate.worst(), certificate.clearance_deficits()
     # more samples, not more clearance, prevent a motion from passing through thin bodies
-    finer = max(deficits.values(), default=0.0) > MAX_CLEARANCE_DEFICIT
+    finer = (
+        max(deficits.values(), default=0.0) > MAX_CLEARANCE_DEFICIT
+        and 2 * design.setup.problem.options.samples <= max_samples
+    )
     if worst.limit != CLEARANCE:
         reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.spare_share), MAX_LIMIT_RESERVE)
     report(f"between samples: {worst.describe()}; tightening the constraints")
     added = {pair: 1.5 * min(missed, MAX_CLEARANCE_DEFICIT) for pair, missed in deficits.items()}
     tighter = optimize.tighten(design.setup, limits, reserve, added, finer=finer)
-    improved = optimize.improve(tighter, design.motion, design.attempts[0].number)
+    attempt = design.attempts[0]
+    improved = optimize.improve(tighter, design.motion, attempt.number, attempt.state)
     return OptimizedDesign(tighter, (improved, *design.attempts[1:])), reserve
 
 
@@ -234,7 +400,12 @@ def _assemble(
     options = setup.problem.options
     usable = ramps.with_derived_limits(limits, design.motion).reduced()
     motion = ramps.plan_rest_to_rest(
-        setup.constraints(usable), design.motion, options.periods, options.rate, start
+        setup.constraints(usable),
+        design.motion,
+        options.periods,
+        options.rate,
+        start,
+        options.samples,
     )
     if speed != 1.0:
         motion = motion.slowed(speed)

@@ -135,7 +135,7 @@ def build_problem(
         oversampling_bound(options.samples, K)
         * oversampling_bound(VERIFICATION_DENSITY * options.samples, K)
     )
-    bounded = np.isfinite(limits.position).all(axis=1)
+    bounded = np.asarray(np.isfinite(limits.position).all(axis=1))
     lower, upper = np.where(bounded[:, None], limits.position, 0.0).T
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     position = np.where(

@@ -2,7 +2,8 @@
 
 Ruckig plans ramps under velocity, acceleration and jerk limits; it knows neither position limits
 nor torque nor obstacles. Ramps are therefore tried from the fastest to the slowest, at phases of
-the periodic motion where it is slow, until one passes all checks.
+the periodic motion where it is slow, until one passes all checks. Ramps along the path of the
+periodic motion (`phase_ramps`) are tried as well; the shorter ones are taken.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import DERIVED, Limits
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment
-from . import constraint_margins
+from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, Profile
+from . import constraint_margins, phase_ramps
 from .constraint_margins import MotionConstraints
 
 RAMP_SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
@@ -68,6 +69,13 @@ LIMIT_MARGIN = 1e-3
 
 CHECK_STEP = 0.004
 """Largest time step at which a ramp is checked [s]."""
+
+SAME_POSE = 1e-9
+"""Largest difference of poses between which no motion is planned [rad]; a certificate accepts jumps
+up to 1e-7."""
+
+DEFAULT_SAMPLES = 100
+"""Samples of the optimiser over one period where a file states none [1]."""
 
 PEAK_FACTOR = 1.2
 """Least ratio of a derived limit to the peak of the periodic motion [1]."""
@@ -363,12 +371,38 @@ def reverse_profile(profile: JerkProfile, duration: float) -> JerkProfile:
     )
 
 
+@dataclass(frozen=True)
+class _RampPair:
+    """Periodic motion that begins at some phase, with the ramps that fit there.
+
+    Attributes:
+        fourier: The periodic motion.
+        ramp_in: Ramp into it, and its duration [s].
+        ramp_out: Ramp out of it, and its duration [s].
+    """
+
+    fourier: FourierSeries
+    ramp_in: tuple[Profile, float]
+    ramp_out: tuple[Profile, float]
+
+    @property
+    def duration(self) -> float:
+        """Duration of both ramps [s]."""
+        return self.ramp_in[1] + self.ramp_out[1]
+
+    def rest_poses(self) -> tuple[FloatArray, FloatArray]:
+        """Return the poses at the start of the ramp-in and the end of the ramp-out."""
+        profile, duration = self.ramp_out
+        return self.ramp_in[0].position, profile.at(np.array([duration]))[0]
+
+
 def plan_rest_to_rest(
     constraints: MotionConstraints,
     fourier: FourierSeries,
     periods: int,
     rate: float,
     start: FloatArray | None = None,
+    samples: int = DEFAULT_SAMPLES,
 ) -> Motion:
     """Complete a periodic motion to a motion from rest to rest.
 
@@ -379,38 +413,62 @@ def plan_rest_to_rest(
         periods: Number of periods.
         rate: Samples per second [Hz].
         start: Pose to start and end at; None: where the ramp-in begins. Shape (n,).
+        samples: Samples of the optimiser over one period, on which the certificate's depend.
 
     Raises:
         Infeasible: No ramp keeps all limits.
         UnusableInput: The start pose violates a limit.
     """
     planner = RampPlanner(constraints, rate)
-    shifted, ramp_in, ramp_out = _ramps(planner, fourier, start)
-    ramp_start = ramp_in[0].position
-    ramp_end = ramp_out[0].at(np.array([ramp_out[1]]))[0]
+    if start is not None:
+        check_start_pose(constraints, start)
+    step = constraint_margins.ramp_step(fourier.period, samples, rate)
+    error: Infeasible | None = None
+    for pair in _ramp_pairs(planner, fourier, step):
+        try:
+            return _connected(planner, pair, periods, rate, start)
+        except Infeasible as failure:
+            error = error or failure
+    if error is None:
+        raise Infeasible(
+            f"{constraints.robot.source}: no ramp into the periodic motion keeps "
+            f"{planner.violated}; lower --uncertainty, lengthen --period or widen that limit"
+        )
+    raise error
+
+
+def _connected(
+    planner: RampPlanner, pair: _RampPair, periods: int, rate: float, start: FloatArray | None
+) -> Motion:
+    """Add approach and return to a pair of ramps.
+
+    Raises:
+        Infeasible: There is no approach or no return.
+    """
+    ramp_start, ramp_end = pair.rest_poses()
     home_pose = ramp_start if start is None else start
-    known = shifted.at(shifted.grid(PHASE_COUNT))
+    known = pair.fourier.at(pair.fourier.grid(PHASE_COUNT))
     approach = [] if start is None else _connect(planner, home_pose, ramp_start, known, "approach")
     back = _connect(planner, ramp_end, home_pose, known, "return")
-    parts: list[tuple[str, JerkProfile | None, float]] = [("approach", *leg) for leg in approach]
+    parts: list[tuple[str, Profile | None, float]] = [("approach", *leg) for leg in approach]
     parts += [
-        ("ramp_in", *ramp_in),
-        ("fourier", None, periods * fourier.period),
-        ("ramp_out", *ramp_out),
+        ("ramp_in", *pair.ramp_in),
+        ("fourier", None, periods * pair.fourier.period),
+        ("ramp_out", *pair.ramp_out),
     ]
     parts += [("return", *leg) for leg in back]
     segments, ticks = [], 0
     for kind, profile, duration in parts:
         begin, ticks = ticks, ticks + round(duration * rate)
         segments.append(MotionSegment(kind, begin / rate, ticks / rate, profile))
-    return Motion(constraints.robot.joints, shifted, periods, tuple(segments))
+    return Motion(planner.constraints.robot.joints, pair.fourier, periods, tuple(segments))
 
 
 def _connect(
     planner: RampPlanner, begin: FloatArray, end: FloatArray, known: FloatArray, kind: str
 ) -> list[tuple[JerkProfile, float]]:
     """Plan the approach or the return; no legs where the poses are equal."""
-    if np.abs(begin - end).max() < 1e-12:
+    if np.abs(begin - end).max() < SAME_POSE:
         return []
     legs, reason = planner.plan_transfer(begin, end, known)
     if not legs:
@@ -422,40 +480,63 @@ def _connect(
     return legs
 
 
-def _ramps(
-    planner: RampPlanner, fourier: FourierSeries, start: FloatArray | None
-) -> tuple[FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]]:
-    """Return the periodic motion, begun where its ramps are shortest, and its two ramps."""
-    if start is not None:
-        check_start_pose(planner.constraints, start)
+def _ramp_pairs(planner: RampPlanner, fourier: FourierSeries, step: float) -> Iterator[_RampPair]:
+    """Yield ramps into and out of a periodic motion, the shortest ones first.
+
+    At each phase the shorter one of Ruckig's ramp and of the ramp along the path is taken. The last
+    pair starts and ends at the same pose of the path, so that it needs no return.
+    """
     times = fourier.grid(PHASE_COUNT)
     speed = np.abs(fourier.at(times, 1) / planner.constraints.limits.velocity).max(axis=1)
-    best: (
-        tuple[float, FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]] | None
-    ) = None
-    for tried, index in enumerate(np.argsort(speed)):
+    pairs: list[_RampPair] = []
+    order = np.argsort(speed)
+    for tried, index in enumerate(order):
         shifted = fourier.shifted(float(times[index]))
-        zero = np.zeros(1)
-        state = JointState(*(shifted.at(zero, order)[0] for order in range(3)))
-        ramp_out = next(planner.plan_stops(state), None)
-        ramp_in = (
-            next(planner.plan_stops(state, backwards=True), None) if ramp_out is not None else None
-        )
-        if (
-            ramp_out is not None
-            and ramp_in is not None
-            and (best is None or ramp_out[1] + ramp_in[1] < best[0])
-        ):
-            best = (ramp_out[1] + ramp_in[1], shifted, ramp_in, ramp_out)
-        if best is not None and tried >= MIN_TRIED_PHASES - 1:
+        ramp_out = _shortest_ramp(planner, shifted, step, inwards=False)
+        ramp_in = _shortest_ramp(planner, shifted, step, inwards=True) if ramp_out else None
+        if ramp_out is not None and ramp_in is not None:
+            pairs.append(_RampPair(shifted, ramp_in, ramp_out))
+        if pairs and tried >= MIN_TRIED_PHASES - 1:
             break
-    if best is None:
-        source = planner.constraints.robot.source
-        raise Infeasible(
-            f"{source}: no ramp into the periodic motion keeps {planner.violated}; "
-            "try another --seed, lower --uncertainty or lengthen --period"
-        )
-    return best[1], best[2], best[3]
+    yield from sorted(pairs, key=lambda pair: pair.duration)
+    for index in order:
+        pair = _closed_pair(planner, fourier.shifted(float(times[index])), step)
+        if pair is not None:
+            yield pair
+            return
+
+
+def _shortest_ramp(
+    planner: RampPlanner, fourier: FourierSeries, step: float, *, inwards: bool
+) -> tuple[Profile, float] | None:
+    """Return the shortest ramp at the start of a periodic motion, None where there is none."""
+    zero = np.zeros(1)
+    state = JointState(*(fourier.at(zero, order)[0] for order in range(3)))
+    free = next(planner.plan_stops(state, backwards=inwards), None)
+    along_path = phase_ramps.shortest_ramp(
+        planner.constraints,
+        fourier,
+        planner.time_step,
+        step,
+        inwards=inwards,
+        below=np.inf if free is None else free[1],
+    )
+    return free if along_path is None else along_path
+
+
+def _closed_pair(planner: RampPlanner, fourier: FourierSeries, step: float) -> _RampPair | None:
+    """Return ramps along the path over one period together, None where they violate a limit.
+
+    The phase advances by half the duration of a ramp, hence by a period in two ramps of a period.
+    """
+    ramps: list[tuple[Profile, float]] = []
+    for inwards in (True, False):
+        profile = phase_ramps.phase_profile(fourier, fourier.period, inwards=inwards)
+        violated = phase_ramps.violated_limit(planner.constraints, profile, fourier.period, step)
+        if violated:
+            return None
+        ramps.append((profile, fourier.period))
+    return _RampPair(fourier, ramps[0], ramps[1])
 
 
 def check_start_pose(constraints: MotionConstraints, start: FloatArray) -> None:

@@ -18,6 +18,7 @@ from . import qp_subproblem
 from .criteria import Criterion
 from .evaluator import ConstraintRows, Evaluator
 from .problem import LIMIT_RESERVE
+from .qp_subproblem import SubproblemSolution
 
 MAX_FEASIBLE_ROW_VALUE = 1.0 + 0.5 * LIMIT_RESERVE
 """Largest constraint value of an iterate that counts as feasible [1]."""
@@ -26,10 +27,22 @@ WORKING_SET_BAND = 0.25
 """Constraints within this share of their limit enter the first subproblem of an iteration [1]."""
 
 MAX_TRIED_EXCESS = 0.1
-"""Excess over a limit above which a step is rejected without evaluating the objective [1]."""
+"""Excess over a limit above which a step is rejected without evaluating the objective, unless it
+lowers the excess of the iterate [1]."""
+
+STEERING_SHARE = 0.3
+"""Least share of the predicted decrease of the violation by which the merit must decrease [1]; the
+penalty is raised until it does (Byrd, Nocedal and Waltz, Optim. Methods Softw. 23, 2008)."""
+
+STEERED_DECREASE = 1e-4
+"""Decrease of the excess below which the penalty is not raised for it [1]: a tenth of what counts
+as feasible."""
 
 STALL_ITERATIONS = 10
 """Iterations over which the gain is compared with the stopping tolerance [1]."""
+
+INFEASIBLE_STALL_ITERATIONS = 40
+"""The same while the iterate is infeasible [1]."""
 
 EARLY_STAGE_GAIN_FACTOR = 20.0
 """Factor on the stopping tolerance in all stages but the last one [1]."""
@@ -83,13 +96,14 @@ class SearchState:
 
     Attributes:
         x: Iterate. Shape (size,).
-        best: Best feasible iterate of this stage, `x` where there is none.
-        best_value: Objective of `best`, infinite where there is none.
+        best: Best feasible iterate of this stage; where there is none, the least infeasible one.
+        best_value: Objective of `best`, infinite where it is infeasible.
+        best_excess: Excess of `best` over its limits, 0 where it is feasible.
         stage: Stage of the smoothing.
         B: Approximate Hessian of the Lagrangian, None for the identity. Shape (size, size).
         radius: Trust-region radius.
         penalty: Weight of the constraint violation in the merit function.
-        trail: Least merit after each iteration of this stage.
+        trail: Least merit after each iteration of this stage, from its first feasible iterate on.
         iterations: Number of iterations so far.
         done: True if the search has ended.
     """
@@ -97,6 +111,7 @@ class SearchState:
     x: FloatArray
     best: FloatArray
     best_value: float = np.inf
+    best_excess: float = np.inf
     stage: int = 0
     B: FloatArray | None = None
     radius: float | None = None
@@ -195,8 +210,8 @@ class _Search:
         self.f, self.gradient = evaluator.objective(self.x, sharpness)
         self.excess = max(evaluator.max_constraint_value(self.x) - 1.0, 0.0)
         self.best, self.best_f = state.best, state.best_value
-        if 1.0 + self.excess <= MAX_FEASIBLE_ROW_VALUE and self.f < self.best_f:
-            self.best, self.best_f = self.x, self.f
+        self.best_excess = state.best_excess
+        self._keep_best()
         self.radius = tolerances.first_radius if state.radius is None else state.radius
         self.penalty, self.trail, self.iterations = (
             state.penalty,
@@ -212,6 +227,7 @@ class _Search:
             self.x,
             self.best,
             self.best_f,
+            self.best_excess,
             self.stage,
             B,
             self.radius,
@@ -220,6 +236,14 @@ class _Search:
             self.iterations,
             done,
         )
+
+    def _keep_best(self) -> None:
+        """Keep the iterate if it is the best feasible one, or the least infeasible one so far."""
+        if 1.0 + self.excess <= MAX_FEASIBLE_ROW_VALUE:
+            if self.f < self.best_f:
+                self.best, self.best_f, self.best_excess = self.x, self.f, 0.0
+        elif self.excess < self.best_excess:
+            self.best, self.best_excess = self.x, self.excess
 
     def _variable_bounds(self) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper bounds of the variables; only a free period has any."""
@@ -241,36 +265,60 @@ class _Search:
             self._iterate()
             self.iterations += 1
             self.history.add(self.f, 1.0 + self.excess, self.stage)
-            trail.append(min(self.f + self.penalty * self.excess, trail[-1] if trail else np.inf))
-            if self.radius < self.tolerances.radius or (
-                len(trail) > STALL_ITERATIONS
-                and trail[-1 - STALL_ITERATIONS] - trail[-1] < min_gain
-            ):
+            if np.isfinite(self.best_f):
+                merit = self.f + self.penalty * self.excess
+                trail.append(min(merit, trail[-1] if trail else np.inf))
+            if self.radius < self.tolerances.radius or self._is_stalled(min_gain):
                 return True
         return False
+
+    def _is_stalled(self, min_gain: float) -> bool:
+        """Return whether the merit has not decreased for a number of iterations.
+
+        The merit of an infeasible iterate depends on the penalty, which changes; it counts after
+        more iterations only.
+        """
+        feasible = 1.0 + self.excess <= MAX_FEASIBLE_ROW_VALUE
+        count = STALL_ITERATIONS if feasible else INFEASIBLE_STALL_ITERATIONS
+        trail = self.trail
+        return len(trail) > count and trail[-1 - count] - trail[-1] < min_gain
 
     def _iterate(self) -> None:
         """Take one step, or shrink the trust region."""
         mask = self.evaluator.rows_above(self.x, 1.0 - WORKING_SET_BAND)
         rows, jacobian, values = self._linearise(mask)
-        step, multipliers = self._subproblem(jacobian, 1.0 - values)
+        solution = self._subproblem(jacobian, 1.0 - values)
         for _ in range(3):  # add constraints that the step would violate
-            violated = self.evaluator.rows_above(self.x + step, 1.0 + 1e-3) & ~mask
+            violated = self.evaluator.rows_above(self.x + solution.step, 1.0 + 1e-3) & ~mask
             if not violated.any():
                 break
             mask |= violated
             rows, jacobian, values = self._linearise(mask)
-            step, multipliers = self._subproblem(jacobian, 1.0 - values)
-        self.penalty = max(self.penalty * 0.9, 1.5 * float(multipliers.sum()), 1e-3)
-        if self._try(step, rows, jacobian, multipliers):
+            solution = self._subproblem(jacobian, 1.0 - values)
+        self._update_penalty(solution)
+        if self._try(solution, rows, jacobian):
             return
         # second-order correction: the constraints as they are after the step
+        step = solution.step
         values_after = self.evaluator.row_values(self.x + step, rows)
-        corrected, multipliers = self._subproblem(
-            jacobian, 1.0 - (values_after - jacobian @ step) - 1e-9
-        )
-        if not self._try(corrected, rows, jacobian, multipliers):
+        corrected = self._subproblem(jacobian, 1.0 - (values_after - jacobian @ step) - 1e-9)
+        if not self._try(corrected, rows, jacobian):
             self.radius = 0.4 * min(self.radius, float(np.abs(step).max()))
+
+    def _model_change(self, step: FloatArray) -> float:
+        """Return the change of the objective that its quadratic model predicts for a step."""
+        return float(self.gradient @ step + 0.5 * step @ self.B @ step)
+
+    def _violation_decrease(self, solution: SubproblemSolution) -> float:
+        """Return the decrease of the excess that the linearised constraints predict."""
+        return max(self.excess - solution.violation, 0.0)
+
+    def _update_penalty(self, solution: SubproblemSolution) -> None:
+        """Let the penalty exceed the multipliers, and outweigh an increase of the objective."""
+        self.penalty = max(self.penalty * 0.9, 1.5 * float(solution.multipliers.sum()), 1e-3)
+        decrease, change = self._violation_decrease(solution), self._model_change(solution.step)
+        if decrease > STEERED_DECREASE and change > 0.0:
+            self.penalty = max(self.penalty, change / ((1.0 - STEERING_SHARE) * decrease))
 
     def _linearise(self, mask: BoolArray) -> tuple[ConstraintRows, FloatArray, FloatArray]:
         """Return the constraints that a mask selects, their Jacobian and their values."""
@@ -281,24 +329,23 @@ class _Search:
             self.evaluator.row_values(self.x, rows),
         )
 
-    def _subproblem(self, jacobian: FloatArray, slack: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Minimise gᵀd + ½dᵀBd subject to J d ≤ slack, |d| ≤ radius; return d and multipliers."""
+    def _subproblem(self, jacobian: FloatArray, slack: FloatArray) -> SubproblemSolution:
+        """Minimise gᵀd + ½dᵀBd subject to J d ≤ slack, |d| ≤ radius."""
         lower = np.maximum(-self.radius, self._bounds[0] - self.x)
         upper = np.minimum(self.radius, self._bounds[1] - self.x)
         return qp_subproblem.solve(self.B, self.gradient, jacobian, slack, lower, upper)
 
     def _try(
-        self, step: FloatArray, rows: ConstraintRows, jacobian: FloatArray, multipliers: FloatArray
+        self, solution: SubproblemSolution, rows: ConstraintRows, jacobian: FloatArray
     ) -> bool:
         """Take a step if the merit decreases as predicted; update the trust region and B."""
+        step, multipliers = solution.step, solution.multipliers
         evaluator, x = self.evaluator, self.x + step
         excess = max(evaluator.max_constraint_value(x) - 1.0, 0.0)
-        if excess > MAX_TRIED_EXCESS:
+        if excess > max(MAX_TRIED_EXCESS, self.excess):
             return False
         f, gradient = evaluator.objective(x, self.sharpness)
-        predicted = (
-            -float(self.gradient @ step + 0.5 * step @ self.B @ step) + self.penalty * self.excess
-        )
+        predicted = self.penalty * self._violation_decrease(solution) - self._model_change(step)
         actual = self.f - f + self.penalty * (self.excess - excess)
         ratio = actual / predicted if predicted > 0.0 else -1.0
         if not ratio > 1e-3:
@@ -321,8 +368,7 @@ class _Search:
         elif ratio < 0.2:
             self.radius = 0.5 * max(length, 1e-12)
         self.x, self.f, self.gradient, self.excess = x, f, gradient, excess
-        if 1.0 + excess <= MAX_FEASIBLE_ROW_VALUE and f < self.best_f:
-            self.best, self.best_f = x, f
+        self._keep_best()
         return True
 
     def _update(self, step: FloatArray, change: FloatArray) -> None:

@@ -450,7 +450,12 @@ def _try_candidate(
         motion = optimize.solve(varied).motion
         usable = ramps.with_derived_limits(limits, motion).reduced()
         complete = ramps.plan_rest_to_rest(
-            varied.constraints(usable), motion, options.periods, options.rate, start
+            varied.constraints(usable),
+            motion,
+            options.periods,
+            options.rate,
+            start,
+            options.samples,
         )
     except ExciteError as error:
         return error

@@ -17,12 +17,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray
 from ..effects import EFFECTS_BY_NAME, are_confusable
 from . import hypothesis, judge, search
 from .judge import Finding, Verdict
 from .search import EffectRegression
 
-Array = np.ndarray
 LEAVES, SPREAD = -4.2, 1.5
 """Mean and standard deviation of the logarithm of the share that a right name leaves;
 `Effect.loose` adds to the mean."""
@@ -78,7 +78,10 @@ def odds(effect: str, x: float) -> float:
 
 
 def shares(
-    one: EffectRegression, verdict: Verdict, noise: Array, bounds: tuple[Array, Array]
+    one: EffectRegression,
+    verdict: Verdict,
+    noise: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
 ) -> list[tuple[float, float]]:
     """Return what each finding leaves, and its size over what other effects usually leave.
 
@@ -142,7 +145,11 @@ def another(times: float) -> float:
 
 
 def _halfway(
-    level: Array, bounds: tuple[Array, Array], here: Array, part: Array | float, takes: float
+    level: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+    here: FloatArray,
+    part: FloatArray | float,
+    takes: float,
 ) -> float:
     """Geometric mean of the fraction for the estimated noise and for the most favourable noise."""
     weight = np.broadcast_to(part, level.shape)[here]
@@ -153,7 +160,7 @@ def _halfway(
     return float(np.sqrt(share(told, takes) * share(best, takes)))
 
 
-def _remaining(level: Array, low: Array, high: Array, part: Array) -> float:
+def _remaining(level: FloatArray, low: FloatArray, high: FloatArray, part: FloatArray) -> float:
     """Residual mean square beyond the noise, weighted; a deficit counts like an excess."""
     beyond = np.maximum(level - high, 0.0) - np.maximum(low - level, 0.0)
     return float(min(max(abs(float(np.sum(beyond * part))), UNSURE), float(np.sum(level))))
@@ -196,7 +203,10 @@ def probability(chance: float) -> float:
 
 
 def weighed(
-    one: EffectRegression, verdict: Verdict, noise: Array, bounds: tuple[Array, Array]
+    one: EffectRegression,
+    verdict: Verdict,
+    noise: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
 ) -> Verdict:
     """Return the verdict with probabilities.
 
@@ -243,13 +253,13 @@ def _chance(
     return (odds(main.effect, x) + sum(others.values())) * sure * another(times)
 
 
-def doubt(verdict: Verdict, n: int) -> Array:
+def doubt(verdict: Verdict, n: int) -> FloatArray:
     """Return the probability that not all of several findings at a joint are right, shape (n,)."""
     said = [[f.probability for f in verdict.findings if f.main.joint == j] for j in range(n)]
     return np.array([1.0 - float(np.prod(own)) if len(own) > 1 else 0.0 for own in said])
 
 
-def unsure(verdict: Verdict, n: int) -> Array:
+def unsure(verdict: Verdict, n: int) -> BoolArray:
     """Return the joints at which several findings are probably not all right, shape (n,)."""
     return doubt(verdict, n) > 1.0 - ASSERTED
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-Array = np.ndarray
+from .._types import FloatArray
 
 
-def sandwiched(blocks: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+def sandwiched(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
     """Return least-squares coefficients and their sandwich covariance A⁻¹ Σ s sᵀ A⁻¹.
 
     Here s is a block's share of the score Aᵀ(y − Ax).

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Array = np.ndarray
+from .._types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,8 @@ class Columns:
         count: Number of all columns, K.
     """
 
-    which: tuple[Array, ...]
-    values: tuple[Array, ...]
+    which: tuple[IntArray, ...]
+    values: tuple[FloatArray, ...]
     count: int
 
     @classmethod
@@ -30,7 +30,7 @@ class Columns:
         return cls((np.zeros(0, int),) * joints, (np.zeros((samples, 0)),) * joints, 0)
 
     @classmethod
-    def of(cls, torque: Array) -> Columns:
+    def of(cls, torque: FloatArray) -> Columns:
         """Return the columns of a full array, shape (N, n, k)."""
         _, n, k = torque.shape
         felt = [np.arange(k if torque[:, j].any() else 0) for j in range(n)]
@@ -61,11 +61,11 @@ class Columns:
         values = tuple(np.hstack([one.values[j] for one in every]) for j in range(self.joints))
         return Columns(which, values, int(starts[-1]))
 
-    def picked(self, places: Array) -> Columns:
+    def picked(self, places: IntArray) -> Columns:
         """Return some columns in the given order, shape (k,)."""
         to = np.full(self.count, -1)
         to[places] = np.arange(len(places))
-        which, values = list[Array](), list[Array]()
+        which, values = list[IntArray](), list[FloatArray]()
         for own, x in zip(self.which, self.values, strict=True):
             there = np.flatnonzero(to[own] >= 0)
             there = there[np.argsort(to[own[there]])]
@@ -73,7 +73,7 @@ class Columns:
             values.append(x[:, there])
         return Columns(tuple(which), tuple(values), len(places))
 
-    def scaled(self, factor: Array) -> Columns:
+    def scaled(self, factor: FloatArray) -> Columns:
         """Return the columns times a factor of each joint, shape (n,)."""
         return Columns(
             self.which,
@@ -81,14 +81,14 @@ class Columns:
             self.count,
         )
 
-    def full(self) -> Array:
+    def full(self) -> FloatArray:
         """Return the full array with zeros, shape (N n, K)."""
         out = np.zeros((len(self.values[0]), self.joints, self.count))
         for j, (own, x) in enumerate(zip(self.which, self.values, strict=True)):
             out[:, j, own] = x
         return out.reshape(len(out) * self.joints, self.count)
 
-    def along(self, x: Array) -> Array:
+    def along(self, x: FloatArray) -> FloatArray:
         """Return Cᵀ x: (N n, k) -> (K, k)."""
         out, rows = np.zeros((self.count, x.shape[1])), x.reshape(-1, self.joints, x.shape[1])
         for j, (own, values) in enumerate(zip(self.which, self.values, strict=True)):
@@ -96,14 +96,14 @@ class Columns:
                 out[own] += values.T @ rows[:, j]
         return out
 
-    def squares(self) -> Array:
+    def squares(self) -> FloatArray:
         """Return the sum of squares of each column, shape (K,)."""
         out = np.zeros(self.count)
         for own, values in zip(self.which, self.values, strict=True):
             out[own] += np.einsum("nk,nk->k", values, values)
         return out
 
-    def products(self, other: Columns) -> Array:
+    def products(self, other: Columns) -> FloatArray:
         """Return Cᵀ D, shape (K, K′)."""
         out = np.zeros((self.count, other.count))
         for own, x, its, y in zip(self.which, self.values, other.which, other.values, strict=True):

@@ -27,7 +27,6 @@ from .hypothesis import (
 )
 from .search import Built, EffectRegression, Trial, trial
 
-Array = np.ndarray
 SHARE, SAME, LIKE, MOSTLY, ELSEWHERE = 0.04, 0.02, 0.005, 0.5, 0.5
 """Of the gain so far, what a further effect must add, a further shape of one that is there, and one
 of a kind that a joint may have several of, such as a gear's orders: forms are never quite the

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray
 from ..effects import EFFECTS, recorded_motion
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
@@ -17,7 +18,6 @@ from .noise import NoiseEstimate
 from .search import EffectRegression
 from .session_changes import Halves
 
-Array = np.ndarray
 Progress = Callable[[str], None]
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is
@@ -46,7 +46,7 @@ class Course:
     one: EffectRegression
     verdict: Verdict
     noisy: NoiseEstimate
-    scale: Array
+    scale: FloatArray
     differing: bool = False
 
     @property
@@ -55,16 +55,16 @@ class Course:
         return () if self.verdict.together is None else self.verdict.together.shapes
 
     @property
-    def residual(self) -> Array:
+    def residual(self) -> FloatArray:
         """Mean square residual of all recordings over that of a right model, shape (n,)."""
         return search.level(self.one, self.shapes) * (self.scale / self.noisy.noise_rms) ** 2
 
     @property
-    def later(self) -> Array:
+    def later(self) -> FloatArray:
         """Residual of the held-out torque over the scale, shape (N, n)."""
         return held_out_test.residuals(self.one, self.verdict.together, np.ones(len(self.scale)))[1]
 
-    def explained(self, moves: Array) -> bool:
+    def explained(self, moves: BoolArray) -> bool:
         """Return True if no residual exceeds the noise, on all and on held-out recordings."""
         most = 1.0 + session_changes.MIN_EXCESS
         return bool(
@@ -75,9 +75,9 @@ class Course:
     def otherwise(
         self,
         other: Callable[[], EffectRegression],
-        scale: Array,
+        scale: FloatArray,
         every: Sequence[RecordedMotion],
-        moves: Array,
+        moves: BoolArray,
     ) -> bool:
         """Return True if the residual says that actuators differ between recordings."""
         if session_changes.differs(
@@ -90,7 +90,7 @@ class Course:
         )
 
     @property
-    def _expected(self) -> Array:
+    def _expected(self) -> FloatArray:
         """Mean square over the scale of a right model's held-out residual, shape (n,)."""
         return np.asarray(
             (self.noisy.noise_rms / self.scale) ** 2
@@ -163,7 +163,7 @@ def run(
     return found if float(other.residual.sum()) > float(found.residual.sum()) else other
 
 
-def _begun(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> Course:
+def _begun(one: EffectRegression, noisy: NoiseEstimate, scale: FloatArray) -> Course:
     """The result of a search with the initial scale, then with the residual's."""
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
@@ -187,12 +187,12 @@ def _followed(begun: Course, every: Sequence[RecordedMotion]) -> Course:
     return Course(one, once.kept(one, verdict, every, noisy.periods), noisy, scale)
 
 
-def _scale(noisy: NoiseEstimate, left: Array) -> Array:
+def _scale(noisy: NoiseEstimate, left: FloatArray) -> FloatArray:
     """Noise plus a share of the RMS residual for inexact forms of effects [N m], shape (n,)."""
     return np.asarray(np.sqrt(noisy.floor**2 + (MISFIT[noisy.method] * left) ** 2))
 
 
-def _warned(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> EffectRegression:
+def _warned(one: EffectRegression, noisy: NoiseEstimate, scale: FloatArray) -> EffectRegression:
     """The regression with the gains that measurement artefacts mimic."""
     steps, sharpened = (
         [((a / scale).ravel(), (b / scale).ravel()) for a, b in own]
@@ -209,8 +209,8 @@ def _warned(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> Effect
 
 
 def _sharper(
-    one: EffectRegression, verdict: Verdict, noisy: NoiseEstimate, scale: Array
-) -> tuple[EffectRegression, Verdict, Array]:
+    one: EffectRegression, verdict: Verdict, noisy: NoiseEstimate, scale: FloatArray
+) -> tuple[EffectRegression, Verdict, FloatArray]:
     """Search again with the scale of the residual, so that weak effects become visible."""
     for _ in range(AGAIN):
         if verdict.together is None:
@@ -224,6 +224,6 @@ def _sharper(
     return one, verdict, scale
 
 
-def rms(one: EffectRegression, shapes: Sequence[int], scale: Array) -> Array:
+def rms(one: EffectRegression, shapes: Sequence[int], scale: FloatArray) -> FloatArray:
     """Return the RMS residual of a fit to all recordings [N m], shape (n,)."""
     return np.asarray(np.sqrt(search.level(one, shapes)) * scale)

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from .._types import FloatArray
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
@@ -16,12 +17,11 @@ from .columns import Columns
 from .half import Half, whitened
 from .session_changes import Halves
 
-Array = np.ndarray
 ROOM = 400_000_000
 """For columns that are kept [bytes]."""
 
 
-def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
+def kept(psi: FloatArray, trusted: Mapping[int, float]) -> FloatArray:
     """Return parameters with those of a trusted prior unchanged, as a fit would distort them."""
     out = psi.copy()
     for place, value in trusted.items():
@@ -33,7 +33,7 @@ def half(
     tracks: list[RecordedMotion],
     identified: Identification,
     trusted: Mapping[int, float],
-    scale: Array,
+    scale: FloatArray,
     differing: Halves | None = None,
 ) -> Half:
     """Return the whitened equations of a fold: all base parameters, or those that a prior leaves
@@ -76,7 +76,7 @@ def half(
 
 def _known(
     identified: Identification, trusted: Mapping[int, float], width: int
-) -> tuple[Array, Array]:
+) -> tuple[FloatArray, FloatArray]:
     """Prior of the base parameters as rows: a short recording alone would not predict another."""
     n = identified.model.robot.n
     slopes = np.hstack(
@@ -102,7 +102,10 @@ def _known(
 
 
 def shapes(
-    halves: Sequence[list[RecordedMotion]], trusted: bool, floor: Array, names: Collection[str] = ()
+    halves: Sequence[list[RecordedMotion]],
+    trusted: bool,
+    floor: FloatArray,
+    names: Collection[str] = (),
 ) -> list[CandidateModel]:
     """Return all candidate models of the wanted effects that the noise permits.
 
@@ -130,7 +133,7 @@ def shapes(
 
 
 def builder(
-    halves: Sequence[list[RecordedMotion]], scale: Array, listed: Sequence[CandidateModel] = ()
+    halves: Sequence[list[RecordedMotion]], scale: FloatArray, listed: Sequence[CandidateModel] = ()
 ) -> search.Build:
     """Return a function that builds a candidate model's columns on both folds, over the scale.
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import FloatArray
 from .columns import Columns
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -22,9 +21,9 @@ class Gram:
         shadow: Their components along the basis of the base fit, shape (r, K).
     """
 
-    matrix: Array
-    score: Array
-    shadow: Array
+    matrix: FloatArray
+    score: FloatArray
+    shadow: FloatArray
 
     @classmethod
     def none(cls, rank: int) -> Gram:
@@ -42,9 +41,9 @@ class AddedProducts:
         score: Products with the residual, shape (k,).
     """
 
-    products: Array
-    shadow: Array
-    score: Array
+    products: FloatArray
+    shadow: FloatArray
+    score: FloatArray
 
     def __add__(self, other: AddedProducts) -> AddedProducts:
         """Return the products over two recording sets that share a base fit."""
@@ -66,11 +65,11 @@ def grown(gram: Gram, new: AddedProducts) -> Gram:
 
 def powers(
     new: Sequence[Columns],
-    basis: Sequence[Array],
-    shares: Array,
-    shadow: Array,
+    basis: Sequence[FloatArray],
+    shares: FloatArray,
+    shadow: FloatArray,
     places: Sequence[slice],
-) -> list[Array]:
+) -> list[FloatArray]:
     """Return the mean products of each new model's projected columns on every joint, (n, k, k).
 
     Args:

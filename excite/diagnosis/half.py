@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from .._linear_algebra import factors
-
-Array = np.ndarray
+from .._types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -24,65 +23,65 @@ class Half:
         counts: Rows that are judged; all others are zero, shape (m + k,).
     """
 
-    gamma: Array
-    torque: Array
-    joint: Array
-    counts: Array
+    gamma: FloatArray
+    torque: FloatArray
+    joint: IntArray
+    counts: BoolArray
 
     @property
-    def rows(self) -> Array:
+    def rows(self) -> BoolArray:
         """Rows that were recorded."""
         return self.joint >= 0
 
     @cached_property
-    def _factors(self) -> tuple[Array, Array]:
+    def _factors(self) -> tuple[FloatArray, FloatArray]:
         """Factors of the base columns."""
         return factors(self.gamma)
 
     @property
-    def basis(self) -> Array:
+    def basis(self) -> FloatArray:
         """Orthonormal basis of the base columns, shape (m + k, r)."""
         return self._factors[0]
 
     @cached_property
-    def recorded(self) -> tuple[Array, Array]:
+    def recorded(self) -> tuple[FloatArray, FloatArray]:
         """Basis and residual at the recorded rows, shapes (m, r), (m,)."""
         return self.basis[self.rows], self.residual[self.rows]
 
     @cached_property
-    def shares(self) -> Array:
+    def shares(self) -> FloatArray:
         """Products of the basis's rows on each joint, shape (n, r, r)."""
         own = self.recorded[0].reshape(-1, int(self.joint.max()) + 1, self.basis.shape[1])
         return np.stack([own[:, j].T @ own[:, j] for j in range(own.shape[1])])
 
     @cached_property
-    def inverse(self) -> Array:
+    def inverse(self) -> FloatArray:
         """Pseudo-inverse of the base columns, shape (p, m + k)."""
         return np.asarray(self._factors[1] @ self.basis.T)
 
-    def full(self, columns: Array) -> Array:
+    def full(self, columns: FloatArray) -> FloatArray:
         """Return columns with zeros at the rows of the prior: (m, k) -> (m + k, k)."""
         out = np.zeros((len(self.joint), columns.shape[1]))
         out[self.rows] = columns
         return out
 
-    def free(self, columns: Array) -> Array:
+    def free(self, columns: FloatArray) -> FloatArray:
         """Return columns projected off the base: (m, k) -> (m + k, k)."""
         full = self.full(columns)
         return np.asarray(full - self.basis @ (self.basis.T @ full))
 
     @cached_property
-    def residual(self) -> Array:
+    def residual(self) -> FloatArray:
         """Residual of the base fit, shape (m + k,)."""
         return np.asarray(self.torque - self.basis @ (self.basis.T @ self.torque))
 
 
 def whitened(
-    base: Sequence[Array],
-    torque: Sequence[Array],
-    counts: Sequence[Array],
-    scale: Array,
-    known: tuple[Array, Array],
+    base: Sequence[FloatArray],
+    torque: Sequence[FloatArray],
+    counts: Sequence[BoolArray],
+    scale: FloatArray,
+    known: tuple[FloatArray, FloatArray],
 ) -> Half:
     """Return the equations of several motions over a scale.
 
@@ -117,7 +116,7 @@ def stacked(halves: tuple[Half, Half]) -> Half:
     )
 
 
-def facing(halves: tuple[Half, Half], both: Half) -> tuple[Array, Array]:
+def facing(halves: tuple[Half, Half], both: Half) -> tuple[FloatArray, FloatArray]:
     """Return what a fold's columns are multiplied with, shape (m, r + r′ + 2).
 
     The basis and the residual of its own base fit, then those of the joint fit.

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray
 from . import hypothesis, judge, search
 from .judge import Finding, Verdict
 from .search import EffectRegression, Trial
 
-Array = np.ndarray
 WORSE, SHOWN = 1.05, 0.1
 """Held-out mean square with a finding over that without, from which it is refuted; unless the
 halves, each by itself, show so much of its gain: a law whose columns are nearly alike in the first
@@ -23,7 +23,9 @@ BELIEVED = 0.12
 """Probability of a finding that is refuted."""
 
 
-def residuals(one: EffectRegression, together: Trial | None, scale: Array) -> tuple[Array, Array]:
+def residuals(
+    one: EffectRegression, together: Trial | None, scale: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the held-out residual of the base model, and with candidate models [N m], (N, n)."""
     before = one.across.reshape(-1, len(scale)) * scale
     if together is None:
@@ -39,7 +41,7 @@ def residuals(one: EffectRegression, together: Trial | None, scale: Array) -> tu
     return before, before - added.reshape(before.shape) * scale
 
 
-def reach(one: EffectRegression, scale: Array) -> Array:
+def reach(one: EffectRegression, scale: FloatArray) -> FloatArray:
     """Return the RMS error of held-out torque by the uncertainty of the base parameters [N m],
     (n,).
 
@@ -53,7 +55,7 @@ def reach(one: EffectRegression, scale: Array) -> Array:
     )
 
 
-def tested(one: EffectRegression, verdict: Verdict, moves: Array, noise: Array) -> Verdict:
+def tested(one: EffectRegression, verdict: Verdict, moves: BoolArray, noise: FloatArray) -> Verdict:
     """Reject findings that worsen the prediction of held-out torque, one by one, the worst first.
 
     Args:
@@ -75,7 +77,7 @@ def tested(one: EffectRegression, verdict: Verdict, moves: Array, noise: Array) 
 
 
 def _ratios(
-    one: EffectRegression, verdict: Verdict, finding: Finding, moves: Array, noise: Array
+    one: EffectRegression, verdict: Verdict, finding: Finding, moves: BoolArray, noise: FloatArray
 ) -> tuple[float, float]:
     """Held-out mean square with a finding over that without it, net of chance, and as it is.
 
@@ -105,7 +107,7 @@ def _ratios(
     return max(beyond), spent[0] / max(min(spent[1:]), 1e-300)
 
 
-def levelled(one: EffectRegression, left: Array) -> Array:
+def levelled(one: EffectRegression, left: FloatArray) -> FloatArray:
     """Return the held-out residual without what separate actuator parameters explain, (N, n)."""
     own, second = _own(one), one.halves[1]
     if not own.any():
@@ -117,13 +119,13 @@ def levelled(one: EffectRegression, left: Array) -> Array:
     return np.asarray(left - taken.reshape(left.shape))
 
 
-def _own(one: EffectRegression) -> Array:
+def _own(one: EffectRegression) -> BoolArray:
     """Base columns that only the held-out recordings have, shape (p,)."""
     first, second = one.halves
-    return ~first.gamma[first.rows].any(axis=0) & second.gamma[second.rows].any(axis=0)
+    return np.asarray(~first.gamma[first.rows].any(axis=0) & second.gamma[second.rows].any(axis=0))
 
 
-def _unsure(one: EffectRegression, found: Trial, moves: Array) -> Array:
+def _unsure(one: EffectRegression, found: Trial, moves: BoolArray) -> FloatArray:
     """Mean square error of held-out torque by the uncertainty of the coefficients, shape (n,)."""
     which = one.which(
         [i for i in found.shapes if one.shapes[i].interval is None]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import FloatArray
 from ..effects.effect import CandidateModel
 from . import search
 from .search import EffectRegression, Trial, trial
 
-Array = np.ndarray
 ALONE, SMALLEST = 0.24, 0.3
 """RMS torque of an effect over the scale, below which nothing is asserted, alone and beside others:
 clocks, encoders and friction's step are never as the model has them. What predicts as much as a
@@ -126,7 +126,7 @@ def meanwhile(one: EffectRegression, i: int, beside: Sequence[int]) -> bool:
     )
 
 
-def sizes(one: EffectRegression, found: Trial, number: int) -> Array:
+def sizes(one: EffectRegression, found: Trial, number: int) -> FloatArray:
     """Return the RMS torque of a fitted model on each joint, projected off the base, shape (n,)."""
     shape, c = found.shapes[number], one.split(found.shapes, found.coefficients)[number]
     return np.asarray(np.sqrt(np.maximum(np.einsum("i,jik,k->j", c, one.power[shape], c), 0.0)))
@@ -137,7 +137,7 @@ def size(one: EffectRegression, found: Trial, number: int) -> float:
     return float(sizes(one, found, number).max())
 
 
-def acting(one: EffectRegression, found: Trial, shape: int) -> Array:
+def acting(one: EffectRegression, found: Trial, shape: int) -> FloatArray:
     """Return the joints on which a fitted model acts, shape (n,)."""
     where = sizes(one, found, found.shapes.index(shape))
     return np.asarray(where > ACTS * where.max())

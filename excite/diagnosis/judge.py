@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import TypeVar
 
-import numpy as np
-
+from .._types import FloatArray
 from ..effects.effect import CandidateModel
 from . import search
 from .contest import begun, searched
@@ -16,7 +15,6 @@ from .hypothesis import Hypothesis, name, ranked, size, who
 from .measured import Measured
 from .search import EffectRegression, Trial, trial
 
-Array = np.ndarray
 T = TypeVar("T")
 ARTEFACT_FACTOR, AT_ALL = 1.5, 150.0
 """Further gain that an effect needs, over what it gains at its joint from what an encoder's steps
@@ -84,10 +82,10 @@ class Verdict:
 
 def warned(
     one: EffectRegression,
-    steps: Sequence[tuple[Array, Array]],
-    sharpened: tuple[Array, Array],
+    steps: Sequence[tuple[FloatArray, FloatArray]],
+    sharpened: tuple[FloatArray, FloatArray],
     stepped: float,
-    noise: Array | None,
+    noise: FloatArray | None,
 ) -> EffectRegression:
     """Return the regression with the gains that measurement artefacts mimic.
 
@@ -108,7 +106,7 @@ def warned(
 
 def _most(
     one: EffectRegression,
-    residuals: Sequence[tuple[Array, Array]],
+    residuals: Sequence[tuple[FloatArray, FloatArray]],
     each: Callable[[CandidateModel], T],
 ) -> dict[T, float]:
     """Largest gain of each effect, or effect at a joint, from some residuals."""

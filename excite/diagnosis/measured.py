@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
-Array = np.ndarray
+from .._types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -22,7 +20,7 @@ class Measured:
 
     artefact_gains: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
     stepped: float = 0.0
-    noise: Array | None = None
+    noise: FloatArray | None = None
 
     def artefact_gain(self, effect: str, joint: int | None) -> float:
         """Return the further gain that an effect needs; the largest if its joint was not tested."""

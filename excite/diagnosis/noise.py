@@ -122,7 +122,9 @@ def estimate_noise(
     )
     steps = np.sqrt(np.mean(rows**2, axis=0))
     periods = {
-        recording.source: period for recording in recordings if (period := _period(recording))
+        recording.source: period
+        for recording in recordings
+        if (period := estimate_period(recording))
     }
     lower_bound = NoiseEstimate(
         _with_steps(spectral, steps),
@@ -328,8 +330,11 @@ def shifted(x: FloatArray, by: float) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum, len(padded), axis=0)[reach : reach + len(x)])
 
 
-def _period(recording: Recording) -> Period | None:
-    """Period and window of a recording: as its sidecar states, else from its positions."""
+def estimate_period(recording: Recording) -> Period | None:
+    """Return period and window of a recording, from its sidecar or else from its positions.
+
+    None if it does not repeat often enough.
+    """
     if recording.repetition is not None:
         period, (start, end) = recording.repetition
         return recording.repetition if end - start >= MIN_PERIODS * period else None
@@ -377,12 +382,15 @@ def _sharpened(
     Where a reversal falls on a sample, the sign of that sample changes; a motion that repeats in
     step with the samples repeats this error.
     """
-    first, second = (np.concatenate([_reversal_error(m) for m in half]) for half in halves)
+    first, second = (np.concatenate([reversal_error(m) for m in half]) for half in halves)
     return first, second
 
 
-def _reversal_error(motion: RecordedMotion) -> FloatArray:
-    """F_c (tanh(v/w) − tanh(q̇/w)) with v = q̇ − Δ²q̇, low-passed [N m], shape (N, n)."""
+def reversal_error(motion: RecordedMotion) -> FloatArray:
+    """Return the friction error at reversals that samples do not determine, shape (N, n) [N m].
+
+    F_c (tanh(v/w) − tanh(q̇/w)) with v = q̇ − Δ²q̇, low-pass filtered.
+    """
     speed, ends = motion.samples.dq, np.zeros((1, motion.n))
     sharper = speed - SHARPENING * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
     return motion.lowpass(

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .._types import FloatArray
 from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from . import judge, search
 from .held_out_test import BELIEVED
@@ -18,7 +19,6 @@ from .judge import Finding, Verdict
 from .noise import Period, shifted
 from .search import EffectRegression
 
-Array = np.ndarray
 LASTS = 0.05
 """Of its largest torque, what a touch has at the least while it lasts: the rest is the band's."""
 AGAIN = 0.5
@@ -90,8 +90,12 @@ def _recurring_share(
 
 
 def _a_period_apart(
-    track: RecordedMotion, own: Array, rest: Array, period: float, window: tuple[float, float]
-) -> Array:
+    track: RecordedMotion,
+    own: FloatArray,
+    rest: FloatArray,
+    period: float,
+    window: tuple[float, float],
+) -> FloatArray:
     """Residual a period later, else a period earlier, at every row, shape (N, n).
 
     NaN where the motion was not repeated, or where the contact still lasts.

@@ -188,7 +188,7 @@ def _state(motion: RecordedMotion) -> dict[str, FloatArray | BoolArray]:
         return np.column_stack([np.interp(motion.time, t, column) for column in x.T])
 
     distance = np.column_stack(
-        [_travel_since_reversal(q, dq) for q, dq in zip(s.q.T, s.dq.T, strict=True)]
+        [travel_since_reversal(q, dq) for q, dq in zip(s.q.T, s.dq.T, strict=True)]
     )
     return {
         "clock": motion.time - motion.segment.start,
@@ -205,8 +205,11 @@ def _state(motion: RecordedMotion) -> dict[str, FloatArray | BoolArray]:
     }
 
 
-def _travel_since_reversal(q: FloatArray, dq: FloatArray) -> FloatArray:
-    """Travel since the speed last changed sign, very slow motion aside, shape (C,)."""
+def travel_since_reversal(q: FloatArray, dq: FloatArray) -> FloatArray:
+    """Return the travel since the last reversal, shape (C,).
+
+    Reversals within very slow motion do not count.
+    """
     sign = np.sign(dq) * (np.abs(dq) > SLOW_SPEED_RATIO * np.abs(dq).max(initial=0.0))
     index = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(q)), 0))
     last_sign = sign[index]

@@ -14,16 +14,20 @@ import itertools
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from .._types import BoolArray, FloatArray, IntArray
 from ..effects.effect import CandidateModel
 from .columns import Columns
 from .gram import AddedProducts, Gram, grown, powers
 from .half import Half, facing, stacked
 from .measured import Measured
 
-Array = np.ndarray
+Scalar = TypeVar("Scalar", bound=np.generic)
+
 Build = Callable[[CandidateModel], tuple[Columns, Columns] | None]
 """A shape's columns over the scale at the recorded rows of both halves; None where it says nothing.
 """
@@ -69,13 +73,13 @@ class EffectRegression:
     halves: tuple[Half, Half]
     both: Half
     columns: tuple[Columns, Columns]
-    residual: tuple[Array, Array]
-    across: Array
-    facing: tuple[Array, Array]
+    residual: tuple[FloatArray, FloatArray]
+    across: FloatArray
+    facing: tuple[FloatArray, FloatArray]
     grams: tuple[Gram, Gram]
     whole: Gram
-    power: tuple[Array, ...]
-    prior: Array
+    power: tuple[FloatArray, ...]
+    prior: FloatArray
     build: Build
     measured: Measured = field(default_factory=Measured)
     listed: tuple[CandidateModel, ...] = ()
@@ -102,28 +106,28 @@ class EffectRegression:
         )
 
     @cached_property
-    def usual(self) -> Array:
+    def usual(self) -> FloatArray:
         """Prior standard deviation of every coefficient, shape (K,)."""
         return np.asarray(1.0 / np.sqrt(np.maximum(self.prior, 1e-300)))
 
-    def products(self, a: Array, b: Array) -> Array:
+    def products(self, a: IntArray, b: IntArray) -> FloatArray:
         """Return products of columns, normalised, of either fold and both: (…), (…) -> (3, …)."""
         return np.stack([gram.matrix[a, b] for gram in (*self.grams, self.whole)]) * (
             self.usual[a] * self.usual[b]
         )
 
-    def scores(self, a: Array) -> Array:
+    def scores(self, a: IntArray) -> FloatArray:
         """Return normalised products of columns with the residual: (…) -> (3, …)."""
         return np.stack([gram.score[a] for gram in (*self.grams, self.whole)]) * self.usual[a]
 
-    def which(self, chosen: Sequence[int]) -> Array:
+    def which(self, chosen: Sequence[int]) -> IntArray:
         """Return the columns of several models."""
         return np.array(
             [k for i in chosen for k in range(self.places[i].start, self.places[i].stop)], int
         )
 
     @cached_property
-    def by_width(self) -> list[tuple[Array, Array]]:
+    def by_width(self) -> list[tuple[IntArray, IntArray]]:
         """Models grouped by their number of columns, and these, shapes (s,), (s, k)."""
         widths, starts = (
             np.array(x, int)
@@ -132,12 +136,12 @@ class EffectRegression:
         same = [(width, np.flatnonzero(widths == width)) for width in np.unique(widths)]
         return [(which, starts[which][:, None] + np.arange(width)) for width, which in same]
 
-    def split(self, chosen: Sequence[int], coefficients: Array) -> list[Array]:
+    def split(self, chosen: Sequence[int], coefficients: NDArray[Scalar]) -> list[NDArray[Scalar]]:
         """Return coefficients of several models, model by model."""
         ends = np.cumsum([self.places[i].stop - self.places[i].start for i in chosen])
         return np.split(coefficients, ends[:-1])[: len(chosen)]
 
-    def carried(self, which: Array) -> Array:
+    def carried(self, which: IntArray) -> FloatArray:
         """Return the second fold's columns minus the prediction of the first's base fit, shape (m,
         k).
         """
@@ -207,7 +211,7 @@ def relaid(
     )
 
 
-def rescaled(one: EffectRegression, factor: Array) -> EffectRegression:
+def rescaled(one: EffectRegression, factor: FloatArray) -> EffectRegression:
     """Return the regression with torque multiplied by a factor of each joint, shape (n,)."""
     weights = [
         np.where(h.rows, factor[h.joint], 1.0) for h in one.halves
@@ -344,7 +348,7 @@ def _with_products(
     )
 
 
-def pretended(one: EffectRegression, residual: tuple[Array, Array]) -> EffectRegression:
+def pretended(one: EffectRegression, residual: tuple[FloatArray, FloatArray]) -> EffectRegression:
     """Return the regression as if the base fit had left another residual.
 
     Args:
@@ -352,7 +356,7 @@ def pretended(one: EffectRegression, residual: tuple[Array, Array]) -> EffectReg
         residual: Residual of each fold over the scale, shapes (m,).
     """
 
-    def freed(half: Half, own: Array) -> Array:
+    def freed(half: Half, own: FloatArray) -> FloatArray:
         return half.free(own[:, None])[half.rows]
 
     grams = [
@@ -382,8 +386,8 @@ class Trial:
     """
 
     shapes: tuple[int, ...]
-    coefficients: Array
-    halves: tuple[Array, Array]
+    coefficients: FloatArray
+    halves: tuple[FloatArray, FloatArray]
     gain: float
     is_plausible: bool
     seen: float = 0.0
@@ -408,25 +412,25 @@ def trial(one: EffectRegression, chosen: Sequence[int]) -> Trial:
     )
 
 
-def _evidence(products: Array, scores: Array) -> tuple[Array, Array]:
+def _evidence(products: FloatArray, scores: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Coefficients (G + I)⁻¹ s and log marginal likelihood: (…, k, k), (…, k) -> (…, k), (…)."""
     products = products + np.eye(products.shape[-1])
-    told = np.linalg.solve(products, scores[..., None])[..., 0]
+    told: FloatArray = np.asarray(np.linalg.solve(products, scores[..., None])[..., 0], np.float64)
     diagonal = np.diagonal(np.linalg.cholesky(products), axis1=-2, axis2=-1)
     return told, 0.5 * np.sum(told * scores, axis=-1) - np.log(diagonal).sum(axis=-1)
 
 
-def _predictive(evidence: Array) -> Array:
+def _predictive(evidence: FloatArray) -> FloatArray:
     """log p(y₂ | y₁) + log p(y₁ | y₂) from the evidence of either fold and both: (3, …) -> (…)."""
     return np.asarray(2.0 * evidence[2] - evidence[0] - evidence[1])
 
 
-def gains(one: EffectRegression, beside: Sequence[int] = ()) -> Array:
+def gains(one: EffectRegression, beside: Sequence[int] = ()) -> FloatArray:
     """Return the gain of each model jointly with some others, shape (models,)."""
     return fits(one, beside)[0]
 
 
-def fits(one: EffectRegression, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
+def fits(one: EffectRegression, beside: Sequence[int] = ()) -> tuple[FloatArray, list[FloatArray]]:
     """Return gain and coefficients of each model jointly with some others.
 
     The others are eliminated once for all models (Schur complement).
@@ -452,7 +456,7 @@ def fits(one: EffectRegression, beside: Sequence[int] = ()) -> tuple[Array, list
     return out, own
 
 
-def remaining(one: EffectRegression, chosen: Sequence[int]) -> Array:
+def remaining(one: EffectRegression, chosen: Sequence[int]) -> FloatArray:
     """Return the residual of both folds of a joint fit, over the scale, shape (N, n)."""
     which = one.which(chosen)
     columns = np.concatenate([part.picked(which).full() for part in one.columns])
@@ -460,13 +464,13 @@ def remaining(one: EffectRegression, chosen: Sequence[int]) -> Array:
     return np.asarray(left[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1))
 
 
-def level(one: EffectRegression, chosen: Sequence[int]) -> Array:
+def level(one: EffectRegression, chosen: Sequence[int]) -> FloatArray:
     """Return the mean square of that residual on each joint, shape (n,)."""
     counts = one.both.counts[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1)
     return mean_square(remaining(one, chosen), counts)
 
 
-def mean_square(x: Array, counts: Array) -> Array:
+def mean_square(x: FloatArray, counts: BoolArray) -> FloatArray:
     """Return the mean square over the rows that count: (N, n) -> (n,)."""
     return np.asarray(np.sum(np.square(x * counts), axis=0) / counts.sum(axis=0))
 

@@ -72,7 +72,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     stiffness = np.diag(spring) + dynamics.by_place * min(
         1.0, (1.0 - MIN_STIFFNESS_SHARE) / max(toppling, 1e-9)
     )
-    base_motion = _simulate_base(
+    base_motion = simulate_base(
         dynamics.mass + np.diag(inertia - upright),
         dynamics.by_speed + np.diag(damping),
         stiffness,
@@ -83,10 +83,10 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return motion.lowpass(np.sum(torque, axis=0), Grid.COARSE)
 
 
-def _simulate_base(
+def simulate_base(
     inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, force: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and acceleration of coupled oscillators under each force alone.
+    """Simulate coupled oscillators under each force alone: position, velocity and acceleration.
 
     Each step is exact for the means of all coefficients over the step.
 
@@ -116,7 +116,7 @@ def _simulate_base(
         -inverse_mass @ d,
     )
     push = np.concatenate([np.zeros((count - 1, k, k)), inverse_mass @ f / fastest], axis=1)
-    transition, integral = _matrix_exponential(rate * dt)
+    transition, integral = matrix_exponential(rate * dt)
     start = np.concatenate([np.linalg.solve(stiffness[0], forces[0]), np.zeros((k, k))])
     state = solve_linear_recursion(transition, integral @ push * dt, start)
     position, speed = state[:, :k], fastest * state[:, k:]
@@ -124,8 +124,8 @@ def _simulate_base(
     return position, speed, acceleration
 
 
-def _matrix_exponential(a: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """exp(A) and ∫₀¹ exp(A s) ds of stacked matrices, shape (…, k, k).
+def matrix_exponential(a: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return exp(A) and ∫₀¹ exp(A s) ds of stacked matrices, shape (…, k, k).
 
     Scaling and squaring with Taylor series of order nine (Higham, Functions of Matrices, 2008,
     ch. 10).

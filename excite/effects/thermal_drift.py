@@ -45,15 +45,15 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
                 f"temperature, but there is no column temp.{joint}; record it"
             )
     elif "power" in values:
-        warming = _warming_by_losses(motion, model)
+        warming = warming_by_losses(motion, model)
     else:
         warming = 1.0 - np.exp(-motion.run_time / values["time_constant"])
     friction = values["coulomb"] * motion.sign(j) + values["viscous"] * motion.samples.dq[:, j]
     return single_joint_columns(motion, j, warming * friction)
 
 
-def _warming_by_losses(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Relative temperature ϑ of a joint heated by its friction: T ϑ̇ = p/p̄ − ϑ; shape (M,).
+def warming_by_losses(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Return the relative temperature ϑ of a self-heated joint: T ϑ̇ = p/p̄ − ϑ; shape (M,).
 
     It tends to 1 at the mean power p̄, which is assumed for the time before the segment.
     """
@@ -120,7 +120,7 @@ def _by_time(motions: Sequence[RecordedMotion], j: int) -> Iterator[CandidateMod
             else "friction changes with run time",
         )
         if by_losses:
-            warming = np.concatenate([_warming_by_losses(motion, candidate) for motion in motions])
+            warming = np.concatenate([warming_by_losses(motion, candidate) for motion in motions])
             largest, mean = float(warming.max()), float(warming.mean())
         # the base fit has the mean of the friction, which must never become negative, nor start
         # at a large multiple

@@ -146,10 +146,10 @@ def _peak_orders(motions: Sequence[RecordedMotion], joint: int) -> list[float]:
 
     grid_waves, out = waves(grid), list[float]()
     for residual, base in (
-        _without_base(motion.residual[rows], motion.gamma[rows], joint),
+        without_base_columns(motion.residual[rows], motion.gamma[rows], joint),
         (motion.residual[rows, joint], np.zeros((len(q), 0))),
     ):
-        peaks = _periodogram_peaks(waves, (grid, grid_waves, step), residual, base)
+        peaks = periodogram_peaks(waves, (grid, grid_waves, step), residual, base)
         out += [order for order in peaks if not _is_near(order, out)]
     return out
 
@@ -159,7 +159,7 @@ def _random_rows(rows: int, count: int) -> IntArray:
     return np.sort(np.random.default_rng(0).permutation(rows)[:count])
 
 
-def _without_base(
+def without_base_columns(
     residual: FloatArray, gamma: FloatArray, joint: int
 ) -> tuple[FloatArray, FloatArray]:
     """Project the residual off the base regressor, all joints weighted by their residual.
@@ -183,13 +183,13 @@ def _without_base(
     )
 
 
-def _periodogram_peaks(
+def periodogram_peaks(
     waves: Callable[[FloatArray], ComplexArray],
     search: tuple[FloatArray, ComplexArray, float],
     residual: FloatArray,
     base: FloatArray,
 ) -> list[float]:
-    """Orders of the waves that fit best jointly with a base, strongest first.
+    """Return the orders of the waves that fit best jointly with a base, strongest first.
 
     Periodogram over the angle (Lomb 1976; generalised: Zechmeister & Kürster 2009). Each wave is
     subtracted before the next is sought, so that side lobes do not hide it (CLEAN: Högbom 1974).

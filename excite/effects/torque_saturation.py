@@ -31,12 +31,12 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Lost torque, of the measured torque or of the base model's."""
     torque = motion.measured_torque if model.values.get("measured") else motion.motor_torque
     return single_joint_columns(
-        motion, model.joint_index, _lost_torque(model.values, torque[:, model.joint_index])
+        motion, model.joint_index, lost_torque(model.values, torque[:, model.joint_index])
     )
 
 
-def _lost_torque(values: Mapping[str, float], x: FloatArray) -> FloatArray:
-    """Torque that is lost of x per coefficient, shape (M,): a power of x, or all above a level."""
+def lost_torque(values: Mapping[str, float], x: FloatArray) -> FloatArray:
+    """Return the lost torque per coefficient, shape (M,): a power of x, or all above a level."""
     if "level" in values:
         bend = values["bend"]
         return np.asarray(x * (1.0 - (1.0 + np.abs(x / values["level"]) ** bend) ** (-1.0 / bend)))
@@ -81,9 +81,9 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             """Reports the loss at the largest torque; the loss at a usual one must be small."""
             fixed = {"measured": 1.0, "largest": largest, **values}
             usual_loss, largest_loss = (
-                _lost_torque(fixed, np.array([usual, largest])) / [usual, largest]
+                lost_torque(fixed, np.array([usual, largest])) / [usual, largest]
             ).tolist()
-            slope = np.gradient(_lost_torque(fixed, x), x)[np.searchsorted(x, usual)]
+            slope = np.gradient(lost_torque(fixed, x), x)[np.searchsorted(x, usual)]
             candidate = CandidateModel(
                 "torque_saturation",
                 joint,
@@ -135,7 +135,7 @@ def recorded_torque(loss: float, values: Mapping[str, float], torque: FloatArray
         torque: Produced torque τ [N m], shape (M,).
     """
     x = np.linspace(0.0, 2.0 * values["largest"], 4001)
-    produced = x - loss * _lost_torque(values, x)
+    produced = x - loss * lost_torque(values, x)
     rising = slice(0, int(np.argmax(produced)) + 1)  # the actuator produces no more than that
     size = np.abs(torque)
     return np.asarray(

@@ -1,4 +1,4 @@
-"""Formats of our own: `trajectory.csv` with all quantities, and `trajectory.json` as it stands."""
+"""Formats of this package: `trajectory.csv` with all quantities, and `trajectory.json`."""
 
 from __future__ import annotations
 
@@ -10,27 +10,33 @@ from pathlib import Path
 import numpy as np
 
 from .. import _json
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..trajectory import trajectory_file
-from .file_format import DECIMALS, Array, Columns, Job, Written, sampled
+from .file_format import DECIMALS, Columns, ExportedText, ExportJob, sampled
 
 QUANTITIES = ("q", "dq", "ddq", "tau")
+"""Prefixes of the columns of `trajectory.csv`, in their order."""
 
 
-def text(trajectory: trajectory_file.Trajectory, torque: Array | None = None) -> str:
-    """`trajectory.csv` at the trajectory's own rate. torque: of every row, (N, n) [N m], None to
-    leave its columns out."""
+def text(trajectory: trajectory_file.Trajectory, torque: FloatArray | None = None) -> str:
+    """Return `trajectory.csv` at the trajectory's own rate.
+
+    Args:
+        trajectory: The trajectory.
+        torque: Torque of every row, shape (N, n) [N m]; None: without the torque columns.
+    """
     tau = None if torque is None else lambda _: torque
     return write_csv(
-        Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, tau)
+        ExportJob(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, tau)
     ).text
 
 
-def write_csv(job: Job) -> Written:
-    """`t,q.<joint>…,dq.<joint>…,ddq.<joint>…,tau.<joint>…` at k/rate; 12 significant digits.
+def write_csv(job: ExportJob) -> ExportedText:
+    """Return the rows `t,q.<joint>…,dq.<joint>…,ddq.<joint>…,tau.<joint>…` at the times k/rate.
 
-    The contract leaves no room for a comment, so whether it was forced stands in the JSON only.
-    The torque columns are absent where the job knows no torque.
+    Numbers have 12 significant digits. The torque columns are absent where the job has no torque
+    function. The format has no comments, so only the JSON file states that a motion was forced.
     """
     t, samples = sampled(job, job.rate or job.trajectory.rate)
     parts = [samples.q, samples.dq, samples.ddq]
@@ -50,13 +56,18 @@ def write_csv(job: Job) -> Written:
     )
     for row in np.round(np.column_stack([t, *parts]), DECIMALS) + 0.0:  # adding 0 turns -0 into 0
         writer.writerow([f"{value:.12g}" for value in row])
-    return Written(out.getvalue())
+    return ExportedText(out.getvalue())
 
 
 def read_csv(path: Path) -> Columns:
-    """Times and the quantities there are, in the order q, dq, ddq, tau. Shapes (N,), (N, n) each.
+    """Read a `trajectory.csv`.
 
-    Raises ValueError for a header or a row that does not fit.
+    Returns:
+        Times, shape (N,) [s], and the quantities of the file in the order q, dq, ddq, tau, shape
+        (N, n) each.
+
+    Raises:
+        ValueError: The header or a row has the wrong form.
     """
     with path.open(encoding="utf-8", newline="") as file:
         header, *rows = list(csv.reader(file))
@@ -71,11 +82,12 @@ def read_csv(path: Path) -> Columns:
     return (table[:, 0], *(table[:, i : i + joints] for i in range(1, len(header), joints)))
 
 
-def write_json(job: Job) -> Written:
-    """The document as it is; only the rate may differ.
+def write_json(job: ExportJob) -> ExportedText:
+    """Return the JSON document of the trajectory; only the rate may differ.
 
-    Its margins and criteria hold for the speed it was certified at, so a slower one is refused with
-    UnusableInput.
+    Raises:
+        UnusableInput: A lower speed is requested: margins and criteria of the document hold for the
+            speed at which it was certified.
     """
     if job.speed != 1.0:
         raise UnusableInput(
@@ -83,7 +95,7 @@ def write_json(job: Job) -> Written:
             f"{job.speed:g} would void them; "
             f"leave --speed out, or use 'excite design --speed'"
         )
-    return Written(
+    return ExportedText(
         _json.dumps(
             dataclasses.replace(job.trajectory, rate=job.rate or job.trajectory.rate).document()
         )
@@ -92,7 +104,11 @@ def write_json(job: Job) -> Written:
 
 
 def read_json(path: Path) -> Columns:
-    """Times, positions, velocities, accelerations at the file's own rate. Shapes (N,), (N, n)."""
+    """Read times, positions, velocities and accelerations at the rate of the file.
+
+    Returns:
+        Shapes (N,) [s] and (N, n) each.
+    """
     trajectory = trajectory_file.read_trajectory(path)
     t = trajectory.motion.grid(trajectory.rate)
     samples = trajectory.motion.samples(t)

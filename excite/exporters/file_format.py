@@ -1,4 +1,4 @@
-"""What every file format shares: the motion to be written, its rows and its notes."""
+"""Parts that all export formats share: the job, its checks, its rows and its comments."""
 
 from __future__ import annotations
 
@@ -10,29 +10,42 @@ from pathlib import Path
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.samples import Samples
 from ..trajectory.rest_to_rest import Motion
 from ..trajectory.trajectory_file import Trajectory
 
-Array = np.ndarray
-Columns = tuple[Array, ...]
-Torque = Callable[[Samples], Array]
+Columns = tuple[FloatArray, ...]
+"""Times, shape (N,) [s], then positions, velocities, … of the joints, shape (N, n) each."""
+Torque = Callable[[Samples], FloatArray]
+"""Function from samples to nominal torque. Shape (N, n) [N m]."""
 
 FORCED = "FORCED: breaks its limits"
 UNTRIED = "never tried on hardware"
 DECIMALS = 12
-MOST_ROWS = 5_000_000
-# What a planner's rounding leaves at the ends; a motion that starts faster would jerk the robot.
-REST_VELOCITY, REST_ACCELERATION = 1e-6, 1e-3
+"""Decimals of exported numbers: 1e-12 rad is below the resolution of any encoder."""
+MAX_ROWS = 5_000_000
+"""Largest number of rows of a table: about 1 GB of text for seven joints with all quantities."""
+REST_VELOCITY = 1e-6
+"""Largest velocity at the ends of a motion that counts as rest [rad/s or m/s]: the rounding error
+of the ramp planner; a motion that starts faster would jerk the robot."""
+REST_ACCELERATION = 1e-3
+"""Largest acceleration at the ends of a motion that counts as rest [rad/s² or m/s²]."""
 
 
 @dataclass(frozen=True)
-class Job:
-    """One file to write.
+class ExportJob:
+    """A file to export.
 
-    motion: the trajectory's, already slowed. rate: rows a second, None for the format's own [Hz].
-    tau: torque of samples, (N, n) [N m], or None where it is not known.
+    Attributes:
+        trajectory: The trajectory.
+        motion: Its motion, played at `speed`.
+        format: Name of the format.
+        path: File to write, for messages.
+        speed: Share of the designed speed [1].
+        rate: Rows per second [Hz]; None: the format's own.
+        tau: Function from samples to nominal torque; None: unknown.
     """
 
     trajectory: Trajectory
@@ -45,34 +58,54 @@ class Job:
 
     @property
     def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
         return self.motion.joints
 
 
 @dataclass(frozen=True)
-class Written:
-    """Text of a file, and of the note beside it where the format has no room for comments."""
+class ExportedText:
+    """Content of an exported file.
+
+    Attributes:
+        text: Text of the file.
+        note: Text of a second file, for formats that have no comments.
+    """
 
     text: str
     note: str | None = None
 
 
-def require_joints(job: Job, counts: Sequence[int]) -> None:
-    """Raise UnusableInput unless the motion has one of these numbers of joints; no numbers allow
-    all."""
+def require_joints(job: ExportJob, counts: Sequence[int]) -> None:
+    """Check that a format supports the number of joints.
+
+    Args:
+        job: The file to export.
+        counts: Supported numbers of joints; empty: any number.
+
+    Raises:
+        UnusableInput: The motion has another number of joints.
+    """
     n = len(job.joints)
     if not counts or n in counts:
         return
-    wanted = " or ".join(str(c) for c in counts)
+    supported = " or ".join(str(c) for c in counts)
     raise UnusableInput(
-        f"{job.path}: format '{job.format}' takes {wanted} joints, this trajectory has {n} "
+        f"{job.path}: format '{job.format}' takes {supported} joints, this trajectory has {n} "
         f"({', '.join(job.joints)}); "
         f"choose them with 'excite design --joints', or a format for any robot such as csv"
     )
 
 
-def require_rate(job: Job, rates: Sequence[float]) -> float:
-    """The rate to write at [Hz]: the one asked for, which has to be among `rates`, or the first of
-    these."""
+def require_rate(job: ExportJob, rates: Sequence[float]) -> float:
+    """Return the rate of the rows: the requested rate, or the first of the supported ones.
+
+    Args:
+        job: The file to export.
+        rates: Rates that the controller supports [Hz].
+
+    Raises:
+        UnusableInput: The requested rate is not supported.
+    """
     if job.rate is None:
         return rates[0]
     if job.rate not in rates:
@@ -84,13 +117,16 @@ def require_rate(job: Job, rates: Sequence[float]) -> float:
     return job.rate
 
 
-def require_rest(job: Job) -> None:
-    """Raise UnusableInput where the motion does not begin and end at rest: a controller would be
-    told to jump."""
+def require_rest(job: ExportJob) -> None:
+    """Check that the motion begins and ends at rest; otherwise the set points would jump.
+
+    Raises:
+        UnusableInput: It does not.
+    """
     inside = np.array([2e-9, job.motion.duration - 2e-9])
-    for order, most, unit in ((1, REST_VELOCITY, "/s"), (2, REST_ACCELERATION, "/s²")):
+    for order, largest, unit in ((1, REST_VELOCITY, "/s"), (2, REST_ACCELERATION, "/s²")):
         value = np.abs(job.motion.at(inside, order)).max(axis=0)
-        if value.max() > most:
+        if value.max() > largest:
             worst = job.joints[int(value.argmax())]
             raise UnusableInput(
                 f"{job.path}: joint '{worst}' of this trajectory does not start and end at rest "
@@ -99,22 +135,28 @@ def require_rest(job: Job) -> None:
             )
 
 
-def sampled(job: Job, rate: float) -> tuple[Array, Samples]:
-    """Times k/rate and the motion there, the first and the last row exactly at rest. Shapes (N,),
-    (N, n).
+def sampled(job: ExportJob, rate: float) -> tuple[FloatArray, Samples]:
+    """Sample the motion at the times k/rate, with the first and the last row exactly at rest.
 
-    Raises UnusableInput for too many rows, a motion not at rest at its ends, or one that is not
-    finite.
+    Args:
+        job: The file to export.
+        rate: Rows per second [Hz].
+
+    Returns:
+        Times, shape (N,) [s], and samples, shape (N, n).
+
+    Raises:
+        UnusableInput: There are more than MAX_ROWS rows, the motion is not at rest at its ends, or
+            a number is not finite.
     """
-    if job.motion.duration * rate > MOST_ROWS:
+    if job.motion.duration * rate > MAX_ROWS:
         raise UnusableInput(
-            f"{job.path}: {job.motion.duration:.4g} s at {rate:g} Hz is over {MOST_ROWS:,} rows; "
+            f"{job.path}: {job.motion.duration:.4g} s at {rate:g} Hz is over {MAX_ROWS:,} rows; "
             "lower --rate or raise --speed"
         )
     require_rest(job)
     t = job.motion.grid(rate)
-    # The grid tolerates an end that rounding puts a hair before the motion's; the last row is the
-    # end all the same.
+    # By rounding, the last time may be slightly before the end of the motion: use the end itself.
     samples = job.motion.samples(np.append(t[:-1], max(t[-1], job.motion.duration)))
     if not all(np.isfinite(part).all() for part in (samples.q, samples.dq, samples.ddq)):
         raise UnusableInput(
@@ -123,9 +165,17 @@ def sampled(job: Job, rate: float) -> tuple[Array, Samples]:
     return t, samples
 
 
-def notes(job: Job, details: Sequence[str], tried: bool) -> list[str]:
-    """Lines that tell a reader of the file what it is, in ASCII, none with a line break: a robot's
-    parser may know no more."""
+def notes(job: ExportJob, details: Sequence[str], tried: bool) -> list[str]:
+    """Return the lines that describe an exported file: robot, format, certificate, warnings.
+
+    Args:
+        job: The file to export.
+        details: Further lines of the format.
+        tried: True if the format has been run on hardware.
+
+    Returns:
+        Lines of printable ASCII, which any controller's parser accepts in comments.
+    """
     lines = [
         f"excite: {job.trajectory.robot.get('name', 'robot')}; joints {', '.join(job.joints)}",
         f"format: {job.format}; speed: {job.speed:g}; duration: {job.motion.duration:.9g} s",
@@ -140,19 +190,23 @@ def notes(job: Job, details: Sequence[str], tried: bool) -> list[str]:
 
 
 def comment(text: str) -> str:
-    """A text as it may stand in a comment of any format: one line of printable ASCII.
+    """Return a text as one line of printable ASCII, which is valid in the comments of any format.
 
-    Every text from a trajectory that enters a file for a controller passes through here.
+    Every text of a trajectory file that is written into a controller's file passes through here, so
+    that no name can become a statement of a program.
     """
     line = " ".join(text.split()).encode("ascii", "replace").decode()
     return "".join(letter if letter.isprintable() else "?" for letter in line)
 
 
 def fixed(value: float, decimals: int | None = DECIMALS) -> str:
-    """A number without exponent or negative zero; with all its digits where decimals is None.
+    """Format a number without exponent and without negative zero.
 
-    Without exponent, for YAML 1.1 takes 1e-05 for a word and a robot's parser may not know it at
-    all.
+    YAML 1.1 reads 1e-05 as a word, and some controllers do not parse exponents.
+
+    Args:
+        value: The number.
+        decimals: Number of decimals; None: all digits.
     """
     value = float(value)
     rounded = value if decimals is None else round(value, decimals)
@@ -162,25 +216,33 @@ def fixed(value: float, decimals: int | None = DECIMALS) -> str:
 
 
 def check_options(speed: float, rate: float | None) -> None:
-    """Raise UnusableInput for a speed outside (0, 1] or a rate that is no positive number."""
+    """Check the options of an export.
+
+    Args:
+        speed: Share of the designed speed [1].
+        rate: Rows per second [Hz]; None: not stated.
+
+    Raises:
+        UnusableInput: The speed is not in (0, 1], or the rate is not a positive number.
+    """
     if not 0.0 < speed <= 1.0:
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if rate is not None and not (math.isfinite(rate) and rate > 0.0):
         raise UnusableInput(f"--rate {rate:g} should be a positive number of rows a second")
 
 
-def beside(path: Path) -> Path:
-    """Where the note to a file without comments goes."""
+def note_path(path: Path) -> Path:
+    """Return the path of the note that describes a file without comments."""
     return path.with_name(path.name + ".txt")
 
 
 def is_note(path: Path) -> bool:
-    """Return whether a file is the note to an exported file, as `notes` begins it."""
-    if not os.path.isfile(path):  # a pipe would wait for its other end
+    """Return True if a file is a note that `write` has placed next to an exported file."""
+    if not os.path.isfile(path):  # opening a pipe would block
         return False
     try:
         with path.open("rb") as stream:
             lines = [stream.readline(1000) for _ in range(2)]
-    except OSError:  # not ours to read
+    except OSError:  # no permission to read it
         return False
     return lines[0].startswith(b"excite: ") and lines[1].startswith(b"format: ")

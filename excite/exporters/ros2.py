@@ -1,17 +1,17 @@
 """ROS 2: `trajectory_msgs/JointTrajectory` and the goal of
 `control_msgs/action/FollowJointTrajectory`.
 
-JSON, which is YAML too. A file is longer than a shell's argument may be, so it is to be piped or
-named:
+The files are JSON, which is also valid YAML. They are too long for an argument of a shell command,
+so pass them by name or by standard input:
 
     ros2 topic pub --once /joint_trajectory_controller/joint_trajectory
-    trajectory_msgs/msg/JointTrajectory --yaml-file FILE ros2 action send_goal --stdin
-    /…/follow_joint_trajectory control_msgs/action/FollowJointTrajectory < FILE
+        trajectory_msgs/msg/JointTrajectory --yaml-file FILE
+    ros2 action send_goal --stdin /…/follow_joint_trajectory
+        control_msgs/action/FollowJointTrajectory < FILE
 
-The first point is the start pose at LEAD seconds, not at 0, and everything follows that much later:
-the controller interpolates from where the robot is to its first point, but jumps to a point at time
-0. A point one knot after 0 would bridge whatever is missing in 20 ms; seconds let a robot that is a
-little off glide there, and one far off move slowly.
+The first point is the start pose, at LEAD seconds; all other points follow with the same offset.
+The controller interpolates from the present pose to the first point, but would jump to a point at
+time 0. A robot that is not exactly at the start pose therefore moves there slowly.
 """
 
 from __future__ import annotations
@@ -22,29 +22,32 @@ from typing import Any
 
 import numpy as np
 
-from .file_format import FORCED, Array, Columns, Job, Written, fixed, sampled
+from .._types import FloatArray
+from .file_format import FORCED, Columns, ExportedText, ExportJob, fixed, sampled
 
 LEAD = 5.0
 """Time from the present pose to the start pose [s]."""
 KNOTS = 50.0
-"""Points a second: the controller interpolates quintically between them [Hz]."""
+"""Points per second [Hz]; the controller interpolates between them by quintic polynomials."""
 GOAL_TIME_TOLERANCE = 2.0
+"""Time by which the controller may reach the end too late [s]."""
 NANO = 1_000_000_000
+"""Nanoseconds per second."""
 
 
 def _stamp(nanoseconds: int) -> str:
     return f'{{"sec": {nanoseconds // NANO}, "nanosec": {nanoseconds % NANO}}}'
 
 
-def _list(values: Array) -> str:
+def _list(values: FloatArray) -> str:
     return "[" + ", ".join(fixed(value) for value in values) + "]"
 
 
 def _quoted(text: str) -> str:
-    """A text in double quotes that JSON and YAML read alike.
+    """Return a text in double quotes that JSON and YAML read alike.
 
-    Beyond the basic multilingual plane JSON would escape surrogates, which YAML takes for two
-    characters, so letters stay as they are; what a YAML reader refuses is escaped.
+    Letters are not escaped: JSON escapes those beyond the basic multilingual plane as surrogate
+    pairs, which YAML reads as two characters. Characters that YAML does not allow are escaped.
     """
     return "".join(
         letter if letter.isprintable() or ord(letter) > 0xFFFF else f"\\u{ord(letter):04x}"
@@ -52,9 +55,11 @@ def _quoted(text: str) -> str:
     )
 
 
-def _trajectory(job: Job) -> str:
-    """A JointTrajectory, one point a line; efforts are empty, for controllers refuse them without
-    an effort interface."""
+def _trajectory(job: ExportJob) -> str:
+    """Return a JointTrajectory, one point per line.
+
+    Efforts are empty: controllers without an effort interface refuse them.
+    """
     t, samples = sampled(job, job.rate or KNOTS)
     lead = round(LEAD * NANO)
     points = [
@@ -62,7 +67,7 @@ def _trajectory(job: Job) -> str:
         f'"effort": [], "time_from_start": {_stamp(lead + round(time * NANO))}}}'
         for time, q, dq, ddq in zip(t.tolist(), samples.q, samples.dq, samples.ddq, strict=True)
     ]
-    # The header's frame is not used by joint controllers, and is the one text that the message has.
+    # Joint controllers ignore the frame of the header; it is the only free text of the message.
     names = ", ".join(map(_quoted, job.joints))
     frame = FORCED if job.trajectory.forced else ""
     return (
@@ -71,24 +76,33 @@ def _trajectory(job: Job) -> str:
     )
 
 
-def write_trajectory(job: Job) -> Written:
-    """A JointTrajectory message: positions, velocities and accelerations full, the last velocity
-    exactly 0."""
-    return Written(_trajectory(job) + "\n")
+def write_trajectory(job: ExportJob) -> ExportedText:
+    """Return a JointTrajectory message with positions, velocities and accelerations.
+
+    The velocity of the last point is exactly 0.
+    """
+    return ExportedText(_trajectory(job) + "\n")
 
 
-def write_goal(job: Job) -> Written:
-    """A FollowJointTrajectory goal; empty tolerances leave the controller's own, the end may be
-    late by 2 s."""
-    late = _stamp(round(GOAL_TIME_TOLERANCE * NANO))
-    return Written(
-        f'{{"trajectory": {_trajectory(job)},\n"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {late}}}\n'  # noqa: E501
+def write_goal(job: ExportJob) -> ExportedText:
+    """Return a FollowJointTrajectory goal.
+
+    Empty tolerances select those of the controller; the end may be late by GOAL_TIME_TOLERANCE.
+    """
+    tolerance = _stamp(round(GOAL_TIME_TOLERANCE * NANO))
+    return ExportedText(
+        f'{{"trajectory": {_trajectory(job)},\n'
+        f'"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {tolerance}}}\n'
     )
 
 
 def read(path: Path) -> Columns:
-    """Times since the first point, positions, velocities, accelerations, of a message or a goal.
-    Shapes (N,), (N, n)."""
+    """Read a message or a goal.
+
+    Returns:
+        Times since the first point, shape (N,) [s], positions, velocities and accelerations, shape
+        (N, n) each.
+    """
     document: Any = json.loads(path.read_text(encoding="utf-8"))
     points = document.get("trajectory", document)["points"]
     time = np.array(

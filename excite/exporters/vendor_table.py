@@ -1,8 +1,8 @@
 """Tables of joint positions at a control rate, each described by a profile in `vendors.toml`.
 
-A profile says what a controller counts: unit, sign, zero, coupling, whether from the start pose.
-Profiles in degrees are for arms whose joints all turn. Signs and zeros are the URDF's; where a
-maker's own differ, the profile is where to say so.
+A profile states how a controller counts positions: unit, sign, zero, coupling of joints, and
+whether they are relative to the start pose. Profiles in degrees are for arms with revolute joints
+only. Signs and zeros are those of the URDF unless the profile states the vendor's own.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from .file_format import (
-    Array,
     Columns,
-    Job,
-    Written,
-    beside,
+    ExportedText,
+    ExportJob,
     fixed,
+    note_path,
     notes,
     require_joints,
     require_rate,
@@ -31,13 +31,17 @@ from .file_format import (
 )
 
 SCALE = {"rad": 1.0, "deg": 180.0 / np.pi}
-MARKS = {"start": "start [rad]:", "rate": "rate [Hz]:"}
+"""Units of a profile, in rad."""
+LABELS = {"start": "start [rad]:", "rate": "rate [Hz]:"}
+"""Labels of the comments that `read` needs."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """One controller's table of positions; the fields carry the names of the TOML's keys, described
-    there."""
+    """Description of a controller's table of positions.
+
+    The fields have the names of the keys of `vendors.toml`, whose comments describe them.
+    """
 
     title: str
     unit: str
@@ -53,28 +57,41 @@ class Profile:
     comment: str = "#"
     note: str = ""
 
-    def encode(self, q: Array) -> Array:
-        """What the controller counts, for positions whose first row is the start pose. Shapes (N,
-        n) -> (N, n)."""
+    def encode(self, q: FloatArray) -> FloatArray:
+        """Convert joint positions to the numbers of the controller.
+
+        Args:
+            q: Positions; the first row is the start pose. Shape (N, n) [rad or m].
+
+        Returns:
+            Numbers of the table. Shape (N, n).
+        """
         out = self._absolute(q)
         return out - out[0] if self.relative else out
 
-    def decode(self, values: Array, start: Array) -> Array:
-        """The inverse of `encode`; start: the first pose (n,) [rad], used where the values are
-        relative."""
+    def decode(self, values: FloatArray, start: FloatArray) -> FloatArray:
+        """Convert the numbers of a table to joint positions; inverse of `encode`.
+
+        Args:
+            values: Numbers of the table. Shape (N, n).
+            start: Start pose, for tables relative to it. Shape (n,) [rad].
+
+        Returns:
+            Positions. Shape (N, n) [rad or m].
+        """
         n = values.shape[1]
         sign, offset, mix = self._factors(n)
         absolute = values + self._absolute(start[None, :]) if self.relative else values
-        out: Array = (np.linalg.solve(mix, absolute.T).T - offset) / (sign * SCALE[self.unit])
+        out: FloatArray = (np.linalg.solve(mix, absolute.T).T - offset) / (sign * SCALE[self.unit])
         return out
 
-    def _absolute(self, q: Array) -> Array:
+    def _absolute(self, q: FloatArray) -> FloatArray:
         sign, offset, mix = self._factors(q.shape[1])
-        out: Array = (q * sign * SCALE[self.unit] + offset) @ mix.T
+        out: FloatArray = (q * sign * SCALE[self.unit] + offset) @ mix.T
         return out
 
-    def _factors(self, n: int) -> tuple[Array, Array, Array]:
-        """Signs (n,), offsets (n,) and the matrix of couplings (n, n)."""
+    def _factors(self, n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Signs, shape (n,), offsets, shape (n,), and coupling matrix, shape (n, n)."""
         mix = np.eye(n)
         for joint, other, factor in self.coupling:
             mix[joint - 1, other - 1] += factor
@@ -87,7 +104,7 @@ def _tuples(value: Any) -> Any:
 
 @cache
 def profiles() -> Mapping[str, Profile]:
-    """All profiles of `vendors.toml` by the name of their format."""
+    """Return all profiles of `vendors.toml` by the names of their formats."""
     text = (resources.files(__package__) / "vendors.toml").read_text(encoding="utf-8")
     known = {f.name for f in fields(Profile)}
     table = tomllib.loads(text)
@@ -102,9 +119,17 @@ def profiles() -> Mapping[str, Profile]:
     }
 
 
-def write(job: Job, profile: Profile) -> Written:
-    """One row a cycle, as the profile says; comments at the top, or in a note where the format
-    takes none."""
+def write(job: ExportJob, profile: Profile) -> ExportedText:
+    """Return a table with one row per control cycle, with comments or a separate note.
+
+    Args:
+        job: The file to export.
+        profile: Description of the table.
+
+    Raises:
+        UnusableInput: The number of joints or the rate does not fit the profile, or the motion does
+            not begin and end at rest.
+    """
     require_joints(job, profile.joints)
     rate = require_rate(job, profile.rates)
     _, samples = sampled(job, rate)
@@ -114,8 +139,8 @@ def write(job: Job, profile: Profile) -> Written:
     lines = notes(
         job,
         [
-            f"{MARKS['rate']} {rate:g}",
-            f"{MARKS['start']} {' '.join(fixed(q) for q in samples.q[0])}",
+            f"{LABELS['rate']} {rate:g}",
+            f"{LABELS['start']} {' '.join(fixed(q) for q in samples.q[0])}",
             f"columns [{profile.unit}{relative}]: {', '.join(columns)}",
             profile.note,
         ],
@@ -123,33 +148,40 @@ def write(job: Job, profile: Profile) -> Written:
     )
     body = "\n".join(profile.separator.join(fixed(value) for value in row) for row in values) + "\n"
     if not profile.comment:
-        return Written(body, "\n".join(lines) + "\n")
-    return Written("".join(f"{profile.comment} {line}\n" for line in lines) + body)
+        return ExportedText(body, "\n".join(lines) + "\n")
+    return ExportedText("".join(f"{profile.comment} {line}\n" for line in lines) + body)
 
 
 def read(path: Path, profile: Profile) -> Columns:
-    """Times [s] and positions [rad] of a table, with what its notes say of rate and start. Shapes
-    (N,), (N, n).
+    """Read a table, with the rate and the start pose that its comments state.
 
-    Raises ValueError where rows are missing or uneven, or a relative table doesn't say where it
-    starts.
+    Args:
+        path: The file.
+        profile: Description of the table.
+
+    Returns:
+        Times, shape (N,) [s], and positions, shape (N, n) [rad or m].
+
+    Raises:
+        ValueError: There are no rows, their lengths differ, or a relative table does not state its
+            start pose.
     """
     lines = path.read_text(encoding="utf-8").splitlines()
     remarks = [line for line in lines if profile.comment and line.startswith(profile.comment)]
     rows = [line for line in lines if line and line not in remarks]
-    if not profile.comment and beside(path).exists():
-        remarks = beside(path).read_text(encoding="utf-8").splitlines()
-    said = {
-        key: line.partition(mark)[2].split()
-        for key, mark in MARKS.items()
+    if not profile.comment and note_path(path).exists():
+        remarks = note_path(path).read_text(encoding="utf-8").splitlines()
+    stated = {
+        key: line.partition(label)[2].split()
+        for key, label in LABELS.items()
         for line in remarks
-        if mark in line
+        if label in line
     }
     values = np.array([[float(v) for v in row.split(profile.separator)] for row in rows])
     if values.ndim != 2:
         raise ValueError("it holds no rows")
-    if profile.relative and "start" not in said:
-        raise ValueError(f"it has no line '{MARKS['start']}'")
-    start = np.array(said["start"], float) if "start" in said else np.zeros(values.shape[1])
-    rate = float(said["rate"][0]) if "rate" in said else profile.rates[0]
+    if profile.relative and "start" not in stated:
+        raise ValueError(f"it has no line '{LABELS['start']}'")
+    start = np.array(stated["start"], float) if "start" in stated else np.zeros(values.shape[1])
+    rate = float(stated["rate"][0]) if "rate" in stated else profile.rates[0]
     return np.arange(len(values)) / rate, profile.decode(values, start)

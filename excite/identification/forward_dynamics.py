@@ -106,7 +106,7 @@ class RobotDynamics:
                 spread.T @ by_v @ spread,
             )
         slopes[:, range(n), range(n, 2 * n)] += self.friction_slope(v)
-        slopes[:, :, 2 * n :] = self._regressor(Samples(q, v, a))
+        slopes[:, :, 2 * n :] = self._regressor(Samples(q, v, np.asarray(a, np.float64)))
         return np.asarray(a, np.float64), np.asarray(-np.linalg.solve(M, slopes), np.float64)
 
     def rigid_torque(self, motion: Samples) -> FloatArray:

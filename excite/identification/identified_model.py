@@ -173,8 +173,9 @@ def model_document(
     """
     robot, parameters = identification.model.robot, identification.model.parameters
     widths, edge = identification.model.widths, 10 * parameters.bodies
-    # locked joints and payload are part of the identified URDF
+    # locked joints, payload and nominal inertias are part of the identified URDF
     options = {**robot.options, "locked": {}, "payload": None}
+    options.pop("inertias", None)
     prior, data, delay = identification.prior, identification.data, identification.delay
     gamma = identification.options.gamma
     return {

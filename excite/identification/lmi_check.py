@@ -130,11 +130,7 @@ def solve_lmi(
         raise UnusableInput(
             f"--check-lmi: cvxpy and Clarabel are not installed; run {INSTALL_COMMAND}"
         )
-    import casadi  # both slow to import
-
-    # load CasADi's HiGHS before cvxpy loads another one, as in designer.qp_subproblem
-    casadi.load_conic("highs")
-    import cvxpy as cp
+    import cvxpy as cp  # slow to import
 
     half = _preconditioner(parameters, root, prior)
     x = cp.Variable(parameters.count)

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from .._types import FloatArray
-from ..robot import xml_file
+from ..robot import source_text, xml_file
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot, locate
 
@@ -35,7 +35,7 @@ def identified_urdf(
         widths: Widths of Coulomb friction. Shape (n,) [rad/s or m/s].
     """
     path = locate(robot.source)
-    text = xml_file.read_text(path, "a URDF")
+    text = source_text.read_urdf_text(path)
     # comments before the root element belong to no element, and the parser drops them
     prolog = re.match(r"\s*(<\?xml.*?\?>)?((\s|<!--.*?-->)*)<", text, re.DOTALL)
     root = xml_file.parse_text(path, text, keep_comments=True)
@@ -61,6 +61,8 @@ def identified_urdf(
                 {kind: float(psi[parameters.block(kind)][place]) for kind in parameters.drive},
                 float(widths[place]),
             )
+        elif any(joint.get("name") == follower.entry.name for follower in robot.followers):
+            _remove_joint_parameters(joint, parameters.drive)
     ElementTree.indent(root)
     comments = "" if prolog is None else prolog[2].strip()
     return (
@@ -124,7 +126,7 @@ def _make_fixed(joint: ElementTree.Element, position: float) -> None:
 
 def _inertial_element(phi: FloatArray) -> ElementTree.Element:
     """Mass, centre of mass, and inertia about it with axes parallel to the link's."""
-    body = pin.Inertia.FromDynamicParameters(phi)
+    body = pin.Inertia.FromDynamicParameters(phi) if phi[0] > 0.0 else pin.Inertia.Zero()
     out = ElementTree.Element("inertial")
     ElementTree.SubElement(out, "origin", {"xyz": _formatted(body.lever), "rpy": "0 0 0"})
     ElementTree.SubElement(out, "mass", {"value": repr(float(body.mass))})
@@ -141,6 +143,19 @@ def _inertial_element(phi: FloatArray) -> ElementTree.Element:
         out, "inertia", {key: repr(float(tensor[place])) for key, place in keys.items()}
     )
     return out
+
+
+def _remove_joint_parameters(joint: ElementTree.Element, kinds: Sequence[str]) -> None:
+    """Remove the parameters of a mimic joint, which the joint that it follows has too now."""
+    for tag, key, kind in (
+        ("dynamics", "damping", "viscous"),
+        ("dynamics", "friction", "coulomb"),
+        ("excite", "rotor_inertia", "rotor_inertia"),
+        ("excite", "offset", "offset"),
+    ):
+        element = joint.find(tag)
+        if element is not None and kind in kinds:
+            element.attrib.pop(key, None)
 
 
 def _set_joint_parameters(

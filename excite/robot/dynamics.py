@@ -8,16 +8,16 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
+from .._types import FloatArray
 from .inertial_parameters import COULOMB_WIDTH, Parameters
 from .robot import Robot
 from .samples import Samples
 
-Array = np.ndarray
 BLOCK_NUMBERS = 1 << 22
 """Numbers of a regressor that are held at once (32 MiB), whatever the length of a motion."""
 
 
-def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> Array:
+def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> FloatArray:
     """Y with τ = Y ψ at every sample (eq. 9). Shape (N, n, P) [N m per unit of ψ]."""
     model, data = robot.model, robot.model.createData()
     q, dq, ddq = robot.expand(motion.q), motion.dq @ robot.spread.T, motion.ddq @ robot.spread.T
@@ -42,7 +42,7 @@ def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> Array:
     return out
 
 
-def regressor_blocks(robot: Robot, parameters: Parameters, motion: Samples) -> Iterator[Array]:
+def regressor_blocks(robot: Robot, parameters: Parameters, motion: Samples) -> Iterator[FloatArray]:
     """Y at consecutive samples, in blocks of at most BLOCK_NUMBERS numbers. Shape (≤ N, n, P)
     each."""
     size = max(BLOCK_NUMBERS // (robot.n * parameters.count), 16)
@@ -50,14 +50,14 @@ def regressor_blocks(robot: Robot, parameters: Parameters, motion: Samples) -> I
         yield regressor(robot, parameters, motion.rows(slice(start, start + size)))
 
 
-def torque(robot: Robot, parameters: Parameters, motion: Samples) -> Array:
+def torque(robot: Robot, parameters: Parameters, motion: Samples) -> FloatArray:
     """Nominal torque Yψ₀. Shape (N, n) [N m]."""
     return torque_band(robot, parameters, motion, 0.0)[0]
 
 
 def torque_band(
     robot: Robot, parameters: Parameters, motion: Samples, radius: float
-) -> tuple[Array, Array]:
+) -> tuple[FloatArray, FloatArray]:
     """Nominal torque and the half-width of `band` along a motion of any length. Shapes (N, n)."""
     nominal, width = [np.empty((0, robot.n))], [np.empty((0, robot.n))]
     for Y in regressor_blocks(robot, parameters, motion):
@@ -67,7 +67,7 @@ def torque_band(
     return np.concatenate(nominal), np.concatenate(width)
 
 
-def positions(robot: Robot, frame: str, q: Array) -> Array:
+def positions(robot: Robot, frame: str, q: FloatArray) -> FloatArray:
     """Origin of a frame in the base frame. Shapes (N, n) -> (N, 3) [m]."""
     model, data, index = robot.model, robot.model.createData(), robot.frame(frame)
     out = np.empty((len(q), 3))
@@ -77,7 +77,7 @@ def positions(robot: Robot, frame: str, q: Array) -> Array:
     return out
 
 
-def band(Y: Array, parameters: Parameters, radius: float) -> tuple[Array, Array]:
+def band(Y: FloatArray, parameters: Parameters, radius: float) -> tuple[FloatArray, FloatArray]:
     """Nominal torque Yψ₀ and its half-width r √(Y G₀⁻¹ Yᵀ) over the ball of radius r in the metric.
     Shapes (N, n)."""
     nominal = Y @ parameters.nominal

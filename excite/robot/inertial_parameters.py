@@ -14,42 +14,54 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from .._types import FloatArray
 from ..errors import ExciteWarning, UnusableInput
 from .limits import Limits
 from .robot import Robot
 
-Array = np.ndarray
 INERTIAL = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 DRIVE = ("rotor_inertia", "viscous", "coulomb", "offset")
 DRIVE_SYMBOLS = {"rotor_inertia": "Ia", "viscous": "Fv", "coulomb": "Fc", "offset": "tau0"}
 COULOMB_WIDTH = 0.005
 """Width v of the smooth Coulomb column tanh(q̇/v) [rad/s or m/s]."""
 
-# The stated rule of `proper_body` for bodies that are no bodies.
 SINGULAR = 1e-6
+"""Principal second moment, relative to the largest, below which a body is flat to rounding [1]: the
+inertias of URDFs have six digits. Masses below this share of the robot's are zero too."""
 FLOOR = 1e-3
+"""Principal second moment that a flat body gets, relative to its largest [1]: that of a plate whose
+thickness is a thirtieth of its width."""
 MASS_SHARE = 1e-2
+"""Share of the robot's mass that a massless body gets [1], that of a cover or a small link."""
 BALL_RADIUS = 0.05
+"""Radius of the uniform ball that a body without second moment becomes [m]: half the width of a
+small arm's link."""
+POINT_SHARE = 1e-4
+"""Largest second moment, relative to that ball's, below which a body has none [1]: a ball of 0.5 mm
+radius."""
 
 
 @dataclass(frozen=True)
 class Parameters:
     """The standard parameters that a design considers.
 
-    drive: which of DRIVE are included, in that order.
-    names: P names such as "m3", "mcx3", "Izz3", "Ia3", "Fc3"; the number is the joint's place, from
-        1.
-    nominal: ψ₀ as the URDF states it. Shape (P,).
-    scale: G₀^{-1/2}, block diagonal. Shape (P, P): δψ = scale · (unit vector) has length 1 in the
-        metric.
-    repaired: names of links whose nominal inertia was no body and entered the metric by the stated
-        rule.
+    Attributes:
+        drive: The kinds of DRIVE that are included, in that order.
+        names: P names such as "m3", "mcx3", "Izz3", "Ia3", "Fc3"; the number is the joint's place,
+            from 1.
+        nominal: ψ₀ as the URDF states it. Shape (P,).
+        scale: G₀^{-1/2}, block diagonal: δψ = scale · (unit vector) has length 1 in the metric.
+            Shape (P, P).
+        links: Names of the links with inertial parameters.
+        joints: Names of the joints with parameters of their own.
+        repaired: Names of links whose nominal inertia was no body; the metric uses a substitute,
+            see `proper_body`.
     """
 
     drive: tuple[str, ...]
     names: tuple[str, ...]
-    nominal: Array
-    scale: Array
+    nominal: FloatArray
+    scale: FloatArray
     links: tuple[str, ...]
     joints: tuple[str, ...]
     repaired: tuple[str, ...]
@@ -64,7 +76,7 @@ class Parameters:
         """Number of bodies with ten inertial parameters each."""
         return len(self.links)
 
-    def norms(self, rows: Array) -> Array:
+    def norms(self, rows: FloatArray) -> FloatArray:
         """y G₀⁻¹ yᵀ of each row y, block by block. Shapes (m, P) -> (m,)."""
         edge = 10 * self.bodies
         blocks = np.stack([self.scale[i : i + 10, i : i + 10] for i in range(0, edge, 10)])
@@ -72,7 +84,7 @@ class Parameters:
         drive = rows[:, edge:] * np.diag(self.scale)[edge:]
         return np.einsum("bri,bri->r", bodies, bodies) + np.einsum("ri,ri->r", drive, drive)
 
-    def coulomb(self) -> Array:
+    def coulomb(self) -> FloatArray:
         """Nominal Coulomb friction per joint [N m]; 0 where the model has none. Shape (n,)."""
         return (
             self.nominal[self.block("coulomb")]
@@ -92,7 +104,7 @@ class Parameters:
         return tuple(inertial + [joint for _ in self.drive for joint in self.joints])
 
 
-def pseudo_inertia(phi: Array) -> Array:
+def pseudo_inertia(phi: FloatArray) -> FloatArray:
     """P(φ) = [[S, h], [hᵀ, m]], S = ½ tr(I)·1 − I (Lee, Wensing & Park, eq. 15). Shapes (10,) ->
     (4, 4)."""
     tensor = np.array(
@@ -108,13 +120,13 @@ def pseudo_inertia(phi: Array) -> Array:
 _UNITS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
 
 
-def metric(phi: Array) -> Array:
+def metric(phi: FloatArray) -> FloatArray:
     """g_ij = ½ tr(P⁻¹ Eᵢ P⁻¹ Eⱼ), the affine-invariant metric at φ (eq. 18). Shape (10, 10)."""
     scaled = np.linalg.solve(pseudo_inertia(phi), _UNITS)
     return 0.5 * np.einsum("iab,jba->ij", scaled, scaled)
 
 
-def inverse_root(phi: Array) -> Array:
+def inverse_root(phi: FloatArray) -> FloatArray:
     """R with R Rᵀ = g(φ)⁻¹, through a factor of P that stays accurate where g is stiff. Shape (10,
     10).
 
@@ -135,22 +147,22 @@ def inverse_root(phi: Array) -> Array:
     return np.array(columns).T
 
 
-def proper_body(phi: Array, robot_mass: float) -> tuple[Array, bool]:
+def proper_body(phi: FloatArray, robot_mass: float) -> tuple[FloatArray, bool]:
     """A physically consistent body at φ, and whether it had to be changed to become one.
 
-    Rule: a mass below 1e-6 of the robot's becomes 1 % of it, at the joint's origin; a body with
-        next to no second moment becomes a uniform ball of 5 cm radius; a principal second moment
-        about the centre of mass that is below 1e-6 of the largest one rises to 1e-3 of it.
+    A mass below 1e-6 of the robot's becomes 1 % of it, at the joint's origin; a body with next to
+    no second moment becomes a uniform ball of 5 cm radius; a principal second moment about the
+    centre of mass that is below 1e-6 of the largest one rises to 1e-3 of it.
     """
     mass, centre, second = phi[0], np.zeros(3), np.zeros((3, 3))
-    if mass < 1e-6 * robot_mass:
+    if mass < SINGULAR * robot_mass:
         mass = MASS_SHARE * robot_mass
     else:
         centre = phi[1:4] / mass
         second = pseudo_inertia(phi)[:3, :3] - mass * np.outer(centre, centre)
     values, vectors = np.linalg.eigh(second)
     ball = 0.2 * mass * BALL_RADIUS**2
-    if values[-1] < 1e-4 * ball:
+    if values[-1] < POINT_SHARE * ball:
         second = ball * np.eye(3)
     elif values[0] < SINGULAR * values[-1]:
         second = (vectors * np.maximum(values, FLOOR * values[-1])) @ vectors.T
@@ -182,7 +194,10 @@ def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Para
     roots = [inverse_root(phi) for phi, _ in proper]
     repaired = [link for link, (_, changed) in zip(robot.links, proper, strict=True) if changed]
     if repaired:
-        text = f"{robot.source}: no proper body in link(s) {', '.join(repaired)} (massless or singular inertia); the metric uses a substitute"  # noqa: E501
+        text = (
+            f"{robot.source}: no proper body in link(s) {', '.join(repaired)} (massless or "
+            "singular inertia); the metric uses a substitute"
+        )
         warnings.warn(text, ExciteWarning, stacklevel=2)
     nominal, scale = _drive_values(robot, limits, [phi for phi, _ in proper])
     size = 10 * len(bodies)
@@ -205,14 +220,17 @@ def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Para
 
 
 def _drive_values(
-    robot: Robot, limits: Limits, bodies: list[Array]
-) -> tuple[dict[str, Array], dict[str, Array]]:
+    robot: Robot, limits: Limits, bodies: list[FloatArray]
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     nominal = {
-        "rotor_inertia": np.array([entry.rotor_inertia for entry in robot.entries]),
-        "viscous": np.array([entry.viscous for entry in robot.entries]),
-        "coulomb": np.array([entry.coulomb for entry in robot.entries]),
-        "offset": np.array([entry.offset for entry in robot.entries]),
+        kind: np.array([getattr(entry, kind) for entry in robot.entries], float) for kind in DRIVE
     }
+    for follower in robot.followers:  # at the joint that it follows: q̇ = m q̇_joint, τ_joint = m τ
+        joint, m = robot.index(follower.master), follower.multiplier
+        nominal["rotor_inertia"][joint] += m**2 * follower.entry.rotor_inertia
+        nominal["viscous"][joint] += m**2 * follower.entry.viscous
+        nominal["coulomb"][joint] += abs(m) * follower.entry.coulomb
+        nominal["offset"][joint] += m * follower.entry.offset
     fallback = {
         "rotor_inertia": 0.05 * mean_inertia(robot, limits, bodies),
         "viscous": 0.02 * limits.torque / limits.velocity,
@@ -225,7 +243,7 @@ def _drive_values(
     return nominal, {kind: np.where(known[kind], nominal[kind], fallback[kind]) for kind in DRIVE}
 
 
-def mean_inertia(robot: Robot, limits: Limits, bodies: list[Array]) -> Array:
+def mean_inertia(robot: Robot, limits: Limits, bodies: list[FloatArray]) -> FloatArray:
     """Mean diagonal of the mass matrix over poses spread evenly in the joint ranges. Shape (n,) [kg
     m²]."""
     model = robot.model.copy()
@@ -241,12 +259,12 @@ def mean_inertia(robot: Robot, limits: Limits, bodies: list[Array]) -> Array:
     return total / len(poses)
 
 
-def ranges(limits: Limits) -> Array:
+def ranges(limits: Limits) -> FloatArray:
     """Position limits, half a turn each way where there are none. Shape (n, 2) [rad or m]."""
     return np.where(np.isfinite(limits.position), limits.position, [-np.pi, np.pi])
 
 
-def spread_poses(limits: Limits, count: int) -> Array:
+def spread_poses(limits: Limits, count: int) -> FloatArray:
     """Poses that fill the joint ranges evenly (a Kronecker sequence, no randomness). Shape (count,
     n)."""
     n = len(limits.joints)

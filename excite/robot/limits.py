@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from ..errors import ExciteWarning, MissingLimit, UnusableInput
+from .._types import FloatArray
+from ..errors import ExciteWarning, LimitFault, MissingLimit, UnusableInput
 from ..schemas.document_file import DocumentFile, written
 from ..schemas.limits import (
     MOVEIT_UNUSED,
@@ -30,11 +31,15 @@ from ..schemas.limits import (
 )
 from ..schemas.quantities import shown
 from .robot import Follower, Robot, builtin_names
+from .urdf import NARROWEST_RANGE, WIDEST_RANGE, range_in_turns
 
-Array = np.ndarray
 QUANTITIES = ("position", "velocity", "acceleration", "jerk", "torque")
 REQUIRED = ("position", "velocity", "torque")
 DERIVED = "derived"
+URDF = "urdf"
+"""Source of a limit that the URDF states."""
+SOFT_LIMITS = "urdf, safety_controller"
+"""Source of a position limit that the URDF's <safety_controller> narrows."""
 MIMIC = "urdf, mimic "
 """Beginning of the source of a limit that a mimic joint imposes on the joint it follows."""
 WITH_MARGIN = ("velocity", "acceleration", "jerk", "torque")
@@ -43,6 +48,8 @@ DEFAULT_MARGIN = 0.02
 """Share of these limits that a design keeps free unless told otherwise [1]: a controller stops the
 robot at the limit itself, and its tracking overshoots the commanded motion. `--margin` and the
 limits file's [margin] table change it."""
+LimitTable: TypeAlias = "dict[str, dict[str, tuple[Any, str]]]"
+"""Joint -> quantity -> (value, source)."""
 TomlLimits = TypeVar("TomlLimits", bound=LimitsFile)
 SHOWN_PATH = 300
 """Characters of the name of a file that a message repeats."""
@@ -60,8 +67,12 @@ class Braking:
     """Velocity limit that falls towards a position stop: |q̇| ≤ −offset + √(rate · distance to the
     stop).
 
-    The form in which Franka states the FR3's limits. offset: [rad/s]. rate: [rad/s²]. stop: (lower,
-    upper) [rad].
+    The form in which Franka states the FR3's limits.
+
+    Attributes:
+        offset: Reduction of the velocity at the stop [rad/s].
+        rate: Increase of the squared velocity with the distance [rad/s²].
+        stop: Lower and upper position stop [rad].
     """
 
     offset: float
@@ -75,22 +86,27 @@ class Braking:
 
 @dataclass(frozen=True)
 class Limits:
-    """What each of n joints may do; ±inf where nothing is stated.
+    """Limits of n joints, ±inf where nothing is stated.
 
-    position: Shape (n, 2) [rad or m]. velocity, acceleration, jerk, torque: Shape (n,), positive,
-        symmetric [rad/s, rad/s², rad/s³, N m; for a prismatic joint m and N].
-    braking: per joint, None where the velocity limit does not depend on position.
-    sources: quantity -> n texts saying where each value came from ("" where there is none).
-    margin: share of each limit of `WITH_MARGIN` that a design keeps free [1]; a kind that is absent
-        keeps none.
+    Attributes:
+        joints: Names of the joints.
+        position: Shape (n, 2) [rad or m].
+        velocity: Positive and symmetric, as the following. Shape (n,) [rad/s or m/s].
+        acceleration: Shape (n,) [rad/s² or m/s²].
+        jerk: Shape (n,) [rad/s³ or m/s³].
+        torque: Shape (n,) [N m or N].
+        braking: Per joint, None where the velocity limit does not depend on position.
+        sources: Per quantity n texts saying where each value came from ("" where there is none).
+        margin: Share of each limit of `WITH_MARGIN` that a design keeps free [1]; a kind that is
+            absent keeps none.
     """
 
     joints: tuple[str, ...]
-    position: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-    torque: Array
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    torque: FloatArray
     braking: tuple[Braking | None, ...]
     sources: Mapping[str, tuple[str, ...]]
     margin: Mapping[str, float] = field(default_factory=dict)
@@ -134,7 +150,7 @@ class Limits:
 def from_document(document: StatedLimits, joints: tuple[str, ...]) -> Limits:
     """The limits that a trajectory states; an absent limit is infinite."""
     sources: dict[str, tuple[str, ...]] = {}
-    arrays: dict[str, Array] = {}
+    arrays: dict[str, FloatArray] = {}
     for quantity in QUANTITIES:
         absent: Any = [-math.inf, math.inf] if quantity == "position" else math.inf
         entries = getattr(document, quantity)
@@ -145,7 +161,12 @@ def from_document(document: StatedLimits, joints: tuple[str, ...]) -> Limits:
     braking = tuple(
         _braking(document.braking[j]) if j in document.braking else None for j in joints
     )
-    return Limits(joints=joints, braking=braking, sources=sources, **arrays)  # type: ignore[arg-type]
+    return Limits(
+        joints=joints,
+        braking=braking,
+        sources=sources,
+        **arrays,  # type: ignore[arg-type]
+    )
 
 
 def _braking(document: BrakingDocument) -> Braking:
@@ -176,12 +197,28 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
         raise UnusableInput(
             f"--margin {margin:g} should be a share of the limits, at least 0 and below 1"
         )
-    table: dict[str, dict[str, tuple[Any, str]]] = {joint: {} for joint in robot.joints}
+    table, shares = stated_limits(robot, file)
+    for follower in robot.followers:
+        tighten(robot, table[follower.master], follower)
+    missing = missing_limits(robot, table)
+    if missing:
+        raise MissingLimit(robot.source, missing)
+    if margin is not None:
+        shares = dict.fromkeys(WITH_MARGIN, margin)
+    return dataclasses.replace(_assemble(robot, table), margin=shares)
+
+
+def stated_limits(robot: Robot, file: Path | None = None) -> tuple[LimitTable, dict[str, float]]:
+    """Limits that the URDF, a built-in model's own table and a limits file state, the later
+    overriding, and the shares of them to keep free; see `resolve`."""
+    table: LimitTable = {joint: {} for joint in robot.joints}
     for entry in robot.entries:
         for quantity in REQUIRED:
             value = getattr(entry, quantity)
             if value is not None:
-                table[entry.name][quantity] = (value, "urdf")
+                table[entry.name][quantity] = (value, URDF)
+        if entry.soft_position is not None and entry.position is not None:
+            table[entry.name]["position"] = (entry.soft_position, SOFT_LIMITS)
     if robot.source in builtin_names():
         table_file = _builtin_table(robot)
         _merge(
@@ -200,17 +237,18 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
             for kind in WITH_MARGIN
             if (share := getattr(stated.margin, kind, None)) is not None
         }
-    for follower in robot.followers:
-        _tighten(table[follower.master], follower)
-    for entry in robot.entries:
-        for quantity in REQUIRED:
-            if quantity not in table[entry.name] and not (
-                quantity == "position" and entry.kind == "continuous"
-            ):
-                raise MissingLimit(entry.name, quantity, robot.source)
-    if margin is not None:
-        shares = dict.fromkeys(WITH_MARGIN, margin)
-    return dataclasses.replace(_assemble(robot, table), margin=shares)
+    return table, shares
+
+
+def missing_limits(robot: Robot, table: LimitTable) -> list[LimitFault]:
+    """Required limits that a table of stated ones lacks, with what the URDF states instead."""
+    return [
+        LimitFault(entry.name, quantity, entry.unusable.get(quantity, ""))
+        for entry in robot.entries
+        for quantity in REQUIRED
+        if quantity not in table[entry.name]
+        and not (quantity == "position" and entry.kind == "continuous")
+    ]
 
 
 def from_sources(
@@ -228,7 +266,7 @@ def from_sources(
     Raises:
         UnusableInput: The limits file that a source names is not there, or cannot be read.
     """
-    known = {"", "urdf", DERIVED, f"{robot.source}.toml"}
+    known = {"", URDF, SOFT_LIMITS, DERIVED, f"{robot.source}.toml"}
     named = sorted(
         {
             text
@@ -268,9 +306,13 @@ def _builtin_table(robot: Robot) -> Path:
     return Path(str(resources.files("excite.robot") / "models" / f"{robot.source}.toml"))
 
 
-def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
-    """A mimic's own position and velocity limits bind the joint it follows: q_mimic = multiplier q
-    + offset."""
+def tighten(robot: Robot, entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
+    """Apply a mimic joint's own position and velocity limits to the joint it follows: q_mimic =
+    multiplier q + offset.
+
+    Raises:
+        UnusableInput: The two joints have no common range.
+    """
     stated, factor = follower.entry, follower.multiplier
     if factor == 0.0:
         return
@@ -279,7 +321,17 @@ def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
         ends = sorted((bound - follower.offset) / factor for bound in stated.position)
         lower, upper = entries.get("position", ((-np.inf, np.inf), ""))[0]
         if ends[0] > lower or ends[1] < upper:
-            entries["position"] = ((max(ends[0], lower), min(ends[1], upper)), source)
+            both = max(ends[0], lower), min(ends[1], upper)
+            if not both[1] - both[0] >= NARROWEST_RANGE:
+                raise UnusableInput(
+                    f"{robot.source}: mimic joint '{stated.name}' ({factor:g} times "
+                    f"'{follower.master}' plus {follower.offset:g}) may go from "
+                    f"{stated.position[0]:g} to {stated.position[1]:g}, which leaves "
+                    f"'{follower.master}' no range between {lower:g} and {upper:g}; correct the "
+                    f"<limit> of '{stated.name}' or lock the pair with --lock {follower.master}="
+                    f"{float(np.clip(0.0, lower, upper)):g}"
+                )
+            entries["position"] = (both, source)
     if (
         stated.velocity is not None
         and stated.velocity / abs(factor) < entries.get("velocity", (np.inf, ""))[0]
@@ -288,7 +340,7 @@ def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
 
 
 def _assemble(robot: Robot, table: Mapping[str, Mapping[str, tuple[Any, str]]]) -> Limits:
-    def values(quantity: str, absent: Any) -> Array:
+    def values(quantity: str, absent: Any) -> FloatArray:
         array = np.array(
             [table[joint].get(quantity, (absent, ""))[0] for joint in robot.joints], float
         )
@@ -319,28 +371,37 @@ def _merge(
 ) -> None:
     """Enter the limits of a file into the table, over those that are there."""
     known = {*robot.options["locked"], *robot.joints, *robot.mimics}  # type: ignore[misc]
+    unknown = [joint for joint in stated if joint not in known]
+    if unknown and (not _is_yaml(file) or len(unknown) == len(stated)):
+        raise UnusableInput(
+            f"{file}: no joint '{unknown[0]}' in {robot.source}; there are: "
+            f"{', '.join(robot.joints)}"
+        )
+    for joint in unknown:
+        warnings.warn(
+            f"{file}: joint '{joint}' is not in {robot.source}; ignored",
+            ExciteWarning,
+            stacklevel=4,
+        )
+    kinds = {entry.name: entry.kind for entry in robot.entries}
     for joint, entry in stated.items():
-        if joint not in known:
-            if not _is_yaml(file):
-                raise UnusableInput(
-                    f"{file}: no joint '{joint}' in {robot.source}; there are: "
-                    f"{', '.join(robot.joints)}"
-                )
-            warnings.warn(
-                f"{file}: joint '{joint}' is not in {robot.source}; ignored",
-                ExciteWarning,
-                stacklevel=4,
+        if joint not in table:
+            continue
+        values = {quantity: getattr(entry, quantity) for quantity in QUANTITIES}
+        values["braking"] = None if entry.braking is None else _braking(entry.braking)
+        position = values["position"]
+        if (
+            position is not None
+            and kinds[joint] != "prismatic"
+            and position[1] - position[0] > WIDEST_RANGE
+        ):
+            raise UnusableInput(
+                f"{file}: joint '{joint}': position {range_in_turns(position)}; state radians, and "
+                "of a joint that turns without end the part that the motion may use"
             )
-        if joint in table:
-            values = {quantity: getattr(entry, quantity) for quantity in QUANTITIES}
-            values["braking"] = None if entry.braking is None else _braking(entry.braking)
-            table[joint].update(
-                {
-                    quantity: (value, source)
-                    for quantity, value in values.items()
-                    if value is not None
-                }
-            )
+        table[joint].update(
+            {quantity: (value, source) for quantity, value in values.items() if value is not None}
+        )
 
 
 def _is_yaml(file: Path) -> bool:

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from .._types import FloatArray
 from .inertial_parameters import INERTIAL, Parameters
 
-Array = np.ndarray
 SMALLEST_SHARE = 0.01
+"""Share of a direction below which a parameter is not mentioned [1]."""
 _AXES = {"mcx": "x", "mcy": "y", "mcz": "z"}
 _ABOUT = {"Ixx": "x", "Iyy": "y", "Izz": "z"}
 _DRIVE_WORDS = {
@@ -20,17 +21,25 @@ _DRIVE_WORDS = {
 }
 
 
-def sentence(parameters: Parameters, shares: Array, variance: float, identifiable: bool) -> str:
-    """What a direction consists of and how well it is seen. shares: squared components of its unit
-    vector. Shape (P,)."""
+def sentence(
+    parameters: Parameters, shares: FloatArray, variance: float, identifiable: bool
+) -> str:
+    """Describe a direction: its parameters and how well they are determined.
+
+    Args:
+        parameters: The standard parameters.
+        shares: Squared components of the direction's unit vector. Shape (P,).
+        variance: Variance of the parameters along the direction, relative to the metric [1].
+        identifiable: Whether it is below the threshold.
+    """
     groups = sorted(_groups(parameters, shares), key=lambda g: -g[1])
     first, share = groups[0]
-    rest = [f"{text} ({100 * s:.0f} %)" for text, s in groups[1:4] if s >= 0.08]
+    minor = [f"{text} ({100 * s:.0f} %)" for text, s in groups[1:4] if s >= 0.08]
     if share < 0.5:
-        what = f"a mix of {listed([f'{first} ({100 * share:.0f} %)', *rest])}"
+        what = f"a mix of {listed([f'{first} ({100 * share:.0f} %)', *minor])}"
     else:
         lead = first if share >= 0.9 else f"mostly {first} ({100 * share:.0f} %)"
-        what = lead + (f", with {listed(rest)}" if rest else "")
+        what = lead + (f", with {listed(minor)}" if minor else "")
     if identifiable:
         return f"{what}; seen to ±{percent(np.sqrt(variance))}"
     if not np.isfinite(variance):
@@ -56,9 +65,9 @@ def multiple(ratio: float) -> str:
     return f"{ratio:.2f}" if np.isfinite(ratio) else "∞"
 
 
-def _groups(parameters: Parameters, shares: Array) -> list[tuple[str, float]]:
-    """What roboticists call the parameters, each with its share: the mass of a link, its centre of
-    mass along x …"""
+def _groups(parameters: Parameters, shares: FloatArray) -> list[tuple[str, float]]:
+    """Usual names of the parameters, each with its share: the mass of a link, its centre of mass
+    along x …"""
     out = []
     for i, link in enumerate(parameters.links):
         block = dict(zip(INERTIAL, shares[10 * i : 10 * i + 10], strict=True))
@@ -90,12 +99,13 @@ def _leading(shares: Mapping[str, float]) -> str:
 
 
 def listed(words: list[str]) -> str:
+    """Words in a sentence: 'a, b and c'."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def some(words: Sequence[str]) -> str:
-    """Joints, if they are few; else how many."""
-    return listed(list(words)) if len(words) <= 3 else f"{len(words)} joints"
+def some(words: Sequence[str], most: int = 3) -> str:
+    """Joints, if they are at most so many; else how many."""
+    return listed(list(words)) if len(words) <= most else f"{len(words)} joints"
 
 
 def spoken(name: str, parameters: Parameters) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import os
 import warnings
@@ -14,24 +15,29 @@ import numpy as np
 import pinocchio as pin
 
 from .. import physical_ranges as ranges
-from ..errors import ExciteWarning, UnusableInput
-from . import urdf
+from .._types import FloatArray
+from ..errors import ExciteWarning, UnusableInput, UnusableRobot
+from . import exact_placement, urdf
+from .link_inertia import LinkInertia, impossible_moments
 
-Array = np.ndarray
 GRAVITY = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True)
 class Payload:
-    """A body rigidly attached to a link; centre of mass and inertia (about it) in the link's frame.
+    """A body rigidly attached to a link, in the link's frame.
 
-    mass: [kg]. centre: Shape (3,) [m]. inertia: Shape (3, 3) [kg m²].
+    Attributes:
+        link: Name of the link.
+        mass: Mass [kg].
+        centre: Centre of mass. Shape (3,) [m].
+        inertia: Moments about the centre of mass, xx, xy, yy, xz, yz, zz [kg m²].
     """
 
     link: str
     mass: float
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6  # xx, xy, yy, xz, yz, zz
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
 
 
 @dataclass(frozen=True)
@@ -48,14 +54,25 @@ class Follower:
 class Robot:
     """A robot as designed for, identified and verified: n moving joints, all else locked.
 
-    model: Pinocchio model with nq = nv ≥ n (a mimic joint is a coordinate of its own there).
-    joints: names of the n moving joints, in the model's order.
-    spread, shift: q_model = spread q + shift; τ = spreadᵀ τ_model. Shapes (nv, n), (nv,).
-    entries: what the URDF says of each moving joint. followers: the mimic joints that move with
-        them.
-    mimics: names of all mimic joints, moving or not.
-    links: name of the link that each of the model's nv joints moves.
-    options: how it was loaded (locked joints, payload, gravity), enough to load it again.
+    Attributes:
+        name: Name of the robot.
+        source: Path of its file, or name of the built-in model.
+        sha256: Digest of the file.
+        model: Pinocchio model with nq = nv ≥ n (a mimic joint is a coordinate of its own there).
+        joints: Names of the n moving joints, in the model's order.
+        spread: q_model = spread q + shift; τ = spreadᵀ τ_model. Shape (nv, n).
+        shift: See `spread`. Shape (nv,).
+        entries: Each moving joint as the URDF states it.
+        links: Name of the link that each of the model's nv joints moves.
+        structure: The model with exact placements; see `exact_placement`.
+        rounded: Names of the model's joints whose placement differs between model and structure.
+        inertia_faults: For each moving link whose inertia no body of the robot can have, a
+            sentence.
+        placeholders: Names of the moving links whose inertia is the identity matrix.
+        followers: The mimic joints that move with the moving joints.
+        mimics: Names of all mimic joints, moving or not.
+        options: How it was loaded (locked joints, payload, gravity, inertias), enough to load it
+            again.
     """
 
     name: str
@@ -63,10 +80,14 @@ class Robot:
     sha256: str
     model: pin.Model
     joints: tuple[str, ...]
-    spread: Array
-    shift: Array
+    spread: FloatArray
+    shift: FloatArray
     entries: tuple[urdf.JointEntry, ...]
     links: tuple[str, ...]
+    structure: pin.Model
+    rounded: tuple[str, ...] = ()
+    inertia_faults: tuple[str, ...] = ()
+    placeholders: tuple[str, ...] = ()
     followers: tuple[Follower, ...] = ()
     mimics: tuple[str, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
@@ -76,6 +97,10 @@ class Robot:
         """Number of moving joints."""
         return len(self.joints)
 
+    def with_exact_placements(self) -> Robot:
+        """The robot whose rounded right angles are exact, for what depends on its structure."""
+        return dataclasses.replace(self, model=self.structure)
+
     def index(self, joint: str) -> int:
         """Position of a moving joint's name; UnusableInput lists the names there are."""
         if joint not in self.joints:
@@ -84,20 +109,15 @@ class Robot:
             )
         return self.joints.index(joint)
 
-    def expand(self, q: Array) -> Array:
+    def expand(self, q: FloatArray) -> FloatArray:
         """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or
         m]."""
         return q @ self.spread.T + self.shift
 
-    def axes(self) -> list[Array]:
+    def axes(self) -> list[FloatArray]:
         """Unit motion subspace of each model joint, (linear, angular), joint frame. nv arrays of
         shape (6,)."""
-        data = self.model.createData()
-        home, moved = np.zeros(self.model.nv), np.ones(self.model.nv)
-        pin.forwardKinematics(self.model, data, home)
-        before = [data.liMi[i].copy() for i in range(1, self.model.njoints)]
-        pin.forwardKinematics(self.model, data, moved)
-        return [pin.log6(a.actInv(data.liMi[i])).vector for i, a in enumerate(before, start=1)]
+        return _axes(self.model)
 
     def frame(self, name: str) -> int:
         """Index of a link's frame, else a joint's; UnusableInput names the ones nearest in
@@ -140,26 +160,44 @@ def load(
     lock: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
+    inertias: Mapping[str, LinkInertia] | None = None,
+    require_mass: bool = True,
 ) -> Robot:
     """Load a robot from a URDF path or a built-in name.
 
-    joints: The joints that move (all that are not mimics, when None); the others are locked.
-    lock: Positions [rad or m] of locked joints; a joint named here doesn't move. Elsewhere 0, moved
-        inside its limits.
-    payload: A body added to a link before anything else is computed.
-    gravity: Shape (3,) [m/s²], base frame. Raises UnusableInput for a file that cannot be used, an
-        unknown joint or a joint that moves no mass.
+    Args:
+        source: The path or the name.
+        joints: The joints that move (all that are not mimics, when None); the others are locked.
+        lock: Positions [rad or m] of locked joints; a joint named here doesn't move. Elsewhere 0,
+            moved inside its limits.
+        payload: A body added to a link before anything else is computed.
+        gravity: Shape (3,) [m/s²], base frame.
+        inertias: Inertia of links that state none.
+        require_mass: Whether every joint has to move a mass.
+
+    Raises:
+        UnusableInput: The file cannot be used, a joint is unknown or moves no mass.
     """
     path = locate(source)
     document = urdf.read(path)
-    full = _parse(document)
+    for remark in document.remarks:
+        warnings.warn(remark, ExciteWarning, stacklevel=2)
+    if inertias:
+        document = dataclasses.replace(document, inertias={**inertias, **document.inertias})
+    full = _parse(document, document.text())
     lock = dict(lock or {})
     moving = _moving(document, full, joints, lock)
     kept, multipliers = _followers(document, moving)
     reference = _rest_positions(document, full, lock, moving)
-    frozen = [full.getJointId(name) for name in full.names[1:] if name not in kept]
-    model = pin.buildReducedModel(full, frozen, reference) if frozen else full
-    model.gravity.linear = np.asarray(gravity, float)
+    links = {document.alias(link): link for link in document.links}
+    model = _reduced(full, kept, reference, gravity, links)
+    structure, rounded = model, tuple[str, ...]()
+    if document.rounded:
+        exact = _parse(document, document.text(exact=True))
+        turned = np.array([exact_placement.exact_angle(float(angle)) for angle in reference])
+        structure = _reduced(exact, kept, turned, gravity, links)
+        rounded = _moved_joints(model, structure)
+    inertia_faults = _inertia_faults(document, model)
     if payload is not None:
         _attach(model, document.source, payload)
     order = [name for name in model.names[1:] if name in moving]
@@ -172,6 +210,10 @@ def load(
         source=document.source if source not in builtin_names() else source,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         model=model,
+        structure=structure,
+        rounded=rounded,
+        inertia_faults=inertia_faults,
+        placeholders=_placeholders(document, model),
         joints=tuple(order),
         spread=_frozen(spread),
         shift=_frozen(shift),
@@ -191,20 +233,69 @@ def load(
             },
             "payload": None if payload is None else vars(payload) | {},
             "gravity": [float(g) for g in gravity],
+            **({"inertias": _inertia_document(inertias)} if inertias else {}),
         },
     )
-    _require_mass(robot)
+    faults = mass_faults(robot) if require_mass else []
+    if faults:
+        raise UnusableRobot([f"{robot.source}: {fault}" for fault in faults])
     return robot
 
 
-def _frozen(array: Array) -> Array:
+def _frozen(array: FloatArray) -> FloatArray:
     array.setflags(write=False)
     return array
 
 
-def _parse(document: urdf.Urdf) -> pin.Model:
+def _reduced(
+    full: pin.Model,
+    kept: set[str],
+    reference: FloatArray,
+    gravity: Sequence[float],
+    links: Mapping[str, str],
+) -> pin.Model:
+    """The model in which all joints but the kept ones are fixed at their reference positions.
+
+    Args:
+        full: The model of all joints.
+        kept: Names of the joints that move.
+        reference: Positions of all joints. Shape (nq,) [rad or m].
+        gravity: Gravity in the base frame. Shape (3,) [m/s²].
+        links: Names of links whose frame has an alias, by the alias.
+    """
+    frozen = [full.getJointId(name) for name in full.names[1:] if name not in kept]
+    model = pin.buildReducedModel(full, frozen, reference) if frozen else full
+    model.gravity.linear = np.asarray(gravity, float)
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            frame.name = links.get(frame.name, frame.name)
+    return model
+
+
+def _moved_joints(model: pin.Model, other: pin.Model) -> tuple[str, ...]:
+    """Names of the joints whose placement or axis differs between two models of one robot."""
+    tolerance = exact_placement.PRINTING_ERROR
+    axes = zip(_axes(model), _axes(other), strict=True)
+    return tuple(
+        str(model.names[i])
+        for i, (axis, other_axis) in enumerate(axes, start=1)
+        if np.max(np.abs(axis - other_axis)) > tolerance
+        or not model.jointPlacements[i].isApprox(other.jointPlacements[i], tolerance)
+    )
+
+
+def _axes(model: pin.Model) -> list[FloatArray]:
+    """Unit motion subspace of each joint, (linear, angular), joint frame. Shape (6,) each."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.zeros(model.nv))
+    before = [data.liMi[i].copy() for i in range(1, model.njoints)]
+    pin.forwardKinematics(model, data, np.ones(model.nv))
+    return [pin.log6(a.actInv(data.liMi[i])).vector for i, a in enumerate(before, start=1)]
+
+
+def _parse(document: urdf.Urdf, text: str) -> pin.Model:
     try:
-        return pin.buildModelFromXML(document.text)
+        return pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[0] if str(error).strip() else "no kinematic tree"
         raise UnusableInput(
@@ -254,9 +345,19 @@ def _resolve(document: urdf.Urdf, name: str) -> tuple[str, float, float]:
     while (mimic := document.joints[name].mimic) is not None:
         name, factor, constant = mimic
         if name in seen or name not in document.joints:
+            known = {joint.name for joint in document.placements}
+            reason = (
+                "itself"
+                if name == first
+                else f"'{name}', which follows it"
+                if name in seen
+                else f"'{name}', which is fixed"
+                if name in known
+                else f"'{name}', which the robot does not have"
+            )
             raise UnusableInput(
-                f"{document.source}: mimic joint '{first}' follows '{name}', no real joint; "
-                "correct its <mimic>"
+                f"{document.source}: mimic joint '{first}' follows {reason}; correct its <mimic> "
+                "or make it a fixed joint"
             )
         seen.add(name)
         offset, multiplier = offset + multiplier * constant, multiplier * factor
@@ -279,8 +380,8 @@ def _followers(
 
 def _rest_positions(
     document: urdf.Urdf, full: pin.Model, lock: dict[str, float], moving: set[str]
-) -> Array:
-    rest = np.zeros(full.nq)
+) -> FloatArray:
+    reference = np.zeros(full.nq)
     for name in full.names[1:]:
         master, multiplier, offset = _resolve(document, name)
         lower, upper = document.joints[master].position or (-np.inf, np.inf)
@@ -292,8 +393,8 @@ def _rest_positions(
                 ExciteWarning,
                 stacklevel=3,
             )
-        rest[full.joints[full.getJointId(name)].idx_q] = multiplier * value + offset
-    return rest
+        reference[full.joints[full.getJointId(name)].idx_q] = multiplier * value + offset
+    return reference
 
 
 def _attach(model: pin.Model, source: str, payload: Payload) -> None:
@@ -308,11 +409,11 @@ def _attach(model: pin.Model, source: str, payload: Payload) -> None:
                 )
     if payload.mass == 0.0:
         raise UnusableInput(f"{source}: --payload at '{payload.link}' needs a positive mass")
-    if not model.existFrame(payload.link):
+    if not model.existFrame(payload.link, pin.FrameType.BODY):
         raise UnusableInput(
             f"{source}: --payload names no link '{payload.link}'; name a link of the URDF"
         )
-    frame = model.frames[model.getFrameId(payload.link)]
+    frame = model.frames[model.getFrameId(payload.link, pin.FrameType.BODY)]
     if frame.parentJoint == 0:
         raise UnusableInput(
             f"{source}: --payload link '{payload.link}' does not move; name a moving link"
@@ -329,16 +430,91 @@ def _attach(model: pin.Model, source: str, payload: Payload) -> None:
     model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
 
 
-def _require_mass(robot: Robot) -> None:
-    """Raise UnusableInput for a body with inertia but no mass, and for a joint that moves no mass,
-    which makes the dynamics singular."""
+def _placeholders(document: urdf.Urdf, model: pin.Model) -> tuple[str, ...]:
+    """Names of the moving links whose inertia is the identity matrix."""
+    return tuple(
+        frame.name
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY
+        and frame.parentJoint > 0
+        and frame.name in document.inertias
+        and document.inertias[frame.name].is_placeholder
+    )
+
+
+def _inertia_faults(document: urdf.Urdf, model: pin.Model) -> tuple[str, ...]:
+    """Sentences on moving links whose inertia no link of the robot can have.
+
+    Moments that break the triangle inequality are a fault where the body that the link is part of,
+    all links that are fixed to each other, breaks it too: the dynamics depend on that body alone.
+    """
+    broken = {
+        joint
+        for joint in range(1, model.njoints)
+        if model.inertias[joint].mass > 0.0
+        and impossible_moments(np.linalg.eigvalsh(model.inertias[joint].inertia))
+    }
+    faults = []
+    for frame in model.frames:
+        inertia = document.inertias.get(frame.name)
+        if frame.type != pin.FrameType.BODY or frame.parentJoint == 0 or inertia is None:
+            continue
+        fault = inertia.scale_fault(document.reach)
+        if not fault and frame.parentJoint in broken:
+            fault = inertia.moments_fault()
+        if fault:
+            faults.append(f"link '{frame.name}': {fault}")
+    return tuple(faults)
+
+
+def require_possible_bodies(robot: Robot) -> None:
+    """Check the inertias with which torques are certified.
+
+    A placeholder, the identity matrix that templates hold, is reported by a warning.
+
+    Raises:
+        UnusableRobot: No body of the robot can have the inertia of a moving link.
+    """
+    if robot.placeholders:
+        warnings.warn(
+            f"{robot.source}: the inertia of {', '.join(map(repr, robot.placeholders))} is a "
+            "placeholder of 1 kg m² about every axis; torques and the metric depend on it",
+            ExciteWarning,
+            stacklevel=2,
+        )
+    if robot.inertia_faults:
+        raise UnusableRobot(
+            [f"{robot.source}: {fault}; correct its <inertial>" for fault in robot.inertia_faults]
+        )
+
+
+def _inertia_document(inertias: Mapping[str, LinkInertia]) -> dict[str, list[float]]:
+    """Inertias as `trajectory.json` states them: mass, centre of mass, and the six moments."""
+    return {
+        link: [inertia.mass, *inertia.centre, *inertia.tensor] for link, inertia in inertias.items()
+    }
+
+
+def inertias_of_document(document: Mapping[str, Sequence[float]]) -> dict[str, LinkInertia]:
+    """Read back the inertias that `Robot.options` states."""
+    inertias = {}
+    for link, numbers in document.items():
+        mass, x, y, z, *moments = (float(number) for number in numbers)
+        inertias[link] = LinkInertia(mass, (x, y, z), tuple(moments))  # type: ignore[arg-type]
+    return inertias
+
+
+def mass_faults(robot: Robot) -> list[str]:
+    """Sentences on bodies with inertia but no mass, and on joints that move no mass, which make the
+    dynamics singular."""
     model = robot.model
-    for link, body in zip(robot.links, model.inertias[1:], strict=True):
-        if body.mass == 0.0 and np.any(body.inertia):
-            raise UnusableInput(
-                f"{robot.source}: link '{link}' has an inertia but the mass 0; correct its <mass> "
-                "or remove its <inertial>"
-            )
+    faults = [
+        f"link '{link}' has an inertia but the mass 0; correct its <mass> or remove its <inertial>"
+        for link, body in zip(robot.links, model.inertias[1:], strict=True)
+        if body.mass == 0.0 and np.any(body.inertia)
+    ]
+    if faults:
+        return faults
     for column, joint in enumerate(robot.joints):
         carried = [
             i
@@ -350,7 +526,8 @@ def _require_mass(robot: Robot) -> None:
             for i in carried
         ]
         if not any(moment > 0.0 for moment in moments):
-            raise UnusableInput(
-                f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial> or "
-                f"lock it with --lock {joint}=0"
+            faults.append(
+                f"joint '{joint}' moves no mass; give its links an <inertial>, or the robot's mass "
+                f"with --mass, or lock it with --lock {joint}=0"
             )
+    return faults

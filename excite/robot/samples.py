@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-Array = np.ndarray
+from .._types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Positions, velocities, accelerations at N times. Shapes (N, n) [rad, rad/s, rad/s²; m for
-    prismatic joints]."""
+    """Positions, velocities and accelerations at N times.
 
-    q: Array
-    dq: Array
-    ddq: Array
+    Attributes:
+        q: Shape (N, n) [rad; m for prismatic joints].
+        dq: Shape (N, n) [rad/s or m/s].
+        ddq: Shape (N, n) [rad/s² or m/s²].
+    """
+
+    q: FloatArray
+    dq: FloatArray
+    ddq: FloatArray
 
     def __len__(self) -> int:
         return len(self.q)
 
-    def rows(self, which: Array | slice) -> Samples:
+    def rows(self, which: BoolArray | IntArray | slice) -> Samples:
         """The samples that `which` selects."""
         return Samples(self.q[which], self.dq[which], self.ddq[which])

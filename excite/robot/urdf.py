@@ -3,24 +3,34 @@ opened."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-import re
 import unicodedata
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from .. import physical_ranges as ranges
-from ..errors import UnusableInput
+from ..errors import UnusableInput, UnusableRobot
 from ..physical_ranges import Range
-from . import xml_file
+from . import exact_placement, source_text, xml_file
+from .link_inertia import LinkInertia
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 MOST_LINKS = 1000
 """Largest number of links; Pinocchio's parser recurses once per link of a chain."""
-NARROWEST = 1e-9
+NARROWEST_RANGE = 1e-9
 """Narrowest range of positions that counts as one [rad or m]; lower = upper = 0 is how some URDFs
 say that there is no limit."""
+WIDEST_RANGE = 8.0 * math.pi
+"""Widest range of a revolute joint that is believed [rad]: four turns. Wrists of industrial robots
+turn by up to 2.5; ranges in degrees begin at ±12.6°, and a design needs no more than a turn."""
+ALIAS_SUFFIX = "#link"
+"""Appended to the name of a link that is also a joint's, which Pinocchio confuses."""
+SHORTEST_AXIS = 1e-9
+"""Length of an <axis xyz> below which it is no direction [1]."""
 SHAPE_NUMBERS = ("xyz", "rpy", "rgba", "radius", "length", "size", "scale")
 """Attributes of <visual> and <collision> that hold numbers."""
 SHOWN = 40
@@ -29,7 +39,25 @@ SHOWN = 40
 
 @dataclass(frozen=True)
 class JointEntry:
-    """One movable joint as the URDF states it; a limit that is absent, zero or inverted is None."""
+    """One movable joint as the URDF states it; a limit that is absent or unusable is None.
+
+    Attributes:
+        name: Name of the joint.
+        kind: "revolute", "continuous" or "prismatic".
+        child: Name of the link that it moves.
+        position: Lower and upper limit [rad or m].
+        velocity: Limit of the speed [rad/s or m/s].
+        torque: Limit of the torque or force [N m or N].
+        viscous: Viscous friction [N m s/rad or N s/m].
+        coulomb: Coulomb friction [N m or N].
+        mimic: Joint that it follows, multiplier and offset; None for other joints.
+        rotor_inertia: Reflected inertia of the rotor, from an <excite> element, as URDF has none
+            [kg m² or kg].
+        offset: Constant torque, from an <excite> element [N m or N].
+        soft_position: The position limit narrowed by the <safety_controller>; None where it does
+            not narrow it.
+        unusable: For each stated limit that cannot be used the reason.
+    """
 
     name: str
     kind: str
@@ -39,13 +67,19 @@ class JointEntry:
     torque: float | None
     viscous: float
     coulomb: float
-    mimic: tuple[str, float, float] | None  # (master, multiplier, offset)
-    rotor_inertia: float = 0.0  # this and the next by <excite>, for which URDF has no words
+    mimic: tuple[str, float, float] | None
+    rotor_inertia: float = 0.0
     offset: float = 0.0
+    soft_position: tuple[float, float] | None = None
+    unusable: Mapping[str, str] = field(default_factory=dict)
 
     def unit(self, turning: str) -> str:
-        """What stands for a turning joint's unit: of a sliding one N, m and kg for N m, rad and kg
-        m²; its angles of waves are m too."""
+        """Unit of a quantity of this joint.
+
+        Args:
+            turning: The unit for a turning joint, such as "N m s/rad". A sliding one has N, m and
+                kg for N m, rad and kg m²; its waves are per length.
+        """
         if self.kind != "prismatic":
             return turning
         return {"kg m²": "kg", "1/turn": "rad/m"}.get(
@@ -55,44 +89,75 @@ class JointEntry:
 
 @dataclass(frozen=True)
 class Urdf:
-    """The mechanical content of a URDF, and a reduced text that Pinocchio parses without
-    surprises."""
+    """The mechanical content of a URDF.
+
+    Attributes:
+        source: Path of the file.
+        name: Name of the robot.
+        joints: The movable joints by name.
+        links: Names of all links.
+        placements: Placement of all joints, fixed ones too.
+        inertias: Inertia of the links that state one.
+        remarks: Sentences on what was ignored.
+    """
 
     source: str
-    text: str
     name: str
     joints: dict[str, JointEntry]
     links: tuple[str, ...]
+    placements: tuple[JointPlacement, ...]
+    inertias: dict[str, LinkInertia]
+    remarks: tuple[str, ...]
+
+    @property
+    def rounded(self) -> tuple[str, ...]:
+        """Names of the joints, fixed ones too, whose placement is rounded; see
+        `exact_placement`."""
+        return tuple(joint.name for joint in self.placements if joint.exact() is not joint)
+
+    @property
+    def reach(self) -> float:
+        """Sum of the lengths of the joint offsets [m]."""
+        return sum(math.hypot(*joint.xyz) for joint in self.placements)
+
+    def alias(self, link: str) -> str:
+        """Name of a link in `text`: another one where a joint has the same name."""
+        joints = {joint.name for joint in self.placements}
+        alias = link
+        while alias in joints:
+            alias += ALIAS_SUFFIX
+        return alias
+
+    def text(self, *, exact: bool = False) -> str:
+        """A URDF of joints and inertias alone, which Pinocchio parses without surprises.
+
+        Args:
+            exact: Whether placements are exact; see `exact_placement`.
+        """
+        aliases = {link: _escape(self.alias(link)) for link in self.links}
+        joints = [joint.exact() if exact else joint for joint in self.placements]
+        return "\n".join(
+            [
+                f'<robot name="{_escape(self.name)}">',
+                *(joint.text(aliases) for joint in joints),
+                *(_link_text(aliases[link], self.inertias.get(link)) for link in self.links),
+                "</robot>\n",
+            ]
+        )
 
 
 def read(path: Path) -> Urdf:
-    """Parse the URDF at `path`.
+    """Parse the URDF, or the file of another format that can be converted to one, at `path`.
 
     Raises:
-        UnusableInput: The file is missing, is an unexpanded xacro, is no valid XML or is not in the
-            encoding that it declares; it holds a number outside its `physical_ranges`; it has a
-            joint of more than one degree of freedom; or its links form no tree.
+        UnusableRobot: Joints or links have faults: a number outside its `physical_ranges`, a joint
+            of more than one degree of freedom.
+        UnusableInput: The file is missing, is no valid XML or is not in the encoding that it
+            declares; or its links form no tree.
     """
-    if not is_file(path):
-        raise UnusableInput(
-            f"{path}: no such file; give a URDF's path or a name that 'excite robots' lists"
-        )
-    raw = xml_file.read_text(path, "a URDF")
-    if raw.strip() and not raw.lstrip("\ufeff \t\r\n").startswith("<"):
-        raise UnusableInput(
-            f"{path}: is not a URDF; first comes the robot's URDF or a name that 'excite robots' "
-            "lists"
-        )
-    # ROS macros are marked by the suffix, the root's namespace or the substitutions that only xacro
-    # understands.
-    bare = re.sub(r"<!--.*?-->", "", raw, flags=re.DOTALL)
-    if path.suffix == ".xacro" or re.search(r"<xacro:|\$\{[^}]*\}|\$\((arg|find)\b", bare):
-        raise UnusableInput(
-            f"{path}: is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf"
-        )
+    converted = source_text.read_robot(path)
+    raw = converted.text
     root = xml_file.parse_text(path, raw)
-    if root.tag != "robot":
-        raise UnusableInput(f"{path}: its root is <{root.tag}>, not <robot>; give a URDF")
     source = str(path)
     links = tuple(_names(source, root, "link"))
     _names(source, root, "joint")
@@ -101,26 +166,42 @@ def read(path: Path) -> Urdf:
             f"{source}: has {len(links)} links, more than {MOST_LINKS}; leave out what does not "
             "belong to the robot"
         )
-    joints, elements = {}, []
-    for element in root.findall("joint"):
-        entry = _joint(source, element)
-        if entry is not None:
-            joints[entry.name] = entry
-        elements.append(_plain_joint(source, element, set(links)))
-    _require_tree(source, root, links)
-    elements += [_plain_link(source, link) for link in root.findall("link")]
     name = _printable(source, "robot", root.get("name") or path.stem)
-    text = f'<robot name="{_escape(name)}">\n' + "\n".join(elements) + "\n</robot>\n"
-    return Urdf(source=source, text=text, name=name, joints=joints, links=links)
+    faults: list[str] = []
+    joints: dict[str, JointEntry] = {}
+    placements: list[JointPlacement] = []
+    inertias: dict[str, LinkInertia] = {}
+    for element in root.findall("joint"):
+        with _collected(faults):
+            placement = _placement_of(source, element, set(links))
+            entry = _joint(source, element)
+            placements.append(placement)
+            if entry is not None:
+                joints[entry.name] = entry
+    for element in root.findall("link"):
+        with _collected(faults):
+            inertia = _inertia_of(source, element)
+            if inertia is not None:
+                inertias[str(element.get("name"))] = inertia
+    if faults:
+        raise UnusableRobot(faults)
+    _require_tree(source, root, links)
+    undeclared = xml_file.undeclared_prefixes(raw)
+    remarks = [
+        f"{source}: elements and attributes of the undeclared XML prefix '{prefix}' are ignored"
+        for prefix in undeclared
+    ]
+    remarks += converted.remarks
+    return Urdf(source, name, joints, links, tuple(placements), inertias, tuple(remarks))
 
 
-def is_file(path: Path) -> bool:
-    """Whether a path names a regular file that can be looked up; names that are too long name
-    none."""
+@contextmanager
+def _collected(faults: list[str]) -> Iterator[None]:
+    """Append the message of an UnusableInput to a list instead of raising it."""
     try:
-        return path.is_file()
-    except OSError:
-        return False
+        yield
+    except UnusableInput as error:
+        faults.append(str(error))
 
 
 def _require_finite_shapes(source: str, link: ElementTree.Element) -> None:
@@ -284,13 +365,15 @@ def _joint(source: str, element: ElementTree.Element) -> JointEntry | None:
             "are known"
         )
     limit, dynamics, mimic = element.find("limit"), element.find("dynamics"), element.find("mimic")
+    unusable: dict[str, str] = {}
     position = None
     if kind != "continuous" and limit is not None:
-        lower, upper = (
-            _number(source, owner, limit, key, ranges.POSITION) for key in ("lower", "upper")
-        )
-        pair = (lower or 0.0, upper or 0.0)  # URDF: an omitted bound is 0
-        position = pair if pair[1] - pair[0] >= NARROWEST else None
+        position = _position(source, owner, kind, limit, unusable)
+    speed = _number(source, owner, limit, "velocity", ranges.VELOCITY)
+    effort = _number(source, owner, limit, "effort", ranges.EFFORT)
+    for quantity, value in (("velocity", speed), ("torque", effort)):
+        if value is not None and value <= 0.0:
+            unusable[quantity] = f"it states {value:g}"
     follows = None
     if mimic is not None:
         multiplier = _number(source, owner, mimic, "multiplier", ranges.MIMIC_MULTIPLIER)
@@ -306,8 +389,8 @@ def _joint(source: str, element: ElementTree.Element) -> JointEntry | None:
         kind=kind,
         child=_ends(element)[1],
         position=position,
-        velocity=_positive(_number(source, owner, limit, "velocity", ranges.VELOCITY)),
-        torque=_positive(_number(source, owner, limit, "effort", ranges.EFFORT)),
+        velocity=_positive(speed),
+        torque=_positive(effort),
         viscous=max(
             _number(source, owner, dynamics, "damping", ranges.VISCOUS_FRICTION) or 0.0, 0.0
         ),
@@ -319,64 +402,173 @@ def _joint(source: str, element: ElementTree.Element) -> JointEntry | None:
             _number(source, owner, extra, "rotor_inertia", ranges.ROTOR_INERTIA) or 0.0, 0.0
         ),
         offset=_number(source, owner, extra, "offset", ranges.EFFORT) or 0.0,
+        soft_position=_soft_position(source, owner, element, position, unusable),
+        unusable=unusable,
     )
+
+
+def _position(
+    source: str, owner: str, kind: str, limit: ElementTree.Element, unusable: dict[str, str]
+) -> tuple[float, float] | None:
+    """Position limits of a joint that has some; of others None, with the reason in `unusable`."""
+    accepted = ranges.POSITION if kind == "prismatic" else ranges.STATED_POSITION
+    lower, upper = (
+        _number(source, owner, limit, key, accepted) or 0.0 for key in ("lower", "upper")
+    )  # URDF: an omitted bound is 0
+    if upper - lower < NARROWEST_RANGE:
+        if lower or upper:
+            unusable["position"] = f"it states {lower:g} to {upper:g}"
+        return None
+    if kind != "prismatic" and upper - lower > WIDEST_RANGE:
+        unusable["position"] = range_in_turns((lower, upper))
+        return None
+    return lower, upper
+
+
+def range_in_turns(position: tuple[float, float]) -> str:
+    """A range of angles in words that doubt it: "from -177 to 177 rad is 56 turns (degrees?)"."""
+    lower, upper = position
+    turns = (upper - lower) / (2.0 * math.pi)
+    return f"from {lower:g} to {upper:g} rad is {turns:.3g} turns (degrees?)"
+
+
+def _soft_position(
+    source: str,
+    owner: str,
+    element: ElementTree.Element,
+    position: tuple[float, float] | None,
+    unusable: dict[str, str],
+) -> tuple[float, float] | None:
+    """Position limits within the soft limits of a <safety_controller>, at which a controller that
+    reads it stops the joint; None where they do not narrow the range."""
+    safety = element.find("safety_controller")
+    if safety is None or position is None:
+        return None
+    lower, upper = (
+        _number(source, owner, safety, key, ranges.STATED_POSITION) or 0.0
+        for key in ("soft_lower_limit", "soft_upper_limit")
+    )
+    if not lower < upper or (lower <= position[0] and upper >= position[1]):
+        return None  # no soft limits are stated, or wider ones
+    narrowed = max(lower, position[0]), min(upper, position[1])
+    if narrowed[1] - narrowed[0] < NARROWEST_RANGE:
+        unusable["soft position"] = f"the safety_controller states {lower:g} to {upper:g}"
+        return None
+    return narrowed
 
 
 def _positive(value: float | None) -> float | None:
     return value if value is not None and value > 0.0 else None
 
 
-def _origin(source: str, owner: str, element: ElementTree.Element) -> str:
+def _placement(
+    source: str, owner: str, element: ElementTree.Element
+) -> tuple[list[float], list[float]]:
+    """Position [m] and roll, pitch, yaw [rad] of an element's <origin>."""
     origin = element.find("origin")
     given = {} if origin is None else origin.attrib
     xyz = numbers(source, f"{owner}, origin xyz", given.get("xyz", "0 0 0"), 3, ranges.LENGTH)
     rpy = numbers(source, f"{owner}, origin rpy", given.get("rpy", "0 0 0"), 3, ranges.ANGLE)
+    return xyz, rpy
+
+
+def _origin(xyz: Sequence[float], rpy: Sequence[float]) -> str:
     return f'<origin xyz="{_words(xyz)}" rpy="{_words(rpy)}"/>'
 
 
-def _words(values: list[float]) -> str:
+def _words(values: Sequence[float]) -> str:
     return " ".join(repr(value) for value in values)
 
 
-def _plain_joint(source: str, element: ElementTree.Element, links: set[str]) -> str:
-    """The joint with what Pinocchio needs and no more; a continuous one becomes revolute, so that
-    nq = nv."""
+@dataclass(frozen=True)
+class JointPlacement:
+    """Where a joint is, and along which axis it moves.
+
+    Attributes:
+        name: Name of the joint.
+        kind: Its type in a URDF.
+        parent: Name of its parent link.
+        child: Name of its child link.
+        xyz: Position of its frame in the parent link's [m].
+        rpy: Roll, pitch and yaw of its frame [rad].
+        axis: Unit vector along which it moves, in its frame.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    xyz: list[float]
+    rpy: list[float]
+    axis: list[float]
+
+    def text(self, links: Mapping[str, str]) -> str:
+        """The joint as an element of a URDF; a continuous one is revolute, so that nq = nv.
+
+        Args:
+            links: Escaped names of the links in that URDF.
+        """
+        kind = "revolute" if self.kind == "continuous" else self.kind
+        return (
+            f'<joint name="{_escape(self.name)}" type="{kind}">'
+            f'<parent link="{links[self.parent]}"/><child link="{links[self.child]}"/>'
+            f"{_origin(self.xyz, self.rpy)}"
+            f'<axis xyz="{_words(self.axis)}"/>'
+            '<limit lower="-1e9" upper="1e9" velocity="1e9" effort="1e9"/></joint>'
+        )
+
+    def exact(self) -> JointPlacement:
+        """The joint with its placement exact; itself where nothing is rounded."""
+        xyz, rpy = exact_placement.exact_lengths(self.xyz), exact_placement.exact_angles(self.rpy)
+        axis = exact_placement.exact_direction(self.axis)
+        stated, exact = [*self.xyz, *self.rpy, *self.axis], [*xyz, *rpy, *axis]
+        if not exact_placement.is_rounded(stated, exact):
+            return self
+        return dataclasses.replace(self, xyz=xyz, rpy=rpy, axis=axis)
+
+
+def _placement_of(source: str, element: ElementTree.Element, links: set[str]) -> JointPlacement:
     name, kind = _attribute(source, element, "name"), _attribute(source, element, "type")
     owner = f"joint '{name}'"
-    ends = []
-    for tag, link in zip(("parent", "child"), _ends(element), strict=True):
+    parent, child = _ends(element)
+    for tag, link in (("parent", parent), ("child", child)):
         if link not in links:
             raise UnusableInput(
                 f"{source}: {owner}: its {tag} link '{link}' is not defined; add the <link>"
             )
-        ends.append(f'<{tag} link="{_escape(link)}"/>')
     axis_element = element.find("axis")
     direction = "1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0")
     axis = numbers(source, f"{owner}, axis", direction, 3, ranges.AXIS)
     length = math.hypot(*axis)
-    if kind != "fixed" and length < 1e-9:
+    if kind != "fixed" and length < SHORTEST_AXIS:
         raise UnusableInput(f"{source}: {owner}: its axis is zero; give a direction in <axis xyz>")
     unit = [value / length for value in axis] if length else [1.0, 0.0, 0.0]
-    kind = "revolute" if kind == "continuous" else kind
-    return (
-        f'<joint name="{_escape(name)}" type="{kind}">{ends[0]}{ends[1]}{_origin(source, owner, element)}'  # noqa: E501
-        f'<axis xyz="{_words(unit)}"/><limit lower="-1e9" upper="1e9" velocity="1e9" effort="1e9"/></joint>'  # noqa: E501
-    )
+    xyz, rpy = _placement(source, owner, element)
+    return JointPlacement(name, kind, parent, child, xyz, rpy, unit)
 
 
-def _plain_link(source: str, element: ElementTree.Element) -> str:
+def _inertia_of(source: str, element: ElementTree.Element) -> LinkInertia | None:
+    """Inertia of a link; None where it states none."""
     name = _attribute(source, element, "name")
     _require_finite_shapes(source, element)
     owner = f"link '{name}'"
     inertial = element.find("inertial")
     if inertial is None:
-        return f'<link name="{_escape(name)}"/>'
+        return None
     mass = _number(source, owner, inertial.find("mass"), "value", ranges.MASS) or 0.0
     tensor = inertial.find("inertia")
-    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    values = [_number(source, owner, tensor, key, ranges.INERTIA) or 0.0 for key in keys]
-    moments = " ".join(f'{key}="{value!r}"' for key, value in zip(keys, values, strict=True))
+    keys = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+    moments = [_number(source, owner, tensor, key, ranges.INERTIA) or 0.0 for key in keys]
+    xyz, rpy = _placement(source, owner, inertial)
+    return LinkInertia(mass, tuple(xyz), tuple(moments), tuple(rpy))  # type: ignore[arg-type]
+
+
+def _link_text(name: str, inertia: LinkInertia | None) -> str:
+    if inertia is None:
+        return f'<link name="{name}"/>'
+    xx, xy, yy, xz, yz, zz = inertia.tensor
     return (
-        f'<link name="{_escape(name)}"><inertial>{_origin(source, owner, inertial)}'
-        f'<mass value="{mass!r}"/><inertia {moments}/></inertial></link>'
+        f'<link name="{name}"><inertial>{_origin(inertia.centre, inertia.rpy)}'
+        f'<mass value="{inertia.mass!r}"/><inertia ixx="{xx!r}" ixy="{xy!r}" ixz="{xz!r}" '
+        f'iyy="{yy!r}" iyz="{yz!r}" izz="{zz!r}"/></inertial></link>'
     )

@@ -32,6 +32,18 @@ BYTE_ORDER_MARKS = (
 UTF-16."""
 
 
+UNDECLARED = "urn:undeclared:"
+"""Beginning of the namespace that an undeclared prefix gets."""
+COMMENT = re.compile(r"<!--.*?-->|<!\[CDATA\[.*?\]\]>", re.DOTALL)
+TAG = re.compile(r"<[^<>!?][^<>]*>")
+VALUE = re.compile(r"\"[^\"]*\"|'[^']*'")
+PREFIX = re.compile(r"(?<=[<\s/])([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s/>=])")
+"""Prefix of the name of an element or an attribute."""
+DECLARATION = re.compile(r"\sxmlns:([A-Za-z_][\w.-]*)\s*=")
+ROOT_NAME = re.compile(r"\A(?:\ufeff|\s|<\?.*?\?>|<!--.*?-->)*<[A-Za-z_][\w.:-]*", re.DOTALL)
+"""Everything before the root element's attributes."""
+
+
 class _BoundedBuilder(ElementTree.TreeBuilder):
     """A tree builder that refuses document type definitions and deep nesting."""
 
@@ -129,9 +141,23 @@ def parse(path: Path, kind: str, *, keep_comments: bool = False) -> ElementTree.
     return parse_text(path, read_text(path, kind), keep_comments=keep_comments)
 
 
+def undeclared_prefixes(text: str) -> list[str]:
+    """XML prefixes that a document uses and does not declare, which ROS and Pinocchio ignore."""
+    if ":" not in text:
+        return []
+    tags = [VALUE.sub('""', tag) for tag in TAG.findall(COMMENT.sub("", text)) if ":" in tag]
+    used = dict.fromkeys(prefix for tag in tags for prefix in PREFIX.findall(tag))
+    declared = {"xml", "xmlns"} | {name for tag in tags for name in DECLARATION.findall(tag)}
+    return [prefix for prefix in used if prefix not in declared]
+
+
 def parse_text(path: Path, text: str, *, keep_comments: bool = False) -> ElementTree.Element:
     """Parse the text of an XML file, as `read_text` returns it, to its root element; see
     `parse`."""
+    prefixes = undeclared_prefixes(text)
+    if prefixes:
+        declared = " ".join(f'xmlns:{prefix}="{UNDECLARED}{prefix}"' for prefix in prefixes)
+        text = ROOT_NAME.sub(lambda match: f"{match[0]} {declared}", text, count=1)
     parser = ElementTree.XMLParser(target=_BoundedBuilder(path, keep_comments=keep_comments))
     try:
         parser.feed(text)

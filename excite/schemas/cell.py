@@ -6,7 +6,18 @@ from typing import Literal
 
 import msgspec
 
-from .quantities import Angle, ClearanceDistance, FilePath, Length, Name, Sha256, Size, Text, shown
+from .quantities import (
+    Angle,
+    ClearanceDistance,
+    FilePath,
+    Length,
+    Name,
+    Sha256,
+    ShapeSize,
+    Size,
+    Text,
+    shown,
+)
 
 ShapeKindName = Literal["sphere", "capsule", "cylinder", "box", "mesh", "floor"]
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "mesh": 3, "floor": 0}
@@ -29,7 +40,7 @@ class ShapeDocument(msgspec.Struct):
 
     name: Name
     kind: ShapeKindName
-    size: list[Size]
+    size: list[ShapeSize]
     position: tuple[Length, Length, Length]
     rotation: tuple[Angle, Angle, Angle]
     link: Name | None = None
@@ -41,6 +52,9 @@ class ShapeDocument(msgspec.Struct):
             raise ValueError(
                 f"size: a {self.kind} should have {SIZES[self.kind]} values, not {len(self.size)}"
             )
+        for i, length in enumerate(self.size):
+            if self.kind != "mesh" and not Size.accepted.accepts(length):
+                raise ValueError(f"size[{i}]: {shown(length)} should be {Size.accepted}")
         if self.kind == "mesh" and (self.file is None or self.sha256 is None):
             raise ValueError("a mesh should state its file and the file's sha256")
         if self.kind != "mesh" and self.file is not None:

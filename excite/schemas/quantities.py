@@ -203,6 +203,12 @@ class MeshScale(Quantity):
     accepted = Range(ranges.MESH_SCALE.smallest, ranges.MESH_SCALE.upper, "1")
 
 
+class ShapeSize(Quantity):
+    """A size of a shape, or a scale of a mesh, which a URDF may mirror by a negative one."""
+
+    accepted = ranges.MESH_SCALE
+
+
 class Gravity(Quantity):
     """A component of the acceleration of gravity."""
 
@@ -225,6 +231,30 @@ class Period(Quantity):
     """A period of an excitation: at least a control cycle, at most 12 days."""
 
     accepted = ranges.PERIOD
+
+
+class PhaseTime(Quantity):
+    """A phase of an excitation, as the time at which the periodic motion has it."""
+
+    accepted = Range(-ranges.PERIOD.upper, ranges.PERIOD.upper, "s")
+
+
+class PhaseRate(Quantity):
+    """The rate of a phase over its rate in the periodic motion; a ramp never runs faster."""
+
+    accepted = Range(-1.0, 1.0, "1")
+
+
+class PhaseAcceleration(Quantity):
+    """The acceleration of a phase: from 0 to 1 within 1 ms at most, a usual control cycle."""
+
+    accepted = Range(-1e3, 1e3, "1/s")
+
+
+class PhaseJerk(Quantity):
+    """The jerk of a phase: the largest acceleration gained in 1 ms at most."""
+
+    accepted = Range(-1e6, 1e6, "1/s²")
 
 
 class Rate(Quantity):

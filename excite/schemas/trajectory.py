@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import msgspec
 
@@ -23,6 +23,10 @@ from .quantities import (
     Length,
     Name,
     Period,
+    PhaseAcceleration,
+    PhaseJerk,
+    PhaseRate,
+    PhaseTime,
     Position,
     PositiveMass,
     Rate,
@@ -55,6 +59,12 @@ FREQUENCY_TOLERANCE = 1e-9
 """Relative difference of `base_frequency` and 2π over `period` that is tolerated [1]."""
 
 
+InertiaNumbers: TypeAlias = tuple[
+    PositiveMass, Length, Length, Length, Inertia, Inertia, Inertia, Inertia, Inertia, Inertia
+]
+"""Mass, centre of mass and moments xx, xy, yy, xz, yz, zz of a link."""
+
+
 class PayloadDocument(msgspec.Struct):
     """A body that is attached to a link."""
 
@@ -73,6 +83,7 @@ class RobotDocument(msgspec.Struct):
     locked: dict[str, Position]
     payload: PayloadDocument | None
     gravity: tuple[Gravity, Gravity, Gravity]
+    inertias: dict[str, InertiaNumbers] | None = None
 
 
 class ProfileDocument(msgspec.Struct):
@@ -91,16 +102,34 @@ class ProfileDocument(msgspec.Struct):
     pieces: dict[str, list[tuple[Time, Jerk]]]
 
 
+class PhaseDocument(msgspec.Struct):
+    """A ramp f(σ(t)) along the path of the Fourier part f, whose phase σ is piecewise cubic.
+
+    start, rate, acceleration: phase [s] and its derivatives [1, 1/s] at its start. pieces:
+    (duration [s], jerk of the phase [1/s²]) of each piece.
+    """
+
+    start: PhaseTime
+    rate: PhaseRate
+    acceleration: PhaseAcceleration
+    pieces: list[tuple[Time, PhaseJerk]]
+
+
 class SegmentDocument(msgspec.Struct):
-    """A segment of a motion; the Fourier segment has no profile."""
+    """A segment of a motion: a ramp has a profile or a phase, the Fourier segment has neither."""
 
     kind: SegmentKind
     start: Time
     end: Time
     profile: ProfileDocument | None = None
+    phase: PhaseDocument | None = None
 
     def __post_init__(self) -> None:
-        if (self.profile is None) != (self.kind == "fourier"):
+        if self.profile is not None and self.phase is not None:
+            raise ValueError(f"the {self.kind} has both a profile and a phase")
+        if self.phase is not None and self.kind not in ("ramp_in", "ramp_out"):
+            raise ValueError(f"the {self.kind} has a phase, as ramps alone may have")
+        if (self.profile is None and self.phase is None) != (self.kind == "fourier"):
             raise ValueError(
                 "the Fourier part has no profile"
                 if self.kind == "fourier"

@@ -93,7 +93,12 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTra
             window = (start, end)
             parts.append((start, end, wave))
         else:
-            parts.append((start, end, _ramp(segment["profile"], joints)))
+            ramp = (
+                _phase_ramp(segment["phase"], wave)
+                if "phase" in segment
+                else _ramp(segment["profile"], joints)
+            )
+            parts.append((start, end, ramp))
 
     def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         out = tuple(np.empty((len(t), len(joints))) for _ in range(3))
@@ -158,6 +163,32 @@ def _ramp(
             out[1][:, j] = v0 + s * (a0 + s * j0 / 2)
             out[2][:, j] = a0 + s * j0
         return out[0], out[1], out[2]
+
+    return at
+
+
+def _phase_ramp(
+    phase: Mapping[str, Any],
+    wave: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
+) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return a ramp along the path of the Fourier part, as a function of the time since its start.
+
+    Args:
+        phase: Entry `phase` of the segment.
+        wave: The Fourier part as a function of the phase.
+    """
+    profile = {
+        "position": [phase["start"]],
+        "velocity": [phase["rate"]],
+        "acceleration": [phase["acceleration"]],
+        "pieces": {"phase": phase["pieces"]},
+    }
+    phase_at = _ramp(profile, ("phase",))
+
+    def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        sigma, rate, acceleration = phase_at(t)
+        q, dq, ddq = wave(sigma[:, 0])
+        return q, dq * rate, ddq * rate**2 + dq * acceleration
 
     return at
 

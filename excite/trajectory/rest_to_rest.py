@@ -1,4 +1,8 @@
-"""Complete motions from rest to rest: approach, ramp-in, Fourier periods, ramp-out, return."""
+"""Complete motions from rest to rest: approach, ramp-in, Fourier periods, ramp-out, return.
+
+Ramps have piecewise constant jerk in joint space, or follow the path of the periodic motion with a
+phase that accelerates from standstill.
+"""
 
 from __future__ import annotations
 
@@ -81,6 +85,28 @@ class JerkProfile:
         """Return all times at which the jerk of any joint changes [s]."""
         return np.unique(np.concatenate([self._states(j, p)[0] for j, p in enumerate(self.pieces)]))
 
+    def max_acceleration(self, length: float) -> FloatArray:
+        """Return the largest acceleration of each joint within a time, exactly.
+
+        The acceleration is linear between knots, hence extreme at knots and at both ends.
+
+        Args:
+            length: Duration that is considered, from the start [s].
+
+        Returns:
+            Largest absolute values. Shape (n,) [rad/s²].
+        """
+        knots = self.knots()
+        times = np.append(knots[knots < length], length)
+        return np.abs(self.at(times, 2)).max(axis=0)
+
+    def slowed(self, speed: float) -> JerkProfile:
+        """Return the same path at `speed` times the speed [1]."""
+        pieces = tuple(tuple((d / speed, j * speed**3) for d, j in row) for row in self.pieces)
+        return JerkProfile(
+            self.position, self.velocity * speed, self.acceleration * speed**2, pieces
+        )
+
     def critical_times(self, length: float) -> FloatArray:
         """Return all times at which position, velocity, acceleration or jerk can be extreme.
 
@@ -123,6 +149,111 @@ def _quadratic_roots(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[Float
 
 
 @dataclass(frozen=True)
+class PhaseProfile:
+    """Part of a periodic motion f played at a varying rate: q(t) = f(σ(t)).
+
+    A ramp of this form stays on the path of the periodic motion, so that position limits, boxes
+    and clearances that hold along the path hold on the ramp.
+
+    Attributes:
+        fourier: Periodic motion f.
+        phase: Phase σ as a profile of one coordinate, piecewise cubic in time [s].
+    """
+
+    fourier: FourierSeries
+    phase: JerkProfile
+
+    @property
+    def position(self) -> FloatArray:
+        """Positions at the start. Shape (n,) [rad]."""
+        return self.at(np.zeros(1))[0]
+
+    def at(self, t: float | FloatArray, order: int = 0) -> FloatArray:
+        """Evaluate the motion or one of its time derivatives, by the chain rule.
+
+        Args:
+            t: Times since the start, not negative [s]. Shape () or (N,).
+            order: Order of the derivative, 0 to 3.
+
+        Returns:
+            Positions [rad] or derivatives [rad/s^order]. Shape (n,) or (N, n).
+        """
+        times = np.atleast_1d(np.asarray(t, float))
+        phase, *rates = (self.phase.at(times, k) for k in range(order + 1))
+        f = [self.fourier.at(phase[:, 0], k) for k in range(order + 1)]
+        out = _chain_rule(f, rates, order)
+        return out[0] if np.ndim(t) == 0 else out
+
+    def knots(self) -> FloatArray:
+        """Return all times at which the third derivative of the phase changes [s]."""
+        return self.phase.knots()
+
+    def max_acceleration(self, length: float) -> FloatArray:
+        """Bound the acceleration of each joint within a time, see `derivative_bound`."""
+        return self.derivative_bound(2, length)
+
+    def derivative_bound(self, order: int, length: float) -> FloatArray:
+        """Bound a time derivative of each joint over the whole profile.
+
+        The chain rule is evaluated with the largest absolute values of all factors.
+
+        Args:
+            order: Order of the derivative, 1 to 5.
+            length: Duration that is considered, from the start [s].
+
+        Returns:
+            Bounds. Shape (n,) [rad/s^order].
+        """
+        times = self.phase.critical_times(length)
+        middle = 0.5 * (times[:-1] + times[1:])
+        rates = [np.abs(self.phase.at(times, k)).max(axis=0) for k in (1, 2)]
+        rates.append(np.abs(self.phase.at(middle, 3)).max(axis=0))
+        peaks = [np.zeros(self.fourier.n), *(self.fourier.peak(k) for k in range(1, order + 1))]
+        return _chain_rule(peaks, rates, order)
+
+    def slowed(self, speed: float) -> PhaseProfile:
+        """Return the same path at `speed` times the speed [1]."""
+        p = self.phase
+        # σ counts the time of the periodic motion, which is slowed as well: σ'(t) = σ(s t)/s
+        pieces = tuple(tuple((d / speed, j * speed**2) for d, j in row) for row in p.pieces)
+        phase = JerkProfile(p.position / speed, p.velocity, p.acceleration * speed, pieces)
+        return PhaseProfile(self.fourier.slowed(speed), phase)
+
+
+def _chain_rule(f: Sequence[FloatArray], rates: Sequence[FloatArray], order: int) -> FloatArray:
+    """Return a derivative of f(σ(t)) by t, for a phase σ that is cubic (Faà di Bruno).
+
+    Args:
+        f: Derivatives of f by σ, of order 0 to `order`.
+        rates: Derivatives of σ by t, of order 1 to min(order, 3).
+        order: Order of the derivative, 0 to 5.
+    """
+    if order == 0:
+        return f[0]
+    a = rates[0]
+    if order == 1:
+        return f[1] * a
+    b = rates[1]
+    if order == 2:
+        return f[2] * a**2 + f[1] * b
+    c = rates[2]
+    if order == 3:
+        return f[3] * a**3 + 3.0 * f[2] * a * b + f[1] * c
+    if order == 4:
+        return f[4] * a**4 + 6.0 * f[3] * a**2 * b + f[2] * (3.0 * b**2 + 4.0 * a * c)
+    return (
+        f[5] * a**5
+        + 10.0 * f[4] * a**3 * b
+        + f[3] * (15.0 * a * b**2 + 10.0 * a**2 * c)
+        + 10.0 * f[2] * b * c
+    )
+
+
+Profile = JerkProfile | PhaseProfile
+"""Motion of a segment other than the Fourier part."""
+
+
+@dataclass(frozen=True)
 class MotionSegment:
     """Part of a motion.
 
@@ -136,7 +267,7 @@ class MotionSegment:
     kind: str
     start: float
     end: float
-    profile: JerkProfile | None = None
+    profile: Profile | None = None
 
 
 @dataclass(frozen=True)
@@ -234,20 +365,15 @@ class Motion:
         """
         if not 0.0 < speed <= 1.0:
             raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
-        parts = []
-        for s in self.segments:
-            profile = None
-            if s.profile is not None:
-                pieces = tuple(
-                    tuple((d / speed, j * speed**3) for d, j in row) for row in s.profile.pieces
-                )
-                profile = JerkProfile(
-                    s.profile.position,
-                    s.profile.velocity * speed,
-                    s.profile.acceleration * speed**2,
-                    pieces,
-                )
-            parts.append(MotionSegment(s.kind, s.start / speed, s.end / speed, profile))
+        parts = [
+            MotionSegment(
+                s.kind,
+                s.start / speed,
+                s.end / speed,
+                None if s.profile is None else s.profile.slowed(speed),
+            )
+            for s in self.segments
+        ]
         return Motion(self.joints, self.fourier.slowed(speed), self.periods, tuple(parts))
 
 
@@ -256,7 +382,15 @@ def segments_to_document(motion: Motion) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for s in motion.segments:
         entry: dict[str, Any] = {"kind": s.kind, "start": s.start, "end": s.end}
-        if s.profile is not None:
+        if isinstance(s.profile, PhaseProfile):
+            phase = s.profile.phase
+            entry["phase"] = {
+                "start": float(phase.position[0]),
+                "rate": float(phase.velocity[0]),
+                "acceleration": float(phase.acceleration[0]),
+                "pieces": [list(p) for p in phase.pieces[0]],
+            }
+        elif s.profile is not None:
             entry["profile"] = {
                 "position": s.profile.position.tolist(),
                 "velocity": s.profile.velocity.tolist(),
@@ -271,18 +405,26 @@ def segments_to_document(motion: Motion) -> list[dict[str, Any]]:
 
 
 def segments_from_document(
-    document: Sequence[SegmentDocument], joints: tuple[str, ...]
+    document: Sequence[SegmentDocument], joints: tuple[str, ...], fourier: FourierSeries
 ) -> tuple[MotionSegment, ...]:
     """Return the segments of a validated `trajectory.json`; inverse of `segments_to_document`.
 
     Args:
         document: Entries of the key `segments`.
         joints: Names of the joints, in the order of the motion.
+        fourier: Periodic motion, which phase ramps follow.
     """
     out = []
     for entry in document:
-        profile, stated = None, entry.profile
-        if stated is not None:
+        profile: Profile | None = None
+        stated, phase = entry.profile, entry.phase
+        if phase is not None:
+            start, rate, acceleration = (
+                np.array([value], float) for value in (phase.start, phase.rate, phase.acceleration)
+            )
+            row = tuple((float(d), float(j)) for d, j in phase.pieces)
+            profile = PhaseProfile(fourier, JerkProfile(start, rate, acceleration, (row,)))
+        elif stated is not None:
             pieces = tuple(
                 tuple((float(d), float(j)) for d, j in stated.pieces[joint]) for joint in joints
             )

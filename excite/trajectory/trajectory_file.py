@@ -15,7 +15,7 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot import limits
 from ..robot.limits import Limits
-from ..robot.robot import Payload, Robot, load
+from ..robot.robot import Payload, Robot, inertias_of_document, load
 from ..schemas.document_file import DocumentFile
 from ..schemas.trajectory import SCHEMA, TrajectoryDocument
 from .fourier import FourierSeries
@@ -104,6 +104,7 @@ class Trajectory:
             lock={k: v for k, v in stated.get("locked", {}).items()},
             payload=None if payload is None else _payload(payload),
             gravity=stated.get("gravity", (0.0, 0.0, -9.81)),
+            inertias=inertias_of_document(stated.get("inertias") or {}),
         )
         if robot.sha256 != stated["sha256"]:
             raise UnusableInput(
@@ -125,7 +126,8 @@ def _payload(stated: Mapping[str, Any]) -> Payload:
 def package_versions() -> dict[str, str]:
     """Return the versions of excite and of the packages that compute its results."""
     return {"excite": __version__} | {
-        name: metadata.version(name) for name in ("casadi", "pin", "numpy", "scipy", "ruckig")
+        name: metadata.version(name)
+        for name in ("casadi", "daqp", "pin", "numpy", "scipy", "ruckig")
     }
 
 
@@ -178,7 +180,10 @@ def _from_document(document: TrajectoryDocument, content: Mapping[str, Any]) -> 
     arrays = [np.array(rows, float) for rows in (document.sine, document.cosine, document.offset)]
     fourier = FourierSeries(arrays[0], arrays[1], arrays[2], float(document.period))
     motion = Motion(
-        joints, fourier, document.periods, segments_from_document(document.segments, joints)
+        joints,
+        fourier,
+        document.periods,
+        segments_from_document(document.segments, joints, fourier),
     )
     return Trajectory(
         robot=content["robot"],

@@ -1,0 +1,121 @@
+"""Ramps along the path of the periodic motion, whose phase accelerates from standstill.
+
+Where f is the periodic motion, such a ramp is f(σ(t)) with a phase rate σ̇ that rises from 0 to 1
+(ramp-in) or falls from 1 to 0 (ramp-out), and a phase acceleration that is 0 at both ends. It stays
+on the path of f, so that position limits, boxes and clearances hold by construction (Bobrow,
+Dubowsky and Gibson, IJRR 1985, for motion along a path). All other limits are checked.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._types import FloatArray
+from ..trajectory.fourier import FourierSeries
+from ..trajectory.rest_to_rest import JerkProfile, PhaseProfile
+from . import constraint_margins
+from .constraint_margins import MotionConstraints
+
+SHORTEST_DURATION = 0.08
+"""Shortest duration that is tried [s]: twice the time grid of the segments."""
+
+DURATION_RATIO = 1.3
+"""Ratio of a duration to the previous one that is tried [1]."""
+
+MAX_PERIODS = 2.0
+"""Longest duration that is tried over the period [1]; the phase advances by half of it."""
+
+COARSE_SAMPLES = 12
+"""Samples of a ramp that discard most durations before all limits are checked [1]."""
+
+MAX_RATIO = 1.0 - 1e-6
+"""Largest ratio of a quantity to its limit on a ramp [1]: the rest is for rounding."""
+
+
+def phase_profile(fourier: FourierSeries, duration: float, *, inwards: bool) -> PhaseProfile:
+    """Return the ramp of a given duration T.
+
+    The phase has a jerk of ±4/T², changing its sign at T/2, so that its rate rises by 1 and the
+    phase itself advances by T/2.
+
+    Args:
+        fourier: Periodic motion, which begins at the end of the ramp-in and ends where the
+            ramp-out begins.
+        duration: Duration T [s].
+        inwards: True for a ramp-in, False for a ramp-out.
+    """
+    jerk = 4.0 / duration**2 if inwards else -4.0 / duration**2
+    half = 0.5 * duration
+    start, rate = (-half, 0.0) if inwards else (0.0, 1.0)
+    phase = JerkProfile(
+        np.array([start]), np.array([rate]), np.zeros(1), (((half, jerk), (half, -jerk)),)
+    )
+    return PhaseProfile(fourier, phase)
+
+
+def violated_limit(
+    constraints: MotionConstraints, profile: PhaseProfile, duration: float, step: float
+) -> str:
+    """Return the kind of the limit that a ramp violates, "" where it violates none.
+
+    Args:
+        constraints: Constraints; clearances are not checked, as the path keeps them.
+        profile: The ramp.
+        duration: Its duration [s].
+        step: Time step at which the certificate will check it [s].
+    """
+    for _, quantity in constraint_margins.phase_quantities(constraints, profile, duration, step):
+        if quantity.largest_ratio() > MAX_RATIO:
+            return quantity.limit
+    return ""
+
+
+def shortest_ramp(
+    constraints: MotionConstraints,
+    fourier: FourierSeries,
+    grid: float,
+    step: float,
+    *,
+    inwards: bool,
+    below: float = np.inf,
+) -> tuple[PhaseProfile, float] | None:
+    """Return the shortest ramp of the tried durations that keeps all limits.
+
+    Args:
+        constraints: Constraints, derived limits included.
+        fourier: Periodic motion from the end of the ramp-in, or to the start of the ramp-out.
+        grid: Duration that segments are multiples of [s].
+        step: Time step at which the certificate will check it [s].
+        inwards: True for a ramp-in, False for a ramp-out.
+        below: Duration that the ramp has to undercut [s].
+
+    Returns:
+        The ramp and its duration [s]; None where there is none.
+    """
+    for duration in _durations(fourier.period, grid, below):
+        profile = phase_profile(fourier, duration, inwards=inwards)
+        if _exceeds_coarsely(constraints, profile, duration):
+            continue
+        if not violated_limit(constraints, profile, duration, step):
+            return profile, duration
+    return None
+
+
+def _exceeds_coarsely(
+    constraints: MotionConstraints, profile: PhaseProfile, duration: float
+) -> bool:
+    """Return whether a few samples exceed the limits of a joint: a cheap necessary condition."""
+    times = duration * (np.arange(COARSE_SAMPLES) + 0.5) / COARSE_SAMPLES
+    return any(
+        (np.abs(profile.at(times, order)) > getattr(constraints.limits, limit)).any()
+        for order, limit in ((3, "jerk"), (2, "acceleration"), (1, "velocity"))
+    )
+
+
+def _durations(period: float, grid: float, below: float) -> FloatArray:
+    """Return the durations to try, ascending multiples of the grid [s]."""
+    longest = MAX_PERIODS * period
+    count = max(int(np.log(longest / SHORTEST_DURATION) / np.log(DURATION_RATIO)), 0) + 1
+    durations = SHORTEST_DURATION * DURATION_RATIO ** np.arange(count + 1)
+    rounded = np.unique(np.ceil(durations / grid - 1e-9)) * grid
+    return np.asarray(rounded[(rounded <= longest + 1e-9) & (rounded < below - 1e-9)])

@@ -1,0 +1,112 @@
+"""Effects that a coarse encoder hides at reversals are not reported."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excite._types import FloatArray
+from excite.effects import EFFECTS_BY_NAME
+from excite.effects.effect import CandidateModel
+from excite.effects.friction import RESOLVED_SPEED_RATIO
+from excite.effects.recorded_motion import RecordedMotion
+
+
+class ReversingMotion:
+    """Three joints with encoders of one resolution: with reversals at `turns` rad/s², at a quarter
+    of it, and without reversals."""
+
+    def __init__(self, step: float, turns: float) -> None:
+        t = np.arange(0.0, 20.0, 0.004)
+        speed, most = (
+            np.column_stack([np.sin(t), 0.25 * np.sin(t), np.ones_like(t)]),
+            np.array([turns, turns, 0.0]),
+        )
+        accelerations = np.column_stack([np.cos(t), 0.25 * np.cos(t), np.zeros_like(t)])
+        self.n, self.steps, self.torque, self.widths = (
+            3,
+            np.full(3, step),
+            np.ones((len(t), 3)),
+            np.full(3, 0.004),
+        )
+        self.samples = types.SimpleNamespace(dq=turns * speed, ddq=most * accelerations)
+        self.fitted_robot = types.SimpleNamespace(actuator_parameter=lambda kind: np.ones(3))
+        self.reversal_dwell: FloatArray = vars(RecordedMotion)["reversal_dwell"].compute(self)
+
+
+def shapes(effect: str, tracks: Sequence[Any]) -> list[CandidateModel]:
+    return list(EFFECTS_BY_NAME[effect].candidates(tracks))
+
+
+ENCODERS = {"bits": st.integers(10, 20), "turns": st.floats(0.5, 20.0)}
+
+
+@given(**ENCODERS)
+def test_dwell_time_at_a_reversal_follows_from_step_and_acceleration(bits, turns):
+    step = 2.0 * np.pi / 2**bits
+    dwell = np.sqrt(2.0 * step / turns)  # q = q̈ t²/2
+    np.testing.assert_allclose(
+        ReversingMotion(step, turns).reversal_dwell, [dwell, 2.0 * dwell, np.inf], rtol=1e-3
+    )
+
+
+@given(**ENCODERS)
+def test_delays_below_the_dwell_time_are_implausible(bits, turns):
+    """The sharpest reversal decides; negative delays need a larger size."""
+    motion = ReversingMotion(2.0 * np.pi / 2**bits, turns)
+    hidden = float(motion.reversal_dwell[0])
+    delays = [shape for shape in shapes("delay", [motion, motion]) if "measured" in shape.values]
+    assert {shape.joint for shape in delays} == {None, 0, 1, 2}
+    for shape in delays:
+        plausible = {
+            part: shape.is_plausible(np.array([part * hidden]))
+            for part in (0.09, 0.11, 0.29, -0.11, -0.29, -0.31)
+        }
+        assert plausible == {
+            0.09: False,
+            0.11: True,
+            0.29: True,
+            -0.11: False,
+            -0.29: False,
+            -0.31: True,
+        }
+
+
+@pytest.mark.parametrize("effect", ["delay", "stribeck", "nonlinear_viscous"])
+def test_a_fine_encoder_hides_no_effect(effect):
+    small = np.array([1e-5])
+    assert all(
+        s.is_plausible(small)
+        for s in shapes(effect, [ReversingMotion(0.0, 3.0)])
+        if "seconds" not in s.values
+    )
+
+
+@given(**ENCODERS)
+def test_friction_that_varies_below_the_resolved_speed_is_implausible(bits, turns):
+    """Stribeck friction that decays there, and a power function that has reached one half there."""
+    motion = ReversingMotion(2.0 * np.pi / 2**bits, turns)
+    resolved, fastest = (
+        RESOLVED_SPEED_RATIO * motion.steps / motion.reversal_dwell,
+        np.abs(motion.samples.dq).max(axis=0),
+    )
+    for factor in (0.9, 1.1):
+        for shape in shapes("stribeck", [motion]):
+            assert shape.nonlinear is not None
+            if resolved[shape.joint_index] > 0.0:  # the joint turns back
+                assert shape.nonlinear.at(factor * resolved[shape.joint_index]).is_plausible(
+                    np.array([0.1])
+                ) == (factor > 1.0)
+        for shape in shapes("nonlinear_viscous", [motion]):
+            assert shape.nonlinear is not None
+            if 0.0 < factor * resolved[shape.joint_index] < fastest[shape.joint_index]:
+                power = np.log(0.5) / np.log(
+                    factor * resolved[shape.joint_index] / fastest[shape.joint_index]
+                )
+                assert shape.nonlinear.at(power).is_plausible(np.array([0.1])) == (factor > 1.0)

@@ -22,6 +22,7 @@ from scipy.interpolate import CubicSpline
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import hysteresis, load_friction, nonlinear_viscous, stribeck, torque_ripple
 from ..effects import recorded_motion
+from ..effects.form_error import RELATIVE_STD, with_form_error
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
@@ -47,7 +48,7 @@ ORDER_STEPS = 4.0
 """Grid points over the width of a peak in the order spectrum."""
 GAUSS_NEWTON_STEPS = 6
 """Steps of the refinement of an order."""
-MIN_WAVES = 1.5
+MIN_WAVES = 3.0
 """Periods over the range of a joint from which a torque counts as periodic."""
 DENSE_EFFECTS = (stribeck, nonlinear_viscous, hysteresis, load_friction)
 """Frictions that are fitted at every joint."""
@@ -123,9 +124,11 @@ def model_columns(
         std = float(np.max(level) if model.joint is None else level[model.joint])
         # coefficients in units of their own: a column of unit RMS has the friction level
         size = np.sqrt(np.mean(torque**2, axis=(0, 1)) * torque.shape[1])
-        prior = std / np.maximum(size, 1e-3 * size.max()) if not model.nonnegative else np.full(k, std)
+        prior = std / np.maximum(size, 1e-3 * size.max()) if not any(model.nonnegative) else np.full(k, std)
     else:
         prior = np.full(k, std) * np.array(model.prior_shares or (1.0,) * k)
+    if model.form_columns:
+        prior[-model.form_columns :] = RELATIVE_STD
     nonnegative = np.array(model.nonnegative or (False,) * k)
     return Columns.of(torque, nonnegative, prior)
 
@@ -170,6 +173,8 @@ def fit(
         delays = delays + x[p + n]
         widths = widths * np.exp(np.clip(x[p : p + n], -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
         psi = consistent_parameters(identified, fitted)
+        if step == 0:
+            rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
             waves += find_waves(fitted)
     return fitted
@@ -186,6 +191,14 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
         np.column_stack([np.interp(m.times, m.time, x) for x in part.T])
         for m, part in zip(model.motions, parts, strict=True)
     ]
+
+
+def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateModel:
+    """Return a rare effect with the discrepancy of its form, in units of its fitted torque."""
+    if model.joint is None or model not in fitted.models:
+        return model
+    coefficients = fitted.coefficients(fitted.models.index(model))
+    return with_form_error(model, fitted.motions, coefficients)
 
 
 def _fit_round(

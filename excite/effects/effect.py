@@ -63,6 +63,7 @@ class CandidateModel:
         prior_std: Prior standard deviation of the coefficients; None: the friction level of the
             joint.
         prior_shares: Share of `prior_std` of each coefficient; empty: 1.
+        form_columns: Number of last columns that are the discrepancy of its form.
         column_noise: RMS noise in columns · coefficients over the torque noise, of columns made of
             measured torque.
         signature: Description of the residual, if it differs from the effect's.
@@ -85,6 +86,7 @@ class CandidateModel:
     nonnegative: tuple[bool, ...] = ()
     prior_std: float | None = None
     prior_shares: tuple[float, ...] = ()
+    form_columns: int = 0
     column_noise: Callable[[FloatArray], float] = lambda c: 0.0
     signature: str = ""
 

@@ -12,23 +12,28 @@ at once. All of it is fitted jointly with the base model, before anything is jud
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from .._types import BoolArray, FloatArray, IntArray
-from ..effects import hysteresis, load_friction, nonlinear_viscous, stribeck, torque_ripple
-from ..effects import recorded_motion
-from ..effects.form_error import RELATIVE_STD, with_form_error
+from ..effects import (
+    hysteresis,
+    load_friction,
+    nonlinear_viscous,
+    recorded_motion,
+    stribeck,
+    torque_ripple,
+)
 from ..effects.effect import CandidateModel
+from ..effects.form_error import RELATIVE_STD, with_form_error
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
-from .regression import Columns, JointRegression, Solution, independent_share, rms
+from .regression import RIDGE, Columns, JointRegression, Solution, independent_share, rms
 
 ROUNDS = 4
 """Rounds of the fit: delay and weights change by less than 1 % after three."""
@@ -63,7 +68,7 @@ class JointModel:
         models: Effects in the order of the regression.
         regression: The regression.
         delays: Time by which the torque of each joint is recorded late, shape (n,) [s].
-        level: Friction level of each joint, the unit of prior standard deviations, shape (n,) [N m].
+        level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
         psi: Standard parameters, shape (P,).
     """
 
@@ -92,18 +97,6 @@ class JointModel:
         """Return the columns of a model over all motions; None if they are zero or not finite."""
         return model_columns(model, self.motions, self.level)
 
-    def with_model(self, model: CandidateModel, columns: Columns) -> JointModel:
-        """Return the joint model with a further effect, and with new weights of the rows."""
-        regression = dataclasses.replace(
-            self.regression,
-            slices=list(self.regression.slices),
-            _grams=list(self.regression._grams),
-            _solution=None,
-        )
-        regression.add(columns)
-        reweight(regression)
-        return dataclasses.replace(self, models=(*self.models, model), regression=regression)
-
 
 def model_columns(
     model: CandidateModel, motions: Sequence[RecordedMotion], level: FloatArray
@@ -124,7 +117,11 @@ def model_columns(
         std = float(np.max(level) if model.joint is None else level[model.joint])
         # coefficients in units of their own: a column of unit RMS has the friction level
         size = np.sqrt(np.mean(torque**2, axis=(0, 1)) * torque.shape[1])
-        prior = std / np.maximum(size, 1e-3 * size.max()) if not any(model.nonnegative) else np.full(k, std)
+        prior = (
+            std / np.maximum(size, 1e-3 * size.max())
+            if not any(model.nonnegative)
+            else np.full(k, std)
+        )
     else:
         prior = np.full(k, std) * np.array(model.prior_shares or (1.0,) * k)
     if model.form_columns:
@@ -162,7 +159,9 @@ def fit(
             for motion, torque in zip(motions, recorded, strict=True)
         ]
         current = renewed(identified, present, psi, widths, coulomb)
-        fitted = _fit_round(identified, current, [*dense_models(current), *rare, *waves], delays, psi, weights)
+        fitted = _fit_round(
+            identified, current, [*dense_models(current), *rare, *waves], delays, psi, weights
+        )
         weights = fitted.regression.sigma, fitted.regression.independent_share
         if step == ROUNDS - 1:
             for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
@@ -242,7 +241,9 @@ def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
     """Return the Coulomb friction of each joint, or a share of the others' where it is small."""
     coulomb = np.abs(motions[0].fitted_robot.actuator_parameter("coulomb"))
     torque = np.sqrt(np.mean(np.concatenate([m.torque for m in motions]) ** 2, axis=0))
-    return np.maximum(coulomb, MIN_LEVEL_SHARE * max(float(np.median(coulomb)), 1e-3 * float(torque.max())))
+    return np.maximum(
+        coulomb, MIN_LEVEL_SHARE * max(float(np.median(coulomb)), 1e-3 * float(torque.max()))
+    )
 
 
 def _base_columns(motions: Sequence[RecordedMotion], level: FloatArray) -> FloatArray:
@@ -319,21 +320,25 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
     solution = fitted.solution
     others = solution.active.copy()
     others[:p] = False
-    rest = np.flatnonzero(others)
+    eliminated = np.flatnonzero(others)
     a = solution.information
-    scale = 1.0 / np.sqrt(np.diag(a)[rest])
-    block = a[np.ix_(rest, rest)] * scale[:, None] * scale + 1e-10 * np.eye(len(rest))
-    cross = scale[:, None] * a[np.ix_(rest, range(p))]
-    eliminated = a[:p, :p] - cross.T @ np.linalg.solve(block, cross)
+    scale = 1.0 / np.sqrt(np.diag(a)[eliminated])
+    block = a[eliminated][:, eliminated] * scale[:, None] * scale
+    cross = scale[:, None] * a[eliminated][:, :p]
+    schur = a[:p, :p] - cross.T @ np.linalg.solve(block + RIDGE * np.eye(len(scale)), cross)
     mean, prior = _base_prior(identified, fitted.n)
-    information = 0.5 * (eliminated + eliminated.T) - prior[:p, :p]
-    score = eliminated @ solution.coefficients[:p] - prior[:p, :p] @ mean[:p]
+    information = 0.5 * (schur + schur.T) - prior[:p, :p]
+    score = schur @ solution.coefficients[:p] - prior[:p, :p] @ mean[:p]
     values, vectors = np.linalg.eigh(information)
     known = values > 1e-12 * values.max()
     root = np.sqrt(values[known])[:, None] * vectors[:, known].T
     target = (vectors[:, known].T @ score) / np.sqrt(values[known])
     return consistency.maximum_a_posteriori(
-        model.parameters, root @ model.base.matrix, target, identified.prior, identified.options.bounds
+        model.parameters,
+        root @ model.base.matrix,
+        target,
+        identified.prior,
+        identified.options.bounds,
     ).psi
 
 
@@ -349,7 +354,9 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
     for j in range(fitted.n):
         moving = regression.moving[:, j]
         angle, speed = _angle_and_speed(fitted.motions, j)
-        known = [m.values["order"] for m in fitted.models if m.effect == "torque_ripple" and m.joint == j]
+        known = [
+            m.values["order"] for m in fitted.models if m.effect == "torque_ripple" and m.joint == j
+        ]
         r = residual[:, j].copy()
         span = float(np.ptp(angle))
         if span <= 0.0:
@@ -357,7 +364,9 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         width = 2.0 * np.pi / span
         grid = np.arange(max(3.0, MIN_WAVES * width), MAX_RIPPLE_ORDER, width / ORDER_STEPS)
         while len(grid) and len(known) < 12:
-            order, gain = _spectrum_peak(r, angle, speed, moving, grid, fitted.motions[0].band.hertz)
+            order, gain = _spectrum_peak(
+                r, angle, speed, moving, grid, fitted.motions[0].band.hertz
+            )
             sigma2 = float(np.mean(r[moving] ** 2))
             evidence = weights[j] * gain - np.log(len(grid)) - np.log(max(weights[j] * gain, 1.0))
             if evidence < MIN_RIPPLE_EVIDENCE or any(abs(order - k) < 0.5 * width for k in known):
@@ -371,7 +380,9 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
     return out
 
 
-def _angle_and_speed(motions: Sequence[RecordedMotion], joint: int) -> tuple[FloatArray, FloatArray]:
+def _angle_and_speed(
+    motions: Sequence[RecordedMotion], joint: int
+) -> tuple[FloatArray, FloatArray]:
     """Angle and speed of a joint at the rows of all motions."""
     angle = [np.interp(m.time, m.times, m.samples.q[:, joint]) for m in motions]
     speed = [np.interp(m.time, m.times, m.samples.dq[:, joint]) for m in motions]
@@ -431,9 +442,9 @@ def _refined_order(
             joint,
             lambda q, k=order, c=c: [q * (c[1] * np.cos(k * q) - c[0] * np.sin(k * q))],
         )
-        step = np.linalg.lstsq(
-            np.hstack([waves, slope])[moving], residual[moving], rcond=None
-        )[0][2]
+        step = np.linalg.lstsq(np.hstack([waves, slope])[moving], residual[moving], rcond=None)[0][
+            2
+        ]
         step = float(np.clip(step, -0.3 * width, 0.3 * width))
         order += step
         if abs(step) < 1e-4 * width:
@@ -443,7 +454,11 @@ def _refined_order(
     return order, waves @ c
 
 
-def _filtered(motions, joint, functions) -> FloatArray:  # type: ignore[no-untyped-def]
+def _filtered(
+    motions: Sequence[RecordedMotion],
+    joint: int,
+    functions: Callable[[FloatArray], list[FloatArray]],
+) -> FloatArray:
     """Low-pass functions of a joint's angle, shape (N, k)."""
     return np.concatenate(
         [m.lowpass(np.column_stack(functions(m.samples.q[:, joint]))) for m in motions]

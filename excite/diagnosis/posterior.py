@@ -115,8 +115,6 @@ def evidence_of(
         return EffectEvidence(members, key[0], key[1], -np.inf, np.zeros(model.n))
     reduced = regression.without([*left_out, *members])
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
-    before, after = (
-        rms(regression.residual(s), regression.moving) for s in (reduced, current)
-    )
+    before, after = (rms(regression.residual(s), regression.moving) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
     return EffectEvidence(members, key[0], key[1], factor, severity)

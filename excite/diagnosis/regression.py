@@ -52,7 +52,10 @@ class Columns:
 
     @classmethod
     def of(
-        cls, torque: FloatArray, nonnegative: BoolArray | None = None, prior_std: FloatArray | None = None
+        cls,
+        torque: FloatArray,
+        nonnegative: BoolArray | None = None,
+        prior_std: FloatArray | None = None,
     ) -> Columns:
         """Return the columns of a full array, shape (N, n, k), without joints that are all zero."""
         k = torque.shape[2]
@@ -257,21 +260,17 @@ class JointRegression:
             self._grams[joint],
             self.slices[effect],
         )
-        own = (gram.places >= part.start) & (gram.places < part.stop)
-        return np.asarray(gram.columns[:, own] @ x[gram.places[own]])
-
-    def columns_of(self, effect: int, joint: int) -> FloatArray:
-        """Return the columns of an effect on a joint, shape (N, k); zero if it does not act there."""
-        gram, part = self._grams[joint], self.slices[effect]
-        out = np.zeros((len(self.torque), part.stop - part.start))
-        own = (gram.places >= part.start) & (gram.places < part.stop)
-        out[:, gram.places[own] - part.start] = gram.columns[:, own]
-        return out
+        of_effect = (gram.places >= part.start) & (gram.places < part.stop)
+        return np.asarray(gram.columns[:, of_effect] @ x[gram.places[of_effect]])
 
     def joints_of(self, effect: int) -> list[int]:
         """Return the joints on which an effect acts."""
         part = self.slices[effect]
-        return [j for j, g in enumerate(self._grams) if np.any((g.places >= part.start) & (g.places < part.stop))]
+        return [
+            j
+            for j, g in enumerate(self._grams)
+            if np.any((g.places >= part.start) & (g.places < part.stop))
+        ]
 
     def candidate(self, columns: Columns) -> CandidateFit:
         """Fit further columns jointly with the active coefficients, without sign constraints."""
@@ -279,7 +278,11 @@ class JointRegression:
         active = np.flatnonzero(solution.active)
         position = np.full(len(solution.active), -1)
         position[active] = np.arange(len(active))
-        cross, square, score = np.zeros((len(active), k)), np.diag(1.0 / columns.prior_std**2), np.zeros(k)
+        cross, square, score = (
+            np.zeros((len(active), k)),
+            np.diag(1.0 / columns.prior_std**2),
+            np.zeros(k),
+        )
         for j, values in zip(columns.joints, columns.values, strict=True):
             gram, weight = self._grams[j], float(self.weights[j])
             x = values * self.moving[:, j, None]
@@ -341,7 +344,9 @@ class Solution:
             on = np.flatnonzero(self.active)
             a = self.information[np.ix_(on, on)]
             scale = 1.0 / np.sqrt(np.diag(a))
-            lower = linalg.cholesky(a * scale[:, None] * scale + RIDGE * np.eye(len(on)), lower=True)
+            lower = linalg.cholesky(
+                a * scale[:, None] * scale + RIDGE * np.eye(len(on)), lower=True
+            )
             self._factor = lower, scale
         return self._factor
 

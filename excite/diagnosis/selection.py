@@ -59,7 +59,9 @@ class CandidateColumns:
                 if columns is not None:
                     self.shapes.setdefault((effect.name, shape.joint), []).append((shape, columns))
 
-    def best(self, model: JointModel, key: tuple[str, int | None]) -> tuple[float, Candidate] | None:
+    def best(
+        self, model: JointModel, key: tuple[str, int | None]
+    ) -> tuple[float, Candidate] | None:
         """Return the best plausible candidate of an effect at a joint and its evidence.
 
         The evidence is that of one effect whose shape is one of those tried, each as likely.
@@ -73,7 +75,7 @@ class CandidateColumns:
             return None
         best = max(scored, key=lambda c: c.evidence)
         others = np.array([c.evidence for c in scored])
-        mean = best.evidence + float(np.log(np.mean(np.exp(others - best.evidence)))) 
+        mean = best.evidence + float(np.log(np.mean(np.exp(others - best.evidence))))
         mean += float(np.log(len(scored) / len(self.shapes[key])))
         return mean, best
 
@@ -82,7 +84,6 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     """Return a candidate with its nonlinear parameters optimised."""
     if candidate.model.nonlinear is None:
         return candidate
-    known: dict[int, Candidate] = {}
 
     def gain(shape: CandidateModel) -> float:
         columns = model.columns(shape)

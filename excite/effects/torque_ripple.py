@@ -46,7 +46,7 @@ MIN_WAVES = 1.5
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Waves of an order and of its stated multiples; with a "load", also waves that grow with it."""
+    """Waves of an order and its stated multiples; with a "load", also waves that grow with it."""
     j = model.joint_index
     if "load" in model.values:
         phase = model.values["order"] * motion.samples.q[:, j]

@@ -53,6 +53,10 @@ ORDER_STEPS = 4.0
 """Grid points over the width of a peak in the order spectrum."""
 GAUSS_NEWTON_STEPS = 6
 """Steps of the refinement of an order."""
+MAX_ORDER_STEP = 0.3
+"""Largest step of an order, over the width of a peak in the order spectrum."""
+ORDER_TOLERANCE = 1e-4
+"""Step at which the refinement of an order ends, in the same unit."""
 MIN_WAVES = 3.0
 """Periods over the range of a joint from which a torque counts as periodic."""
 DENSE_EFFECTS = (stribeck, nonlinear_viscous, hysteresis, load_friction)
@@ -434,24 +438,34 @@ def _refined_order(
     width: float,
 ) -> tuple[float, FloatArray]:
     """Refine an order by Gauss-Newton steps; return it and the torque of its wave, shape (N,)."""
+
+    def waves(k: float) -> FloatArray:
+        return _filtered(motions, joint, lambda q: [np.cos(k * q), np.sin(k * q)])
+
     for _ in range(GAUSS_NEWTON_STEPS):
-        waves = _filtered(motions, joint, lambda q, k=order: [np.cos(k * q), np.sin(k * q)])
-        c = np.linalg.lstsq(waves[moving], residual[moving], rcond=None)[0]
-        slope = _filtered(
-            motions,
-            joint,
-            lambda q, k=order, c=c: [q * (c[1] * np.cos(k * q) - c[0] * np.sin(k * q))],
-        )
-        step = np.linalg.lstsq(np.hstack([waves, slope])[moving], residual[moving], rcond=None)[0][
-            2
-        ]
-        step = float(np.clip(step, -0.3 * width, 0.3 * width))
+        columns = waves(order)
+        c = np.linalg.lstsq(columns[moving], residual[moving], rcond=None)[0]
+        slope = _order_slope(motions, joint, order, np.asarray(c, float))
+        joined = np.hstack([columns, slope])[moving]
+        step = float(np.linalg.lstsq(joined, residual[moving], rcond=None)[0][2])
+        step = float(np.clip(step, -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
         order += step
-        if abs(step) < 1e-4 * width:
+        if abs(step) < ORDER_TOLERANCE * width:
             break
-    waves = _filtered(motions, joint, lambda q: [np.cos(order * q), np.sin(order * q)])
-    c = np.linalg.lstsq(waves[moving], residual[moving], rcond=None)[0]
-    return order, waves @ c
+    columns = waves(order)
+    c = np.linalg.lstsq(columns[moving], residual[moving], rcond=None)[0]
+    return order, columns @ c
+
+
+def _order_slope(
+    motions: Sequence[RecordedMotion], joint: int, order: float, c: FloatArray
+) -> FloatArray:
+    """Return the derivative of a wave with coefficients c by its order, shape (N, 1)."""
+    return _filtered(
+        motions,
+        joint,
+        lambda q: [q * (c[1] * np.cos(order * q) - c[0] * np.sin(order * q))],
+    )
 
 
 def _filtered(

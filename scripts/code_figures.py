@@ -54,11 +54,22 @@ def line_kinds(source: str) -> Counter[str]:
     return Counter(kinds)
 
 
+def statements(source: str) -> int:
+    """Return the number of statements without docstrings: it does not depend on line lengths."""
+    return sum(
+        isinstance(node, ast.stmt)
+        and not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
+        for node in ast.walk(ast.parse(source))
+    )
+
+
 def package_lines(package: Path) -> Counter[str]:
-    """Return the numbers of lines of all Python files of a package, and the number of files."""
+    """Return the numbers of lines and statements of all files of a package, and of files."""
     counts: Counter[str] = Counter()
     for path in package.rglob("*.py"):
-        counts += line_kinds(path.read_text(encoding="utf-8"))
+        source = path.read_text(encoding="utf-8")
+        counts += line_kinds(source)
+        counts["statements"] += statements(source)
         counts["files"] += 1
     return counts
 
@@ -97,6 +108,7 @@ def column(checkout: Path, runs: int) -> dict[str, str]:
     out["docstrings, share of all lines that are not blank"] = (
         f"{100 * counts['docstring'] / text:.0f} %"
     )
+    out["statements"] = f"{counts['statements']:,}"
     out["files"] = str(counts["files"])
     for name, arguments in STARTS.items():
         seconds = start_time(checkout, arguments, runs)

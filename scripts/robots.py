@@ -37,6 +37,9 @@ from excite.errors import CheckFailed
 from excite.robot import limits, robot
 from excite.trajectory import trajectory_file
 
+REFUSALS = ("UnusableInput", "MissingLimit", "Infeasible")
+"""Errors that state in one line why there is no motion; any other one is a failure."""
+
 HERE = Path(__file__).resolve().parent
 RECORDINGS = HERE.parent.parent / "shared" / "recordings"
 PLACES = (
@@ -446,7 +449,7 @@ def markdown(rows: Sequence[Row], criterion: str) -> str:
         "nearest limit",
         "clearance [mm]",
         "motion [s]",
-        "ok",
+        "outcome",
     ]
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * 5 + "---|---:|---:|---|"]
     return "\n".join(lines + ["| " + " | ".join(cells(row)) + " |" for row in rows])
@@ -473,8 +476,25 @@ def cells(row: Row) -> list[str]:
         f"{round(100.0 * near['margin'], 2) + 0.0:.2f} %{derived}",
         "unknown" if row.near is None else number(row.near, ".1f"),
         number(row.duration, ".2f"),
-        "yes" if row.ok else f"NO: {row.reason}".replace("|", "\\|"),
+        outcome(row).replace("|", "\\|"),
     ]
+
+
+def outcome(row: Row) -> str:
+    """Return the last cell of a robot: designed and verified, refused in one line, or failed."""
+    if row.ok:
+        return "designed and verified"
+    refused = row.reason.partition(":")[0] in REFUSALS
+    return f"{'refused' if refused else 'FAILED'}: {row.reason}"
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """Return the counts of the outcomes and the longest time, in one line."""
+    words = [outcome(row).partition(":")[0] for row in rows]
+    counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+    slowest = max(rows, key=lambda row: 0.0 if row.timing is None else row.timing["total"])
+    longest = 0.0 if slowest.timing is None else slowest.timing["total"]
+    return f"{len(rows)} robots: {counts}; longest design {longest:.1f} s ({slowest.robot})"
 
 
 def chosen(entries: list[tuple[Case, str]], only: str | None) -> list[tuple[Case, str]]:
@@ -551,6 +571,8 @@ def main() -> int:
         for text in row.warnings:
             say(f"  {text}")
         say("  " + " | ".join(cells(row)))
+    if not given.alone:
+        say(summary(rows))
     print(
         json.dumps([dataclasses.asdict(r) for r in rows], indent=1)
         if given.json

@@ -11,7 +11,7 @@ import pytest
 from conftest import QUICK, off, slope
 from hypothesis import given
 from hypothesis import strategies as st
-from test_export import run, wrapped
+from test_export import run, trajectory_of
 
 from excite import _json, exporters
 from excite.designer import certificate as certificate_module
@@ -162,7 +162,7 @@ def with_phase_ramps(n: int):
             "ramp_out", 9.2, 10.8, phase_ramps.phase_profile(fourier, 1.6, inwards=False)
         ),
     )
-    return wrapped(Motion(tuple(f"joint_{i + 1}" for i in range(n)), fourier, 2, parts))
+    return trajectory_of(Motion(tuple(f"joint_{i + 1}" for i in range(n)), fourier, 2, parts))
 
 
 @pytest.mark.parametrize(("step", "speed"), [(0.002, 1.0), (0.008, 0.3)])
@@ -173,7 +173,7 @@ def test_urscript_follows_the_phase(step, speed, tmp_path: Path):
     motion = trajectory.motion.slowed(speed)
     t = step * np.arange(1, len(targets) + 1)
     np.testing.assert_allclose(targets, motion.at(t), atol=1e-9)
-    replayed = urscript.replayed(script)
+    replayed = urscript.rebuilt_motion(script)
     assert [s.kind for s in replayed.segments] == [s.kind for s in motion.segments]
     inside = t[t < motion.duration - 0.01]
     np.testing.assert_allclose(replayed.at(inside), motion.at(inside), atol=1e-9)

@@ -45,10 +45,10 @@ def test_iterations_are_limited_over_all_stages(problem):
     assert state.done and state.iterations == len(history.time) == 9
 
 
-def test_sharpness_increases_from_stage_to_stage():
+def test_sharpness_never_decreases_from_stage_to_stage():
     for criterion in Criterion:
         sharpness = sqp.sharpness_stages(criterion)
-        assert all(a < b for a, b in itertools.pairwise(sharpness))
+        assert all(a <= b for a, b in itertools.pairwise(sharpness))
 
 
 def test_search_from_an_infeasible_start_ends_feasible(problem):
@@ -68,3 +68,20 @@ def test_least_infeasible_iterate_is_kept_where_none_is_feasible(problem):
     assert not np.isfinite(state.best_value)
     assert 1.0 + state.best_excess == pytest.approx(evaluator.max_constraint_value(state.best))
     assert 1.0 + state.best_excess < before
+
+
+def test_search_stuck_at_an_infeasible_iterate_returns_to_its_best(problem):
+    """It continues at the best feasible iterate with shorter steps, a few times at most."""
+    evaluator = Evaluator(problem)
+    feasible = np.full(problem.size, 0.01)
+    infeasible = np.full(problem.size, 0.6)
+    assert (
+        evaluator.max_constraint_value(feasible) <= 1.0 < evaluator.max_constraint_value(infeasible)
+    )
+    f = evaluator.objective(feasible, 1.0)[0]
+    stuck = sqp.SearchState(infeasible, feasible, f, 0.0, radius=1e-9)
+    ended = sqp.advance(evaluator, stuck, sqp.History())
+    assert ended.returns >= 1
+    assert ended.best_value < f - 1.0
+    exhausted = replace(stuck, returns=sqp.MAX_RETURNS)
+    assert sqp.advance(evaluator, exhausted, sqp.History()).returns == sqp.MAX_RETURNS

@@ -34,8 +34,12 @@ required clearance is less than five times this."""
 MESH_BELOW = 0.03
 """Excess of a distance of hulls over the required clearance below which meshes are evaluated [m];
 beyond it the constraint is inactive, and the distance of the hulls is a lower bound."""
-CONTACT_DEPTH = 1e-4
+MIN_CONTACT_DEPTH = 1e-4
 """Least depth that is stated for meshes in contact, whose own distance has no gradient [m]."""
+MAX_CONTACT_DEPTH = 2e-3
+"""Largest depth that is stated for them [m]. The depth of their hulls would jump by centimetres
+where the meshes begin to touch, and the search would reject all steps near there (PR2 arm: A 4e11
+instead of 2e4)."""
 EXACT_BELOW = 0.15
 """Excess over the required clearance up to which distances are exact [m]; beyond it they are lower
 bounds."""
@@ -376,7 +380,9 @@ class ClearanceEvaluation:
                 exact[apart, 1:4] = (exact[apart, 4:7] - exact[apart, 7:]) / exact[apart, :1]
                 table[near[apart]] = exact[apart]
                 touching = near[~apart]
-                table[touching, 0] = np.minimum(table[touching, 0], -CONTACT_DEPTH)
+                table[touching, 0] = np.clip(
+                    table[touching, 0], -MAX_CONTACT_DEPTH, -MIN_CONTACT_DEPTH
+                )
             keys = zip(at.tolist(), rows.tolist(), strict=True)
             cache.update(zip(keys, table, strict=True))
         rows_of_table = [cache[key] for key in zip(sample.tolist(), pair.tolist(), strict=True)]

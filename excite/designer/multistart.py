@@ -35,6 +35,10 @@ MAX_GUESSES = 4
 """Initial guesses that one start tries until its search ends with a feasible motion that excites
 all base parameters."""
 
+BLIND_ITERATIONS = 20
+"""Iterations after which a search is given up that began without exciting all base parameters and
+still does not."""
+
 MIN_SPECTRUM_RATIO = 1e-24
 """Ratio of eigenvalues of the information below which a direction is rounding noise [1]."""
 
@@ -238,10 +242,14 @@ def _begin(evaluator: Evaluator, task: _Round, number: int) -> Attempt | ExciteE
             return error if best is None else best
         pose = poses[rng.integers(min(len(poses), 1 + len(poses) // 4))]
         x = initial_guess.scale_random_motion(evaluator, pose, rng)
-        attempt = optimize_from(evaluator, x, task.build_time, number, task.until)
+        blind = evaluator.spectrum_ratio(x) <= MIN_SPECTRUM_RATIO
+        until = min(BLIND_ITERATIONS, task.until) if blind else task.until
+        attempt = optimize_from(evaluator, x, task.build_time, number, until)
+        if blind and attempt.usable:
+            attempt = _resume(evaluator, task, attempt)
         if best is None or attempt.rank < best.rank:
             best = attempt
-        if best.usable:
+        if best.usable or (guess > 0 and len(poses) == 1):  # another guess finds the same pose
             break
     return best  # type: ignore[return-value]
 

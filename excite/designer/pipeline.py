@@ -57,6 +57,9 @@ MAX_CERTIFIED_ATTEMPTS = 3
 MAX_RESTARTS = 3
 """Searches that follow the first one, from other initial guesses, until one is certified."""
 
+MAX_BLIND_RESTARTS = 1
+"""The same where no start finds a motion that keeps all limits and excites all base parameters."""
+
 NOTABLE_LOSS = 0.7
 """Loss of the objective, a logarithm, beyond which a warning states that the best motion has no
 ramps [1]: a factor of two in the criterion."""
@@ -153,6 +156,8 @@ def design_trajectory(
         # faults of the file are no matter of the motion
         if result is not None and (result.certificate.ok or result.certificate.faults):
             break
+        if not design.attempts[0].usable and restart > MAX_BLIND_RESTARTS:
+            break
         report(f"{search.reason}; searching from other poses ({restart} of {MAX_RESTARTS})")
         try:
             design = optimize.solve(search.tightened(setup), progress, restart)
@@ -215,15 +220,15 @@ def _unexcited(setup: DesignSetup, design: OptimizedDesign) -> ExciteError:
     active = evaluator.active_constraints(x)
     if not attempt.feasible:
         return Infeasible(
-            f"{robot.source}: no motion of {1 + MAX_RESTARTS} searches keeps all limits: "
+            f"{robot.source}: no motion of {1 + MAX_BLIND_RESTARTS} searches keeps all limits: "
             f"{' and '.join(active)} conflict; widen one of them or lengthen --period"
         )
     names = evaluator.unexcited_parameters(x)
     hint = f"; {' and '.join(active)} leave no room to move" if active else ""
     return Infeasible(
-        f"{robot.source}: no motion of {1 + MAX_RESTARTS} searches excites all base parameters: "
-        f"{', '.join(names)} stay unknown{hint}; widen those limits, or design with --joints for "
-        "the joints that can move"
+        f"{robot.source}: no motion of {1 + MAX_BLIND_RESTARTS} searches excites all base "
+        f"parameters: {', '.join(names)} stay unknown{hint}; widen those limits, or design with "
+        "--joints for the joints that can move"
     )
 
 
@@ -269,6 +274,7 @@ class _CertifiedSearch:
         self.reason = ""
         self.error: Infeasible | None = None
         self._clearance: ClearanceConstraint | None = None
+        self._best_objective = np.inf
 
     def tightened(self, setup: DesignSetup) -> DesignSetup:
         """Return a design problem with the clearances that the last certificates asked for."""
@@ -294,6 +300,7 @@ class _CertifiedSearch:
                 if design.attempts[0].feasible
                 else "no motion keeps all limits"
             )
+        self._best_objective = min([self._best_objective, *(a.objective for a in usable)])
         tried = 0
         for attempt in usable:
             others = (other for other in design.attempts if other is not attempt)
@@ -305,7 +312,7 @@ class _CertifiedSearch:
                 self.reason = f"no ramps ({str(error).rpartition(': ')[2]})"
                 continue
             if result.certificate.ok:
-                self._warn_of_loss(usable[0], attempt)
+                self._warn_of_loss(attempt)
                 return result
             failed = failed or result
             tried += 1
@@ -313,9 +320,9 @@ class _CertifiedSearch:
                 break
         return failed
 
-    def _warn_of_loss(self, best: Attempt, delivered: Attempt) -> None:
+    def _warn_of_loss(self, delivered: Attempt) -> None:
         """Warn where the delivered motion is much worse than one that was not certified."""
-        loss = delivered.objective - best.objective
+        loss = delivered.objective - self._best_objective
         if loss > NOTABLE_LOSS:
             warnings.warn(
                 f"the best motion found was not certified ({self.reason}); the delivered one is "

@@ -70,6 +70,9 @@ LIMIT_MARGIN = 1e-3
 CHECK_STEP = 0.004
 """Largest time step at which a ramp is checked [s]."""
 
+CLOSED_RAMP_PERIODS = (1, 2)
+"""Periods that each of two ramps along the path may take that begin and end at one pose [1]."""
+
 SAME_POSE = 1e-9
 """Largest difference of poses between which no motion is planned [rad]; a certificate accepts jumps
 up to 1e-7."""
@@ -499,11 +502,12 @@ def _ramp_pairs(planner: RampPlanner, fourier: FourierSeries, step: float) -> It
         if pairs and tried >= MIN_TRIED_PHASES - 1:
             break
     yield from sorted(pairs, key=lambda pair: pair.duration)
-    for index in order:
-        pair = _closed_pair(planner, fourier.shifted(float(times[index])), step)
-        if pair is not None:
-            yield pair
-            return
+    for count in CLOSED_RAMP_PERIODS:
+        for index in order:
+            pair = _closed_pair(planner, fourier.shifted(float(times[index])), step, count)
+            if pair is not None:
+                yield pair
+                return
 
 
 def _shortest_ramp(
@@ -524,18 +528,22 @@ def _shortest_ramp(
     return free if along_path is None else along_path
 
 
-def _closed_pair(planner: RampPlanner, fourier: FourierSeries, step: float) -> _RampPair | None:
-    """Return ramps along the path over one period together, None where they violate a limit.
+def _closed_pair(
+    planner: RampPlanner, fourier: FourierSeries, step: float, count: int
+) -> _RampPair | None:
+    """Return ramps along the path over whole periods together, None where they violate a limit.
 
-    The phase advances by half the duration of a ramp, hence by a period in two ramps of a period.
+    The phase advances by half the duration of a ramp, hence by `count` periods in two ramps of
+    `count` periods each.
     """
+    duration = count * fourier.period
     ramps: list[tuple[Profile, float]] = []
     for inwards in (True, False):
-        profile = phase_ramps.phase_profile(fourier, fourier.period, inwards=inwards)
-        violated = phase_ramps.violated_limit(planner.constraints, profile, fourier.period, step)
+        profile = phase_ramps.phase_profile(fourier, duration, inwards=inwards)
+        violated = phase_ramps.violated_limit(planner.constraints, profile, duration, step)
         if violated:
             return None
-        ramps.append((profile, fourier.period))
+        ramps.append((profile, duration))
     return _RampPair(fourier, ramps[0], ramps[1])
 
 

@@ -241,6 +241,34 @@ def reweight(regression: JointRegression) -> None:
         )
 
 
+def held_out_residuals(
+    identified: Identification, model: JointModel, motions: Sequence[RecordedMotion]
+) -> tuple[FloatArray, FloatArray]:
+    """Predict the torque of motions that the model was not fitted to.
+
+    Args:
+        identified: The base model.
+        model: The joint model.
+        motions: The motions, with the base model.
+
+    Returns:
+        Residual of the base model and of the joint model, shapes (N, n) [N m]; zero at standstill.
+    """
+    moved = [m.with_torque(_moved(m, m.segment.torque, model.delays)) for m in motions]
+    present = renewed(identified, moved, model.psi, model.motions[0].widths)
+    moving = np.concatenate([motion.moving for motion in motions])
+    p = identified.model.base.count
+    coefficients = model.solution.coefficients[: p + model.n + 1].copy()
+    coefficients[-1] = 0.0  # the delay is in the time stamps
+    predicted = _base_columns(present, model.level) @ coefficients
+    for effect, shape in enumerate(model.models):
+        columns = np.concatenate([shape.columns(motion) for motion in present])
+        predicted += columns @ model.coefficients(effect)
+    torque = np.concatenate([motion.torque for motion in present])
+    base = np.concatenate([motion.residual for motion in motions])
+    return np.where(moving, base, 0.0), np.where(moving, torque - predicted, 0.0)
+
+
 def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
     """Return the Coulomb friction of each joint, or a share of the others' where it is small."""
     coulomb = np.abs(motions[0].fitted_robot.actuator_parameter("coulomb"))

@@ -23,6 +23,14 @@ from .regression import CandidateFit, Columns
 
 MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
+RARE_LOG_ODDS = -4.0
+"""Prior log odds that a joint has a certain rare effect: about 2 %."""
+MIN_SEVERITY = 0.3
+"""Growth of the residual without an effect, over the noise, from which it counts."""
+OPTIMISED_CANDIDATES = 4
+"""Candidates whose nonlinear parameters are optimised before the best is chosen."""
+MAX_REJECTIONS = 3
+"""Candidates that are tried in vain before the search ends."""
 DENSE_NAMES = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction", "torque_ripple")
 """Effects that the joint model has from the start."""
 
@@ -102,16 +110,6 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     return Candidate(shape, columns, fit)
 
 
-RARE_LOG_ODDS = -4.0
-"""Prior log odds that a joint has a certain rare effect: about 2 %."""
-MIN_SEVERITY = 0.3
-"""Growth of the residual without an effect, over the noise, from which it counts."""
-OPTIMISED_CANDIDATES = 4
-"""Candidates whose nonlinear parameters are optimised before the best is chosen."""
-MAX_REJECTIONS = 3
-"""Candidates that are tried in vain before the search ends."""
-
-
 def find_rare_effects(
     identified: Identification,
     motions: Sequence[RecordedMotion],
@@ -120,6 +118,14 @@ def find_rare_effects(
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[JointModel, tuple[CandidateModel, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+        trusted: Whether the base model is a trusted prior, so that effects that a refit absorbs can
+            be found as well.
+        names: Effects to look for; all when empty.
+        progress: Called with a line of text for each candidate.
 
     Returns:
         The joint model and its rare effects.

@@ -8,14 +8,21 @@ Waiboer, Aarts & Jonker 2005).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .._types import FloatArray
 from .effect_instance import EffectInstance
 from .effects.effect_type import FORM_FAMILIES
+from .mujoco_dynamics import build_dynamics
+from .reference_trajectory import ReferenceTrajectory
 from .simulated_robot import SimulatedRobot
+
+LOAD_POSES = 400
+"""Poses of a motion in which the load of the joints is computed."""
+DENSE_STREAM = 7
+"""Number of the random stream of the effects, different from those of bodies and noise."""
 
 
 @dataclass(frozen=True)
@@ -118,3 +125,27 @@ def draw_dense_effects(
     if rng.random() < settings.friction_probability:
         add("delay", None, seconds=rng.uniform(*settings.delay))
     return tuple(effects)
+
+
+def static_load(robot: SimulatedRobot, motion: ReferenceTrajectory) -> FloatArray:
+    """Return the largest static torque of each joint along a motion, shape (n,) [N m]."""
+    dynamics = build_dynamics(robot.tree, robot.joints, robot.lock, robot.gravity)
+    q = motion.at(np.linspace(0.0, motion.duration, LOAD_POSES))[0]
+    still = np.zeros_like(q)
+    return np.asarray(np.abs(dynamics.inverse_dynamics(q, still, still)).max(axis=0))
+
+
+def dense_effects(
+    robot: SimulatedRobot, motion: ReferenceTrajectory, probability: float, seed: int
+) -> tuple[EffectInstance, ...]:
+    """Draw the effects of a dense robot for a motion and a seed.
+
+    Args:
+        robot: The robot without effects.
+        motion: The commanded motion.
+        probability: Probability of each friction at each joint.
+        seed: Seed of the draw.
+    """
+    settings = replace(DenseSettings(), friction_probability=probability)
+    rng = np.random.default_rng([seed, DENSE_STREAM])
+    return draw_dense_effects(robot, static_load(robot, motion), rng, settings)

@@ -32,6 +32,7 @@ TEXT = {
     "effect",
     "like",
     "host",
+    "limits_template",
     "format",
 }
 """Options and arguments that are names, paths or lists of names."""
@@ -39,6 +40,7 @@ POSITIONALS = {
     "effects": [],
     "formats": [],
     "robots": [],
+    "check": ["two_link"],
     "design": ["two_link", "-o", "unused"],
     "verify": ["unused.json"],
     "export": ["unused.json", "--format", "csv", "-o", "unused"],

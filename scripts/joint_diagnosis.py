@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from excite import api
+from excite.api.robots import resolve_limits
 from excite.diagnosis import bandwidth, joint_model, posterior, selection
 from excite.diagnosis.regression import rms
 from excite.effects import recorded_motion
@@ -36,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--limits", type=Path, help="limits file")
     arguments = parser.parse_args(argv)
     robot = api.load_robot(arguments.robot)
-    limits = api.resolve_limits(robot, arguments.limits)
+    limits = resolve_limits(robot, arguments.limits)
     standard = inertial_parameters.standard(robot, limits, inertial_parameters.DRIVE)
     base = base_parameters.find(robot, standard, limits)
     train, held_out = (

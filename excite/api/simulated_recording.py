@@ -131,6 +131,7 @@ def simulate(
     trajectory: str | Path,
     effects: Sequence[str] = (),
     *,
+    dense: float | None = None,
     severity: float | None = None,
     trusted: bool = False,
     like: str | Path | None = None,
@@ -143,6 +144,8 @@ def simulate(
         robot: Path of a URDF or name of a built-in model.
         trajectory: Path of a `trajectory.json`.
         effects: Hidden effects, each as `NAME:JOINT[:k=v,…]`.
+        dense: Probability of each friction at each joint of a robot that has several of them at
+            once, a delay and torque ripple; None: `effects` only.
         severity: Scale each effect to this RMS torque after a refit of the base model, over the
             noise RMS [1].
         trusted: With `severity`: without the refit, as with a trusted prior.
@@ -158,12 +161,19 @@ def simulate(
         raise UnusableInput(
             "MuJoCo is not installed; install the extra: .venv/bin/pip install -e '.[sim]'"
         )
-    from ..simulator import effect_instance, experiment, recording_file, reference_trajectory
+    from ..simulator import (
+        dense_robot,
+        effect_instance,
+        experiment,
+        recording_file,
+        reference_trajectory,
+    )
     from ..simulator import severity as severities
 
     given = {name: value for name, value in setting.items() if value is not None}
     stated = {
         "effects": effects or None,
+        "dense": dense,
         "severity": severity,
         **{k: given.get(k) for k in ("seed", "model_error")},
     }
@@ -194,6 +204,8 @@ def simulate(
         hidden = sibling.effects
     else:
         hidden = tuple(effect_instance.parse_effect(text, plant) for text in effects)
+        if dense is not None:
+            hidden = (*hidden, *dense_robot.dense_effects(plant, motion, dense, chosen.seed))
     if severity is not None:
         if not severity > 0.0:
             raise UnusableInput(f"--severity {severity:g}: should be above 0")

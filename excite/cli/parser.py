@@ -822,6 +822,17 @@ def _simulate(commands: Commands) -> None:
         help="hidden effect; 'list' prints all effects",
     )
     sub.add_argument(
+        "--dense",
+        type=Number(Range(0.0, 1.0, "1")),
+        nargs="?",
+        const=1.0,
+        metavar="P",
+        help=(
+            "give every joint several frictions at once, a delay and ripple, as real robots have; "
+            "each with probability P (default 1)"
+        ),
+    )
+    sub.add_argument(
         "--severity",
         type=Number(Range(1e-3, 1e6, "1")),
         metavar="S",

@@ -23,6 +23,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         arguments.robot,
         arguments.trajectory,
         arguments.effect,
+        dense=arguments.dense,
         severity=arguments.severity,
         trusted=arguments.trusted,
         like=arguments.like,

@@ -59,6 +59,11 @@ class CandidateModel:
             to fine encoders.
         max_noise_ratio: Torque noise over torque above which columns made of measured torque are
             too noisy to be used.
+        nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
+        prior_std: Prior standard deviation of the coefficients; None: the friction level of the
+            joint.
+        prior_shares: Share of `prior_std` of each coefficient; empty: 1.
+        form_columns: Number of last columns that are the discrepancy of its form.
         column_noise: RMS noise in columns · coefficients over the torque noise, of columns made of
             measured torque.
         signature: Description of the residual, if it differs from the effect's.
@@ -78,6 +83,10 @@ class CandidateModel:
     allows_several: bool = False
     threshold_factor: float = 1.0
     max_noise_ratio: float = np.inf
+    nonnegative: tuple[bool, ...] = ()
+    prior_std: float | None = None
+    prior_shares: tuple[float, ...] = ()
+    form_columns: int = 0
     column_noise: Callable[[FloatArray], float] = lambda c: 0.0
     signature: str = ""
 

@@ -35,6 +35,11 @@ MAX_REACH_SHARE = 0.5
 MAX_NEGATIVE_SHARE = 0.05
 """Negative force that one element may have by chance, over the force of all elements."""
 
+DENSE_REACHES = 1e-3 * 2.0 ** np.arange(0.0, 8.0, 0.5)
+"""Deflections at which the elements of `dense_model` slip [rad or m]."""
+UNEQUAL_ELEMENTS = [6, 10]
+"""Elements of `dense_model` that may have unequal branches."""
+
 
 def dahl(q: FloatArray, stiffness: float) -> FloatArray:
     """Return the state z of Dahl's model of unit friction, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968).
@@ -86,6 +91,12 @@ def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Presliding friction minus the smooth sign function that it replaces."""
     j = model.joint_index
+    if "elements" in model.values:
+        elements = np.column_stack([maxwell_slip(motion.samples.q[:, j], d) for d in DENSE_REACHES])
+        unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
+        return single_joint_columns(
+            motion, j, np.hstack([elements - motion.sign(j)[:, None], unequal])
+        )
     q, reach = motion.samples.q[:, j], model.values["reach"]
     curves = (
         [maxwell_slip(q, ratio * reach) for ratio in _reach_ratios(model)]
@@ -93,6 +104,25 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         else [dahl(q, 1.0 / reach)]
     )
     return single_joint_columns(motion, j, np.column_stack(curves) - motion.sign(j)[:, None])
+
+
+def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    """Return a nonnegative combination of Maxwell-slip elements of a joint.
+
+    The last columns, of either sign, make the two branches of the loop unequal.
+    """
+    count = len(DENSE_REACHES)
+    return CandidateModel(
+        "hysteresis",
+        joint,
+        _columns,
+        {"elements": float(count)},
+        parameters=lambda c: {
+            "amplitude": float(c[:count].sum()),
+            "stiffness": float(np.sum(c[:count] / DENSE_REACHES)),
+        },
+        nonnegative=(True,) * count + (False,) * len(UNEQUAL_ELEMENTS),
+    )
 
 
 def _reach_ratios(model: CandidateModel) -> FloatArray:

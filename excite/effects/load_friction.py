@@ -23,6 +23,11 @@ WEAKENING_THRESHOLD_FACTOR = 6.0
 """Factor on the evidence for load friction that falls with speed: a coarse encoder's reversal
 error, wherever there is load, looks like it."""
 
+EFFICIENCY_DIFFERENCE = 0.1
+"""Usual difference of load friction between driving and being driven, over the prior of μ."""
+PRIOR_COEFFICIENT = 0.2
+"""Prior standard deviation of the friction coefficient; usual ones are 0.03-0.3."""
+
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """sgn q̇ times a power of the load; with a "velocity", also the part that falls with speed.
@@ -31,12 +36,38 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """
     values, j = model.values, model.joint_index
     scale = values["scale"]
+    if "dense" in values:
+        load, sign = motion.transmitted_torque[:, j], motion.sign(j)
+        share = np.abs(load) / scale
+        return single_joint_columns(
+            motion, j, scale * np.column_stack([sign * share, sign * share**2, load / scale])
+        )
     load = (motion.motor_torque if "driven" in values else motion.transmitted_torque)[:, j]
     friction = motion.sign(j) * scale * (np.abs(load) / scale) ** values["power"]
     if "velocity" not in values:
         return single_joint_columns(motion, j, friction)
     weakening = friction * velocity_weakening(joint_speed(motion, j), values)
     return single_joint_columns(motion, j, np.column_stack([friction, weakening]))
+
+
+def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    """Return friction of a joint that grows with the load and its square.
+
+    The last column, of either sign, is the load itself: the efficiency of gears differs by the
+    direction of power.
+    """
+    torque = np.concatenate([motion.transmitted_torque[:, joint] for motion in motions])
+    scale, mean = max(float(np.abs(torque).max()), 1e-9), float(np.abs(torque).mean())
+    return CandidateModel(
+        "load_friction",
+        joint,
+        _columns,
+        {"dense": 1.0, "scale": scale},
+        parameters=lambda c: {"mu": float(c[0] + c[1] * mean / scale)},
+        nonnegative=(True, True, False),
+        prior_std=PRIOR_COEFFICIENT,
+        prior_shares=(1.0, 1.0, EFFICIENCY_DIFFERENCE),
+    )
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:

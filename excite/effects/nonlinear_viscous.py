@@ -18,12 +18,65 @@ from .effect import (
 from .friction import if_resolved, joint_speed, max_speed, min_resolved_speed
 from .recorded_motion import RecordedMotion
 
+ASINH_SPEEDS = (0.02, 0.1, 0.4)
+"""Speeds of the asinh curves, over the largest speed."""
+TANH_SPEEDS = (0.1, 0.4)
+"""Speeds of the tanh curves, over the largest speed."""
+
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """|q̇|^k sgn q̇."""
+    """|q̇|^k sgn q̇, or the curves of `dense_model`."""
     j = model.joint_index
+    if "top_speed" in model.values:
+        share = joint_speed(motion, j) / model.values["top_speed"]
+        return single_joint_columns(motion, j, _curves(share))
     return single_joint_columns(
         motion, j, motion.sign(j) * np.abs(joint_speed(motion, j)) ** model.values["exponent"]
+    )
+
+
+def _curves(share: FloatArray) -> FloatArray:
+    """Friction curves that are not linear in speed, less the linear one of equal friction at top.
+
+    Concave ones (asinh: Eyring viscosity; tanh, root) and convex ones (square, cube).
+
+    Args:
+        share: Speed over the largest speed, shape (M,).
+
+    Returns:
+        Shape (M, k).
+    """
+    size = np.abs(share)
+    concave = [np.arcsinh(share / v) / np.arcsinh(1.0 / v) for v in ASINH_SPEEDS]
+    concave += [np.tanh(share / v) / np.tanh(1.0 / v) for v in TANH_SPEEDS]
+    concave += [np.sign(share) * np.sqrt(size)]
+    convex = [share * size, share**3]
+    return np.column_stack([curve - share for curve in (*concave, *convex)])
+
+
+def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    """Return a nonnegative combination of concave and convex friction curves of a joint."""
+    top_speed = max_speed(motions, joint)
+    count = len(ASINH_SPEEDS) + len(TANH_SPEEDS) + 3
+
+    def parameters(c: FloatArray) -> dict[str, float]:
+        """Power whose deviation from a line fits the curve best."""
+        share = np.linspace(0.02, 1.0, 60)
+        curve = _curves(share) @ c
+        exponents = np.concatenate([np.linspace(0.2, 0.9, 29), np.linspace(1.2, 3.5, 47)])
+        shapes = share[:, None] ** exponents - share[:, None]
+        sizes = shapes.T @ curve / np.sum(shapes**2, axis=0)
+        best = int(np.argmin(np.sum((curve[:, None] - shapes * sizes) ** 2, axis=0)))
+        exponent = float(exponents[best])
+        return {"coefficient": float(sizes[best]) / top_speed**exponent, "exponent": exponent}
+
+    return CandidateModel(
+        "nonlinear_viscous",
+        joint,
+        _columns,
+        {"top_speed": top_speed},
+        parameters=parameters,
+        nonnegative=(True,) * count,
     )
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
-from ..identification.regression import IdentificationModel, filtered_regressor
+from ..identification.regression import IdentificationModel, filtered_friction, filtered_regressor
 from ..identification.segments import RecordingSegment
 from ..recordings.missing_values import true_runs
 from ..robot.inertial_parameters import Parameters
@@ -35,6 +35,9 @@ counts as coarse."""
 MIN_MOVING_SHARE = 0.3
 """Share of the time that a joint must move. A joint that moves less is judged at all times, as
 little would remain."""
+
+MOTION_ONLY = ("samples", "coarse_samples", "moving", "reversal_dwell", "times")
+"""Memoized properties that depend on neither the torque nor the base model."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +142,42 @@ class RecordedMotion:
         """
         out = copy.copy(self)
         object.__setattr__(out, "behind", (0.0, seconds) if lagging else (seconds, 0.0))
+        return out
+
+    def with_base_model(
+        self, fitted_robot: FittedRobot, widths: FloatArray, theta: FloatArray, coulomb: IntArray
+    ) -> RecordedMotion:
+        """Return the motion with another fit of the base model.
+
+        Args:
+            fitted_robot: The robot with its parameters.
+            widths: Widths of the smooth Coulomb friction, shape (n,).
+            theta: Base parameters, shape (p,).
+            coulomb: Column of Γ that is the Coulomb friction of each joint, −1: none, shape (n,).
+        """
+        step, slopes = filtered_friction(widths, self.samples.dq, self.band)
+        gamma = self.gamma.copy()
+        for j in np.flatnonzero(coulomb >= 0):
+            gamma[:, j, coulomb[j]] = step[self.kept, j]
+        out = replace(
+            self,
+            fitted_robot=fitted_robot,
+            widths=widths,
+            theta=theta,
+            gamma=gamma,
+            slopes=slopes[self.kept],
+        )
+        out.cache.update({name: self.cache[name] for name in MOTION_ONLY if name in self.cache})
+        return out
+
+    def with_torque(self, torque: FloatArray) -> RecordedMotion:
+        """Return the motion with another measured torque, shape (M, n) [N m]."""
+        out = replace(
+            self,
+            segment=replace(self.segment, torque=torque),
+            torque=self.band.filter(torque, Grid.KEPT)[self.kept],
+        )
+        out.cache.update({name: self.cache[name] for name in MOTION_ONLY if name in self.cache})
         return out
 
     @memoized

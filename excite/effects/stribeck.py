@@ -33,6 +33,8 @@ EXPONENT_RANGES = {False: (1.0, 1.4, 2.0), True: (1.0, 2.0, 3.0)}
 """Lower bound, start and upper bound of δ where it is optimised; by whether the curve is rational.
 Exponential: Tustin 1947; Armstrong-Hélouvry 1991. Rational: Popp & Stelter 1990; Hess & Soom 1990.
 Exponents below 1 are not sought: their peak at rest is sharp, and any height would fit."""
+DENSE_VELOCITIES = np.geomspace(0.03, 0.3, 4)
+"""Velocities of the curves of `dense_model`, over the joint's largest speed."""
 WIDTHS = 1e-3, 4e-3, 2e-2
 """Lower bound, start and upper bound of the width of the sign function [rad/s, or over the largest
 speed if that is less than 1 rad/s]."""
@@ -46,6 +48,10 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """
     j, values = model.joint_index, model.values
     speed = joint_speed(motion, j)
+    if "top_speed" in values:
+        share = np.abs(speed)[:, None] / (DENSE_VELOCITIES * values["top_speed"])
+        curves = np.hstack([np.exp(-share), np.exp(-(share**2))])
+        return single_joint_columns(motion, j, motion.sign(j)[:, None] * curves)
     if "width" not in values:
         return single_joint_columns(motion, j, motion.sign(j) * velocity_weakening(speed, values))
     sign, usual_sign = (np.tanh(speed / values[name]) for name in ("width", "usual"))
@@ -53,6 +59,30 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         motion,
         j,
         np.column_stack([sign * velocity_weakening(speed, values), sign - usual_sign]),
+    )
+
+
+def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    """Return a nonnegative combination of exponential and Gaussian Stribeck curves of a joint."""
+    top_speed = max_speed(motions, joint)
+    velocities = np.tile(DENSE_VELOCITIES * top_speed, 2)
+    exponents = np.repeat((1.0, 2.0), len(DENSE_VELOCITIES))
+
+    def parameters(c: FloatArray) -> dict[str, float]:
+        """Excess at rest, and the speed at which it has fallen to 1/e."""
+        speeds = np.geomspace(1e-3, 1.0, 400) * top_speed
+        curve = np.exp(-((speeds[:, None] / velocities) ** exponents)) @ c
+        below = curve < float(c.sum()) / np.e
+        velocity = speeds[int(np.argmax(below))] if below.any() else top_speed
+        return {"amplitude": float(c.sum()), "velocity": float(velocity)}
+
+    return CandidateModel(
+        "stribeck",
+        joint,
+        _columns,
+        {"top_speed": top_speed},
+        parameters=parameters,
+        nonnegative=(True,) * len(velocities),
     )
 
 

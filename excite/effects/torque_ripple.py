@@ -46,8 +46,13 @@ MIN_WAVES = 1.5
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Waves of an order and of its stated multiples."""
+    """Waves of an order and its stated multiples; with a "load", also waves that grow with it."""
     j = model.joint_index
+    if "load" in model.values:
+        phase = model.values["order"] * motion.samples.q[:, j]
+        load = motion.transmitted_torque[:, j] / model.values["load"]
+        waves = np.column_stack([np.cos(phase), np.sin(phase)])
+        return single_joint_columns(motion, j, np.hstack([waves, load[:, None] * waves]))
     return single_joint_columns(motion, j, harmonic_columns(model.values, motion.samples.q[:, j]))
 
 
@@ -81,6 +86,20 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                     order, order / factor, order * factor, family(j, multiples)
                 ).at(order)
                 used += [order, *(k * order for k in free)]
+
+
+def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> CandidateModel:
+    """Return the wave of one order [1/turn] at a joint, whose amplitude may grow with the load."""
+    load = max(float(np.abs(motion.transmitted_torque[:, joint]).max()) for motion in motions)
+    values = {"order": order, "load": max(load, 1e-9)}
+    return CandidateModel(
+        "torque_ripple",
+        joint,
+        _columns,
+        values,
+        parameters=lambda c: {"amplitude": float(np.hypot(c[0], c[1])), "order": order},
+        allows_several=True,
+    )
 
 
 def _is_near(order: float, others: Sequence[float]) -> bool:

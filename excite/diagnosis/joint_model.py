@@ -1,0 +1,507 @@
+"""Joint model of a robot: base model, frictions of every joint, delay and ripple, fitted together.
+
+Real joints have Stribeck, nonlinear viscous and load-dependent friction and presliding hysteresis
+at once. All of it is fitted jointly with the base model, before anything is judged:
+
+1. columns of the frictions at every joint (`dense_models`), with nonnegative coefficients;
+2. weights of the rows from the residual and its autocorrelation;
+3. the delay, whose coefficient on the slope of the torque moves into the torque's time stamps;
+4. the spatial frequencies of torque ripple, from the residual of all that;
+5. physically consistent base parameters, and with them the load of every joint; again from 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from .._types import BoolArray, FloatArray, IntArray
+from ..effects import (
+    hysteresis,
+    load_friction,
+    nonlinear_viscous,
+    recorded_motion,
+    stribeck,
+    torque_ripple,
+)
+from ..effects.effect import CandidateModel
+from ..effects.form_error import RELATIVE_STD, with_form_error
+from ..effects.recorded_motion import RecordedMotion
+from ..identification import consistency
+from ..identification.identification import Identification
+from ..identification.lowpass import Grid
+from .regression import RIDGE, Columns, JointRegression, Solution, independent_share, rms
+
+ROUNDS = 4
+"""Rounds of the fit: delay and weights change by less than 1 % after three."""
+RIPPLE_ROUNDS = (1, 2)
+"""Rounds that are followed by a search for ripple: not before the first fit of the frictions."""
+MAX_DELAY_STEP = 0.01
+"""Prior standard deviation of the delay [s]."""
+MIN_LEVEL_SHARE = 0.3
+"""Least friction level of a joint, over the median of all joints."""
+MAX_WIDTH_STEP = 0.7
+"""Largest change of the logarithm of a Coulomb width in a round."""
+MIN_RIPPLE_EVIDENCE = 5.0
+"""Log Bayes factor from which a wave enters the model, after the search over its order."""
+MAX_RIPPLE_ORDER = 300.0
+"""Largest spatial frequency that is searched [1/rad]."""
+ORDER_STEPS = 4.0
+"""Grid points over the width of a peak in the order spectrum."""
+GAUSS_NEWTON_STEPS = 6
+"""Steps of the refinement of an order."""
+MAX_ORDER_STEP = 0.3
+"""Largest step of an order, over the width of a peak in the order spectrum."""
+ORDER_TOLERANCE = 1e-4
+"""Step at which the refinement of an order ends, in the same unit."""
+MIN_WAVES = 3.0
+"""Periods over the range of a joint from which a torque counts as periodic."""
+DENSE_EFFECTS = (stribeck, nonlinear_viscous, hysteresis, load_friction)
+"""Frictions that are fitted at every joint."""
+
+
+@dataclass(frozen=True)
+class JointModel:
+    """A fitted joint model.
+
+    Attributes:
+        motions: Recorded motions, with the base model and with the torque moved by the delays.
+        models: Effects in the order of the regression.
+        regression: The regression.
+        delays: Time by which the torque of each joint is recorded late, shape (n,) [s].
+        level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
+        psi: Standard parameters, shape (P,).
+    """
+
+    motions: tuple[RecordedMotion, ...]
+    models: tuple[CandidateModel, ...]
+    regression: JointRegression
+    delays: FloatArray
+    level: FloatArray
+    psi: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.motions[0].n
+
+    @property
+    def solution(self) -> Solution:
+        """The solution of the regression."""
+        return self.regression.solution
+
+    def coefficients(self, effect: int) -> FloatArray:
+        """Return the coefficients of an effect, shape (k,)."""
+        return np.asarray(self.solution.coefficients[self.regression.slices[effect]])
+
+    def columns(self, model: CandidateModel) -> Columns | None:
+        """Return the columns of a model over all motions; None if they are zero or not finite."""
+        return model_columns(model, self.motions, self.level)
+
+
+def model_columns(
+    model: CandidateModel, motions: Sequence[RecordedMotion], level: FloatArray
+) -> Columns | None:
+    """Return the columns of a model over motions; None if they are zero or not finite.
+
+    Args:
+        model: The model.
+        motions: The motions.
+        level: Friction level of each joint, shape (n,) [N m].
+    """
+    torque = np.concatenate([model.columns(motion) for motion in motions])
+    if not np.isfinite(torque).all() or not np.abs(torque).max(initial=0.0) > 1e-9:
+        return None
+    k = torque.shape[2]
+    std = model.prior_std
+    if std is None:
+        std = float(np.max(level) if model.joint is None else level[model.joint])
+        # coefficients in units of their own: a column of unit RMS has the friction level
+        size = np.sqrt(np.mean(torque**2, axis=(0, 1)) * torque.shape[1])
+        prior = (
+            std / np.maximum(size, 1e-3 * size.max())
+            if not any(model.nonnegative)
+            else np.full(k, std)
+        )
+    else:
+        prior = np.full(k, std) * np.array(model.prior_shares or (1.0,) * k)
+    if model.form_columns:
+        prior[-model.form_columns :] = RELATIVE_STD
+    nonnegative = np.array(model.nonnegative or (False,) * k)
+    return Columns.of(torque, nonnegative, prior)
+
+
+def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
+    """Return the friction models of every joint."""
+    return [effect.dense_model(motions, j) for j in range(motions[0].n) for effect in DENSE_EFFECTS]
+
+
+def fit(
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    rare: Sequence[CandidateModel] = (),
+) -> JointModel:
+    """Fit the joint model to recorded motions.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+        rare: Further effects.
+    """
+    coulomb = _coulomb_columns(identified)
+    psi, widths = identified.psi, identified.model.widths
+    recorded = [motion.segment.torque for motion in motions]
+    delays = np.zeros(motions[0].n)
+    waves: list[CandidateModel] = []
+    weights: tuple[FloatArray, float] | None = None
+    for step in range(ROUNDS):
+        present = [
+            motion.with_torque(_moved(motion, torque, delays))
+            for motion, torque in zip(motions, recorded, strict=True)
+        ]
+        current = renewed(identified, present, psi, widths, coulomb)
+        fitted = _fit_round(
+            identified, current, [*dense_models(current), *rare, *waves], delays, psi, weights
+        )
+        weights = fitted.regression.sigma, fitted.regression.independent_share
+        if step == ROUNDS - 1:
+            for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
+                motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
+            break
+        x = fitted.solution.coefficients
+        p, n = identified.model.base.count, fitted.n
+        delays = delays + x[p + n]
+        widths = widths * np.exp(np.clip(x[p : p + n], -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
+        psi = consistent_parameters(identified, fitted)
+        if step == 0:
+            rare = [_with_discrepancy(fitted, model) for model in rare]
+        if step in RIPPLE_ROUNDS:
+            waves += find_waves(fitted)
+    return fitted
+
+
+def modelled_torque(model: JointModel) -> list[FloatArray]:
+    """Return the torque of the model at every sample of its motions, shapes (M, n) [N m].
+
+    Effects of measured torque are computed from it: measured noise would be correlated with itself.
+    """
+    total = model.regression.torque - model.regression.residual()
+    parts = recorded_motion.split_by_motion(total, model.motions)
+    return [
+        np.column_stack([np.interp(m.times, m.time, x) for x in part.T])
+        for m, part in zip(model.motions, parts, strict=True)
+    ]
+
+
+def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateModel:
+    """Return a rare effect with the discrepancy of its form, in units of its fitted torque."""
+    if model.joint is None or model not in fitted.models:
+        return model
+    coefficients = fitted.coefficients(fitted.models.index(model))
+    return with_form_error(model, fitted.motions, coefficients)
+
+
+def _fit_round(
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    models: Sequence[CandidateModel],
+    delays: FloatArray,
+    psi: FloatArray,
+    weights: tuple[FloatArray, float] | None,
+) -> JointModel:
+    """Fit the coefficients of given models, and the weights of the rows."""
+    torque = np.concatenate([motion.torque for motion in motions])
+    moving = np.concatenate([motion.moving for motion in motions])
+    if weights is None:
+        residual = np.concatenate([motion.residual for motion in motions])
+        weights = rms(residual, moving), independent_share(residual, moving)
+    level = friction_level(motions)
+    regression = JointRegression.of_base(
+        torque, moving, _base_columns(motions, level), _base_prior(identified, len(level)), *weights
+    )
+    kept = []
+    for model in models:
+        columns = model_columns(model, motions, level)
+        if columns is not None:
+            regression.add(columns)
+            kept.append(model)
+    reweight(regression)
+    return JointModel(tuple(motions), tuple(kept), regression, delays, level, psi)
+
+
+def reweight(regression: JointRegression) -> None:
+    """Set the weights of the rows by the residual, twice, since they change it."""
+    for _ in range(2):
+        residual = regression.residual()
+        regression.reweighted(
+            rms(residual, regression.moving), independent_share(residual, regression.moving)
+        )
+
+
+def held_out_residuals(
+    identified: Identification, model: JointModel, motions: Sequence[RecordedMotion]
+) -> tuple[FloatArray, FloatArray]:
+    """Predict the torque of motions that the model was not fitted to.
+
+    Args:
+        identified: The base model.
+        model: The joint model.
+        motions: The motions, with the base model.
+
+    Returns:
+        Residual of the base model and of the joint model, shapes (N, n) [N m]; zero at standstill.
+    """
+    moved = [m.with_torque(_moved(m, m.segment.torque, model.delays)) for m in motions]
+    present = renewed(identified, moved, model.psi, model.motions[0].widths)
+    moving = np.concatenate([motion.moving for motion in motions])
+    p = identified.model.base.count
+    coefficients = model.solution.coefficients[: p + model.n + 1].copy()
+    coefficients[-1] = 0.0  # the delay is in the time stamps
+    predicted = _base_columns(present, model.level) @ coefficients
+    for effect, shape in enumerate(model.models):
+        columns = np.concatenate([shape.columns(motion) for motion in present])
+        predicted += columns @ model.coefficients(effect)
+    torque = np.concatenate([motion.torque for motion in present])
+    base = np.concatenate([motion.residual for motion in motions])
+    return np.where(moving, base, 0.0), np.where(moving, torque - predicted, 0.0)
+
+
+def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
+    """Return the Coulomb friction of each joint, or a share of the others' where it is small."""
+    coulomb = np.abs(motions[0].fitted_robot.actuator_parameter("coulomb"))
+    torque = np.sqrt(np.mean(np.concatenate([m.torque for m in motions]) ** 2, axis=0))
+    return np.maximum(
+        coulomb, MIN_LEVEL_SHARE * max(float(np.median(coulomb)), 1e-3 * float(torque.max()))
+    )
+
+
+def _base_columns(motions: Sequence[RecordedMotion], level: FloatArray) -> FloatArray:
+    """Γ, then the change of Coulomb friction by its width, then −dτ/dt, shape (N, n, p + n + 1)."""
+    parts = []
+    for motion in motions:
+        slopes = np.zeros((len(motion), motion.n, motion.n))
+        slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
+        slope = -motion.band.transform(motion.segment.torque).filter(Grid.KEPT, 1)[motion.kept]
+        parts.append(np.concatenate([motion.gamma, slopes, slope[:, :, None]], axis=2))
+    return np.concatenate(parts)
+
+
+def _base_prior(identified: Identification, n: int) -> tuple[FloatArray, FloatArray]:
+    """Mean and information of the base parameters, the widths and the delay."""
+    base, prior = identified.model.base, identified.prior
+    information = consistency.symmetric_pseudo_inverse(
+        base.matrix
+        @ consistency.symmetric_pseudo_inverse(
+            consistency.prior_information(identified.model.parameters, prior)
+        )
+        @ base.matrix.T
+    )
+    p = base.count
+    out = np.zeros((p + n + 1, p + n + 1))
+    out[:p, :p] = information
+    out[range(p, p + n), range(p, p + n)] = 1.0
+    out[-1, -1] = 1.0 / MAX_DELAY_STEP**2
+    return np.concatenate([base.matrix @ prior.nominal, np.zeros(n + 1)]), out
+
+
+def _coulomb_columns(identified: Identification) -> IntArray:
+    """Column of Γ that is the Coulomb friction of each joint, −1 where there is none."""
+    out = np.full(identified.model.robot.n, -1)
+    for column, joint in identified.model.friction_columns().items():
+        out[joint] = column
+    return out
+
+
+def renewed(
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    psi: FloatArray,
+    widths: FloatArray,
+    coulomb: IntArray | None = None,
+) -> list[RecordedMotion]:
+    """Return motions with the base model of other parameters."""
+    model = identified.model
+    robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
+    columns = _coulomb_columns(identified) if coulomb is None else coulomb
+    return [m.with_base_model(robot, widths, model.base.matrix @ psi, columns) for m in motions]
+
+
+def _moved(motion: RecordedMotion, torque: FloatArray, delays: FloatArray) -> FloatArray:
+    """Return the torque of a motion at earlier times, shape (M, n) [N m]."""
+    if not delays.any():
+        return torque
+    t = motion.times
+    return np.column_stack(
+        [
+            CubicSpline(t, x)(np.clip(t + d, t[0], t[-1]))
+            for x, d in zip(torque.T, delays.tolist(), strict=True)
+        ]
+    )
+
+
+def consistent_parameters(identified: Identification, fitted: JointModel) -> FloatArray:
+    """Return the physically consistent standard parameters of a fit, shape (P,).
+
+    The information of the base parameters is what the data hold after elimination of all effects.
+    """
+    model = identified.model
+    p = model.base.count
+    solution = fitted.solution
+    others = solution.active.copy()
+    others[:p] = False
+    eliminated = np.flatnonzero(others)
+    a = solution.information
+    scale = 1.0 / np.sqrt(np.diag(a)[eliminated])
+    block = a[eliminated][:, eliminated] * scale[:, None] * scale
+    cross = scale[:, None] * a[eliminated][:, :p]
+    schur = a[:p, :p] - cross.T @ np.linalg.solve(block + RIDGE * np.eye(len(scale)), cross)
+    mean, prior = _base_prior(identified, fitted.n)
+    information = 0.5 * (schur + schur.T) - prior[:p, :p]
+    score = schur @ solution.coefficients[:p] - prior[:p, :p] @ mean[:p]
+    values, vectors = np.linalg.eigh(information)
+    known = values > 1e-12 * values.max()
+    root = np.sqrt(values[known])[:, None] * vectors[:, known].T
+    target = (vectors[:, known].T @ score) / np.sqrt(values[known])
+    return consistency.maximum_a_posteriori(
+        model.parameters,
+        root @ model.base.matrix,
+        target,
+        identified.prior,
+        identified.options.bounds,
+    ).psi
+
+
+def find_waves(fitted: JointModel) -> list[CandidateModel]:
+    """Find torque ripple in the residual, at each joint until no wave has evidence.
+
+    The order of each wave is that of the highest peak of the order spectrum, refined by
+    Gauss-Newton steps.
+    """
+    regression = fitted.regression
+    residual, weights = regression.residual(), regression.weights
+    out = []
+    for j in range(fitted.n):
+        moving = regression.moving[:, j]
+        angle, speed = _angle_and_speed(fitted.motions, j)
+        known = [
+            m.values["order"] for m in fitted.models if m.effect == "torque_ripple" and m.joint == j
+        ]
+        r = residual[:, j].copy()
+        span = float(np.ptp(angle))
+        if span <= 0.0:
+            continue
+        width = 2.0 * np.pi / span
+        grid = np.arange(max(3.0, MIN_WAVES * width), MAX_RIPPLE_ORDER, width / ORDER_STEPS)
+        while len(grid) and len(known) < 12:
+            order, gain = _spectrum_peak(
+                r, angle, speed, moving, grid, fitted.motions[0].band.hertz
+            )
+            sigma2 = float(np.mean(r[moving] ** 2))
+            evidence = weights[j] * gain - np.log(len(grid)) - np.log(max(weights[j] * gain, 1.0))
+            if evidence < MIN_RIPPLE_EVIDENCE or any(abs(order - k) < 0.5 * width for k in known):
+                break
+            order, wave = _refined_order(fitted.motions, j, order, r, moving, width)
+            r = r - wave
+            known.append(order)
+            out.append(torque_ripple.wave_model(fitted.motions, j, order))
+            weights = weights.copy()
+            weights[j] *= sigma2 / float(np.mean(r[moving] ** 2))
+    return out
+
+
+def _angle_and_speed(
+    motions: Sequence[RecordedMotion], joint: int
+) -> tuple[FloatArray, FloatArray]:
+    """Angle and speed of a joint at the rows of all motions."""
+    angle = [np.interp(m.time, m.times, m.samples.q[:, joint]) for m in motions]
+    speed = [np.interp(m.time, m.times, m.samples.dq[:, joint]) for m in motions]
+    return np.concatenate(angle), np.concatenate(speed)
+
+
+def _spectrum_peak(
+    residual: FloatArray,
+    angle: FloatArray,
+    speed: FloatArray,
+    moving: BoolArray,
+    grid: FloatArray,
+    hertz: float,
+) -> tuple[float, float]:
+    """Return the order of the wave that fits a residual best, and half its power [(N m)²].
+
+    A least-squares periodogram over the angle (Lomb 1976). Rows where the wave lies above the
+    cutoff frequency do not count.
+    """
+    best = (0.0, -np.inf)
+    rows = np.flatnonzero(moving)
+    angle, speed, residual = angle[rows], np.abs(speed[rows]), residual[rows]
+    blocks = max(1, len(grid) * len(rows) // 2_000_000)
+    for orders in np.array_split(grid, blocks):
+        below = np.outer(speed, orders) < 2.0 * np.pi * hertz
+        phase = np.outer(angle, orders)
+        c, s = np.cos(phase) * below, np.sin(phase) * below
+        cc, ss, cs = (c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)
+        yc, ys = residual @ c, residual @ s
+        determinant = cc * ss - cs**2
+        usable = determinant > 1e-3 * (cc + ss) ** 2
+        power = np.where(
+            usable,
+            (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / np.where(usable, determinant, 1.0),
+            0.0,
+        )
+        k = int(np.argmax(power))
+        if power[k] > best[1]:
+            best = float(orders[k]), float(power[k])
+    return best[0], 0.5 * best[1]
+
+
+def _refined_order(
+    motions: Sequence[RecordedMotion],
+    joint: int,
+    order: float,
+    residual: FloatArray,
+    moving: BoolArray,
+    width: float,
+) -> tuple[float, FloatArray]:
+    """Refine an order by Gauss-Newton steps; return it and the torque of its wave, shape (N,)."""
+
+    def waves(k: float) -> FloatArray:
+        return _filtered(motions, joint, lambda q: [np.cos(k * q), np.sin(k * q)])
+
+    for _ in range(GAUSS_NEWTON_STEPS):
+        columns = waves(order)
+        c = np.linalg.lstsq(columns[moving], residual[moving], rcond=None)[0]
+        slope = _order_slope(motions, joint, order, np.asarray(c, float))
+        joined = np.hstack([columns, slope])[moving]
+        step = float(np.linalg.lstsq(joined, residual[moving], rcond=None)[0][2])
+        step = float(np.clip(step, -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
+        order += step
+        if abs(step) < ORDER_TOLERANCE * width:
+            break
+    columns = waves(order)
+    c = np.linalg.lstsq(columns[moving], residual[moving], rcond=None)[0]
+    return order, columns @ c
+
+
+def _order_slope(
+    motions: Sequence[RecordedMotion], joint: int, order: float, c: FloatArray
+) -> FloatArray:
+    """Return the derivative of a wave with coefficients c by its order, shape (N, 1)."""
+    return _filtered(
+        motions,
+        joint,
+        lambda q: [q * (c[1] * np.cos(order * q) - c[0] * np.sin(order * q))],
+    )
+
+
+def _filtered(
+    motions: Sequence[RecordedMotion],
+    joint: int,
+    functions: Callable[[FloatArray], list[FloatArray]],
+) -> FloatArray:
+    """Low-pass functions of a joint's angle, shape (N, k)."""
+    return np.concatenate(
+        [m.lowpass(np.column_stack(functions(m.samples.q[:, joint]))) for m in motions]
+    )

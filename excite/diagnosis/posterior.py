@@ -1,0 +1,120 @@
+"""Which effects of a joint model are needed? Evidence from refits without them.
+
+The Bayes factor of an effect follows from the minima of the objective with and without it, all
+other effects refitted, in the Laplace approximation:
+
+    ln B = J_without − J_with − ½ (ln det A_with − ln det A_without) + ½ ln det Λ + m ln 2
+
+over the coefficients that are not held at zero by their sign; Λ is their prior precision, and each
+of the m coefficients that cannot be negative has twice the prior density.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._types import FloatArray
+from .joint_model import JointModel
+from .regression import JointRegression, Solution, rms
+
+
+@dataclass(frozen=True)
+class EffectEvidence:
+    """Evidence for an effect of a joint model.
+
+    Attributes:
+        effects: Numbers of the regression's effects (several waves are one effect).
+        name: Name of the effect.
+        joint: Index of the joint; None for an effect of no single joint.
+        log_bayes_factor: Of the model with it over the model without.
+        severity: Growth of the RMS residual of each joint without it [N m], shape (n,).
+    """
+
+    effects: tuple[int, ...]
+    name: str
+    joint: int | None
+    log_bayes_factor: float
+    severity: FloatArray
+
+
+def effect_groups(model: JointModel) -> dict[tuple[str, int | None], tuple[int, ...]]:
+    """Return the regression's effects by name and joint."""
+    groups: dict[tuple[str, int | None], tuple[int, ...]] = {}
+    for i, m in enumerate(model.models):
+        groups[m.effect, m.joint] = (*groups.get((m.effect, m.joint), ()), i)
+    return groups
+
+
+def log_evidence(regression: JointRegression, solution: Solution) -> float:
+    """Return the log evidence of a solution, up to a constant of the regression."""
+    active = solution.active.copy()
+    active[: regression.base_count] = False
+    precision = np.diag(regression.prior_matrix)[active]
+    halves = float(np.log(2.0) * np.count_nonzero(active & regression.nonnegative))
+    return (
+        -solution.objective
+        - 0.5 * solution.log_determinant()
+        + 0.5 * float(np.sum(np.log(precision)))
+        + halves
+    )
+
+
+def select(
+    model: JointModel, min_log_bayes_factor: float = 0.0
+) -> tuple[frozenset[int], list[EffectEvidence]]:
+    """Leave out effects that are not needed, the least needed first.
+
+    Args:
+        model: The joint model.
+        min_log_bayes_factor: Log Bayes factor from which an effect is needed.
+
+    Returns:
+        The effects that are left out, and the evidence of all: of a left-out effect, what it had
+        when it left.
+    """
+    groups = effect_groups(model)
+    regression = model.regression
+    left_out: set[int] = set()
+    current = model.solution
+    evidence = {
+        key: evidence_of(model, key, members, left_out, current) for key, members in groups.items()
+    }
+    out: list[EffectEvidence] = []
+    while evidence:
+        key = min(evidence, key=lambda k: evidence[k].log_bayes_factor)
+        if evidence[key].log_bayes_factor >= min_log_bayes_factor:
+            break
+        out.append(evidence.pop(key))
+        left_out |= set(groups[key])
+        current = regression.without(left_out)
+        touched = {j for j in _joints(regression, groups[key])}
+        for other in evidence:
+            if touched & set(_joints(regression, groups[other])):
+                evidence[other] = evidence_of(model, other, groups[other], left_out, current)
+    return frozenset(left_out), [*evidence.values(), *out]
+
+
+def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:
+    return [j for e in effects for j in regression.joints_of(e)]
+
+
+def evidence_of(
+    model: JointModel,
+    key: tuple[str, int | None],
+    members: tuple[int, ...],
+    left_out: Collection[int],
+    current: Solution,
+) -> EffectEvidence:
+    """Return the evidence of an effect in a model without some others."""
+    regression = model.regression
+    places = np.concatenate([np.arange(len(current.active))[regression.slices[e]] for e in members])
+    if not current.coefficients[places].any():
+        return EffectEvidence(members, key[0], key[1], -np.inf, np.zeros(model.n))
+    reduced = regression.without([*left_out, *members])
+    factor = log_evidence(regression, current) - log_evidence(regression, reduced)
+    before, after = (rms(regression.residual(s), regression.moving) for s in (reduced, current))
+    severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
+    return EffectEvidence(members, key[0], key[1], factor, severity)

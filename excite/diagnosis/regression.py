@@ -1,0 +1,393 @@
+"""Linear regression of torque on the base model and effects of all joints, with sign constraints.
+
+    τ = Γ θ + Σ C_e c_e + ε,   θ ~ N(θ₀, Σ₀),   c_e ~ N(0, Λ_e⁻¹),   c_e ≥ 0 where physics says so
+
+The rows of joint j are weighted by ρ/σ_j², with σ_j the RMS residual and ρ the share of independent
+rows in an autocorrelated residual. The weighted objective J is a quadratic form of the
+coefficients, so that only Gram matrices are kept: one for each joint, to which columns are appended
+and which are weighted anew without another pass over the rows. The unconstrained coefficients are
+eliminated by a Schur complement, the others follow from nonnegative least squares (Lawson & Hanson
+1974).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import nnls
+
+from .._types import BoolArray, FloatArray, IntArray
+
+MAX_LAG = 40
+"""Lags of the autocorrelation that are summed [rows]."""
+MIN_AUTOCORRELATION = 0.02
+"""Autocorrelation at which the sum ends, about two standard errors of 10,000 rows."""
+RIDGE = 1e-10
+"""Share of the diagonal that is added to a matrix before it is factored."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Torque columns of one effect on the joints that they affect.
+
+    Attributes:
+        joints: Indices of these joints, shape (J,).
+        values: Torque per unit of each coefficient, one array of shape (N, k) for each joint.
+        nonnegative: Coefficients that physics requires to be ≥ 0, shape (k,).
+        prior_std: Prior standard deviation of each coefficient, shape (k,).
+    """
+
+    joints: tuple[int, ...]
+    values: tuple[FloatArray, ...]
+    nonnegative: BoolArray
+    prior_std: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of columns k."""
+        return len(self.nonnegative)
+
+    @classmethod
+    def of(
+        cls,
+        torque: FloatArray,
+        nonnegative: BoolArray | None = None,
+        prior_std: FloatArray | None = None,
+    ) -> Columns:
+        """Return the columns of a full array, shape (N, n, k), without joints that are all zero."""
+        k = torque.shape[2]
+        joints = tuple(int(j) for j in np.flatnonzero(np.abs(torque).max(axis=(0, 2)) > 0.0))
+        return cls(
+            joints,
+            tuple(np.ascontiguousarray(torque[:, j]) for j in joints),
+            np.zeros(k, bool) if nonnegative is None else nonnegative,
+            np.full(k, np.inf) if prior_std is None else prior_std,
+        )
+
+
+@dataclass
+class _JointGram:
+    """Products of all columns that act on one joint, over its rows in motion.
+
+    Attributes:
+        columns: The columns X, shape (N, k); rows at standstill are zero.
+        places: Place of each column among all coefficients, shape (k,).
+        matrix: XᵀX.
+        score: Xᵀτ.
+        power: τᵀτ.
+    """
+
+    columns: FloatArray
+    places: IntArray
+    matrix: FloatArray
+    score: FloatArray
+    power: float
+
+    def appended(self, values: FloatArray, places: IntArray, torque: FloatArray) -> _JointGram:
+        """Return the products with further columns (rows at standstill zero)."""
+        cross = self.columns.T @ values
+        matrix = np.block([[self.matrix, cross], [cross.T, values.T @ values]])
+        return _JointGram(
+            np.hstack([self.columns, values]),
+            np.concatenate([self.places, places]),
+            matrix,
+            np.concatenate([self.score, values.T @ torque]),
+            self.power,
+        )
+
+
+@dataclass
+class JointRegression:
+    """The regression of all joints.
+
+    Attributes:
+        torque: Measured torque τ, shape (N, n) [N m].
+        moving: Rows that count for each joint, shape (N, n).
+        base_count: Number of coefficients of the base model, which come first.
+        sigma: RMS residual of each joint, shape (n,) [N m].
+        independent_share: Share ρ of independent rows.
+        slices: Coefficients of each effect, in the order in which they were added.
+        prior_matrix: Prior information of all coefficients, shape (K, K).
+        nonnegative: Coefficients that cannot be negative, shape (K,).
+    """
+
+    torque: FloatArray
+    moving: BoolArray
+    base_count: int
+    sigma: FloatArray
+    independent_share: float
+    slices: list[slice] = field(default_factory=list)
+    prior_matrix: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    nonnegative: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
+    _grams: list[_JointGram] = field(default_factory=list)
+    _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _prior_power: float = 0.0
+    _solution: Solution | None = None
+
+    @classmethod
+    def of_base(
+        cls,
+        torque: FloatArray,
+        moving: BoolArray,
+        base: FloatArray,
+        prior: tuple[FloatArray, FloatArray],
+        sigma: FloatArray,
+        independent_share: float,
+    ) -> JointRegression:
+        """Return the regression on the base model alone.
+
+        Args:
+            torque: Measured torque, shape (N, n) [N m].
+            moving: Rows that count for each joint, shape (N, n).
+            base: Columns of the base model, shape (N, n, p).
+            prior: Mean, shape (p,), and information matrix, shape (p, p), of its parameters.
+            sigma: RMS residual of each joint, shape (n,) [N m].
+            independent_share: Share of independent rows.
+        """
+        p = base.shape[2]
+        mean, information = prior
+        out = cls(torque, moving, p, sigma, independent_share)
+        out.prior_matrix, out._prior_score = information.copy(), information @ mean
+        out._prior_power = float(mean @ information @ mean)
+        out.nonnegative = np.zeros(p, bool)
+        for j in range(torque.shape[1]):
+            used = np.flatnonzero(np.abs(base[:, j]).max(axis=0) > 0.0)
+            x = base[:, j, used] * moving[:, j, None]
+            out._grams.append(
+                _JointGram(
+                    x,
+                    used,
+                    x.T @ x,
+                    x.T @ torque[:, j],
+                    float(np.sum(torque[moving[:, j], j] ** 2)),
+                )
+            )
+        return out
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.torque.shape[1])
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weight ρ/σ² of the rows of each joint, shape (n,)."""
+        return self.independent_share / self.sigma**2
+
+    def add(self, columns: Columns) -> int:
+        """Append the columns of an effect; return its number."""
+        start = len(self.nonnegative)
+        places = np.arange(start, start + columns.count)
+        for j, values in zip(columns.joints, columns.values, strict=True):
+            self._grams[j] = self._grams[j].appended(
+                values * self.moving[:, j, None], places, self.torque[:, j]
+            )
+        self.nonnegative = np.concatenate([self.nonnegative, columns.nonnegative])
+        self.prior_matrix = linalg.block_diag(
+            self.prior_matrix, np.diag(1.0 / columns.prior_std**2)
+        )
+        self._prior_score = np.concatenate([self._prior_score, np.zeros(columns.count)])
+        self.slices.append(slice(start, start + columns.count))
+        self._solution = None
+        return len(self.slices) - 1
+
+    def reweighted(self, sigma: FloatArray, independent_share: float) -> None:
+        """Replace the weights of the rows."""
+        self.sigma, self.independent_share = sigma, independent_share
+        self._solution = None
+
+    @property
+    def solution(self) -> Solution:
+        """The minimum of the objective."""
+        if self._solution is None:
+            self._solution = self._solve(np.ones(len(self.nonnegative), bool))
+        return self._solution
+
+    def without(self, effects: Iterable[int]) -> Solution:
+        """Return the minimum of the objective without some effects, all others refitted."""
+        used = np.ones(len(self.nonnegative), bool)
+        for e in effects:
+            used[self.slices[e]] = False
+        return self._solve(used)
+
+    def _assembled(self) -> tuple[FloatArray, FloatArray, float]:
+        """Information matrix A, score b and power of the weighted rows and the priors."""
+        matrix, score, power = (
+            self.prior_matrix.copy(),
+            self._prior_score.copy(),
+            self._prior_power,
+        )
+        for gram, weight in zip(self._grams, self.weights.tolist(), strict=True):
+            matrix[np.ix_(gram.places, gram.places)] += weight * gram.matrix
+            score[gram.places] += weight * gram.score
+            power += weight * gram.power
+        return matrix, score, power
+
+    def _solve(self, used: BoolArray) -> Solution:
+        matrix, score, power = self._assembled()
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        a, b = matrix * scale[:, None] * scale, score * scale
+        free = np.flatnonzero(used & ~self.nonnegative)
+        bounded = np.flatnonzero(used & self.nonnegative)
+        factor = linalg.cho_factor(a[np.ix_(free, free)] + RIDGE * np.eye(len(free)), lower=True)
+        cross = linalg.cho_solve(factor, np.column_stack([a[np.ix_(free, bounded)], b[free]]))
+        x = np.zeros(len(a))
+        if len(bounded):
+            eliminated = a[np.ix_(bounded, free)] @ cross
+            root = linalg.cholesky(
+                a[np.ix_(bounded, bounded)] - eliminated[:, :-1] + RIDGE * np.eye(len(bounded))
+            )
+            target = linalg.solve_triangular(root, b[bounded] - eliminated[:, -1], trans=1)
+            x[bounded] = nnls(root, target, maxiter=30 * len(bounded))[0]
+        x[free] = cross[:, -1] - cross[:, :-1] @ x[bounded]
+        x *= scale
+        active = used & (~self.nonnegative | (x > 0.0))
+        objective = 0.5 * (power + x @ matrix @ x) - score @ x
+        return Solution(x, active, float(objective), matrix)
+
+    def residual(self, solution: Solution | None = None) -> FloatArray:
+        """Return the torque residual, shape (N, n) [N m]; rows at standstill have the torque."""
+        x = (solution or self.solution).coefficients
+        return self.torque - np.column_stack([g.columns @ x[g.places] for g in self._grams])
+
+    def torque_of(self, effect: int, joint: int, solution: Solution | None = None) -> FloatArray:
+        """Return the torque of an effect on a joint, shape (N,) [N m]."""
+        x, gram, part = (
+            (solution or self.solution).coefficients,
+            self._grams[joint],
+            self.slices[effect],
+        )
+        of_effect = (gram.places >= part.start) & (gram.places < part.stop)
+        return np.asarray(gram.columns[:, of_effect] @ x[gram.places[of_effect]])
+
+    def joints_of(self, effect: int) -> list[int]:
+        """Return the joints on which an effect acts."""
+        part = self.slices[effect]
+        return [
+            j
+            for j, g in enumerate(self._grams)
+            if np.any((g.places >= part.start) & (g.places < part.stop))
+        ]
+
+    def candidate(self, columns: Columns) -> CandidateFit:
+        """Fit further columns jointly with the active coefficients, without sign constraints."""
+        solution, k = self.solution, columns.count
+        active = np.flatnonzero(solution.active)
+        position = np.full(len(solution.active), -1)
+        position[active] = np.arange(len(active))
+        cross, square, score = (
+            np.zeros((len(active), k)),
+            np.diag(1.0 / columns.prior_std**2),
+            np.zeros(k),
+        )
+        for j, values in zip(columns.joints, columns.values, strict=True):
+            gram, weight = self._grams[j], float(self.weights[j])
+            x = values * self.moving[:, j, None]
+            on = position[gram.places]
+            shared = gram.columns.T @ x
+            cross[on[on >= 0]] += weight * shared[on >= 0]
+            square += weight * (x.T @ x)
+            score += weight * (
+                x.T @ self.torque[:, j] - shared.T @ solution.coefficients[gram.places]
+            )
+        schur = square - cross.T @ solution.solve(cross)
+        schur = 0.5 * (schur + schur.T)
+        values_, vectors = np.linalg.eigh(schur)
+        kept = values_ > 1e-9 * max(float(np.diag(square).max()), 1e-300)
+        inverse = (vectors[:, kept] / values_[kept]) @ vectors[:, kept].T
+        coefficients = inverse @ score
+        return CandidateFit(coefficients, 0.5 * float(score @ coefficients), schur)
+
+
+@dataclass(frozen=True)
+class CandidateFit:
+    """Coefficients of additional columns.
+
+    Attributes:
+        coefficients: Shape (k,).
+        gain: Decrease of the objective, a log-likelihood.
+        information: Their information after elimination of all other coefficients, shape (k, k).
+    """
+
+    coefficients: FloatArray
+    gain: float
+    information: FloatArray
+
+
+@dataclass
+class Solution:
+    """A minimum of the objective.
+
+    Attributes:
+        coefficients: All coefficients, shape (K,); 0 where an effect is left out.
+        active: Coefficients that are neither left out nor held at zero by their sign, shape (K,).
+        objective: Negative log posterior up to a constant.
+        information: Information matrix of all coefficients, shape (K, K).
+    """
+
+    coefficients: FloatArray
+    active: BoolArray
+    objective: float
+    information: FloatArray
+    _factor: tuple[FloatArray, FloatArray] | None = None
+
+    def solve(self, x: FloatArray) -> FloatArray:
+        """Return A⁻¹ x over the active coefficients, shape (active, k)."""
+        factor, scale = self._factored()
+        return np.asarray(scale[:, None] * linalg.cho_solve((factor, True), scale[:, None] * x))
+
+    def _factored(self) -> tuple[FloatArray, FloatArray]:
+        if self._factor is None:
+            on = np.flatnonzero(self.active)
+            a = self.information[np.ix_(on, on)]
+            scale = 1.0 / np.sqrt(np.diag(a))
+            lower = linalg.cholesky(
+                a * scale[:, None] * scale + RIDGE * np.eye(len(on)), lower=True
+            )
+            self._factor = lower, scale
+        return self._factor
+
+    def log_determinant(self) -> float:
+        """Return log det A over the active coefficients."""
+        factor, scale = self._factored()
+        return float(2.0 * np.sum(np.log(np.diag(factor))) - 2.0 * np.sum(np.log(scale)))
+
+    def draws(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Return draws of all coefficients from the Laplace approximation, shape (count, K)."""
+        factor, scale = self._factored()
+        noise = rng.standard_normal((len(scale), count))
+        out = np.tile(self.coefficients, (count, 1))
+        out[:, self.active] += (scale[:, None] * linalg.solve_triangular(factor.T, noise)).T
+        return out
+
+
+def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:
+    """Return the RMS of each joint over its rows in motion, shape (n,)."""
+    count = np.maximum(moving.sum(axis=0), 1)
+    return np.asarray(np.sqrt(np.sum(np.where(moving, residual, 0.0) ** 2, axis=0) / count))
+
+
+def independent_share(residual: FloatArray, moving: BoolArray) -> float:
+    """Return the share ρ of independent rows, 1/(1 + 2 Σ r_k), the median over the joints.
+
+    The sum over the autocorrelations r_k ends at the first that is not significant. One share for
+    all joints: weighted each by its own, a joint with a white residual would bend the rigid-body
+    parameters of its neighbours.
+
+    Args:
+        residual: Torque residual, shape (N, n).
+        moving: Rows that count, shape (N, n).
+    """
+    lengths = []
+    for x in np.where(moving, residual, 0.0).T:
+        power, total = float(x @ x), 1.0
+        for lag in range(1, min(MAX_LAG, len(x) - 1)):
+            correlation = float(x[lag:] @ x[:-lag]) / max(power, 1e-300)
+            if correlation < MIN_AUTOCORRELATION:
+                break
+            total += 2.0 * correlation
+        lengths.append(total)
+    return 1.0 / float(np.median(lengths))

@@ -123,7 +123,7 @@ def score_case(case: SimulatedCase) -> CaseScore:
     """Fit the joint model to a case and compare it with the truth."""
     robot = api.load_robot(case.robot)
     limits = resolve_limits(robot, None)
-    standard = inertial_parameters.standard(robot, limits, inertial_parameters.DRIVE)
+    standard = inertial_parameters.standard_parameters(robot, limits, inertial_parameters.DRIVE)
     base = base_parameters.find(robot, standard, limits)
     train, held_out = (
         [api.read_recording(case.folder / f"{name}.csv", robot, limits=limits) for name in names]

@@ -24,7 +24,9 @@ def require_dissipation(
 ) -> None:
     """Check that the friction of the unconstrained estimate dissipates power at every joint.
 
-    The power of joint j is P = E[q̇ (f_v q̇ + f_c tanh(q̇/w))].
+    The power of joint j is P = E[q̇ (f_v q̇ + f_c tanh(q̇/w) + f_0)]. The offset f_0 counts, since a
+    joint that always turns in one direction does not tell it from Coulomb friction; where the joint
+    goes to and fro, E[q̇] = 0 and it does not matter.
 
     Args:
         source: Name of the recording, for messages.
@@ -59,12 +61,12 @@ def require_dissipation(
 def _friction_powers(
     model: IdentificationModel, equations: TorqueEquations, data: Estimate
 ) -> dict[int, tuple[float, float]]:
-    """Mean power of friction and its standard error of each joint with both columns [W]."""
+    """Mean power of friction and its standard error of each joint [W]."""
     parameters, out = model.parameters, dict[int, tuple[float, float]]()
     weights: dict[int, FloatArray] = {}
-    for kind in ("viscous", "coulomb"):
+    for kind in ("viscous", "coulomb", "offset"):
         if kind not in parameters.drive:
-            return out
+            continue
         block = parameters.block(kind)
         for k, place in enumerate(model.base.independent):
             if block.start <= place < block.stop:

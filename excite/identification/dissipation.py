@@ -24,9 +24,9 @@ def require_dissipation(
 ) -> None:
     """Check that the friction of the unconstrained estimate dissipates power at every joint.
 
-    The power of joint j is P = E[q̇ (f_v q̇ + f_c tanh(q̇/w) + f_0)]. The offset f_0 counts, since a
-    joint that turns in one direction only does not distinguish it from Coulomb friction; for an
-    oscillating joint E[q̇] = 0 and it does not matter.
+    The power of joint j is P = E[q̇ (f_v q̇ + f_c tanh(q̇/w) + f_0)]. The offset f_0 counts:
+    a joint that turns in one direction only does not distinguish it from Coulomb friction, and
+    for an oscillating joint E[q̇] = 0.
 
     Args:
         source: Name of the recording, for messages.

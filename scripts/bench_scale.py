@@ -36,13 +36,12 @@ from scipy.optimize import nnls
 
 from excite.designer import design_cost, initial_guess, optimize, sqp, time_budget
 from excite.designer.evaluator import Evaluator
-from excite.designer.problem import Options
+from excite.designer.options import DesignOptions
 from excite.errors import ExciteWarning
 from excite.robot import dynamics, inertial_parameters, limits
 from excite.robot.robot import load
 from excite.robot.samples import Samples
 
-Array = np.ndarray
 Case = tuple[str, int, int, int]
 CASES: tuple[Case, ...] = (  # robot, or joints/limbs; harmonics; samples; iterations
     ("two_link", 5, 100, 30),
@@ -85,21 +84,22 @@ def iteration(case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder, threadpoolctl.threadpool_limits(1):
         robot = load(source(name, Path(folder)))
         table = limits.resolve(robot)
-        options = time_budget.Wish(None, harmonics, samples, None).fill(Options(starts=1), table)
-        setting = optimize.prepare(robot, table, options)
-        evaluator, rng = Evaluator(setting.problem), np.random.default_rng([0, 0])
-        poses = initial_guess.poses(evaluator, rng)
-        state = sqp.begin(initial_guess.motion(evaluator, poses[0], rng))
+        request = time_budget.MotionRequest(None, harmonics, samples, None)
+        options = request.complete(DesignOptions(starts=1), table)
+        setup = optimize.set_up(robot, table, options)
+        evaluator, rng = Evaluator(setup.problem), np.random.default_rng([0, 0])
+        poses = initial_guess.find_static_poses(evaluator, rng)
+        state = sqp.initial_state(initial_guess.scale_random_motion(evaluator, poses[0], rng))
         begun = time.process_time()
         state = sqp.advance(evaluator, state, sqp.History(), count)
         seconds = (time.process_time() - begun) / max(state.iterations, 1)
-    n, P = robot.n, setting.problem.parameters.count
+    n, P = robot.n, setup.problem.parameters.count
     return {
         "seconds": seconds,
         "memory": 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "n": n,
         "P": P,
-        "p": setting.base.count,
+        "p": setup.base.count,
         "V": n * (2 * harmonics + 1),
         "pairs": sum(len(list(way)) - 1 for way in list(robot.model.supports)[1:]),
         "expected": design_cost.estimated(robot, options).memory,

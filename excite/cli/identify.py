@@ -120,7 +120,10 @@ def _summary(prediction: Prediction, robot: Robot) -> str:
     name, error = robot.joints[joint], prediction.error()[joint]
     unit = robot.entries[joint].unit("N m")
     if above and prediction.noise_floor is not None and prediction.noise_floor[joint] > 0.0:
-        place = f"{name} is {error / prediction.noise_floor[joint]:.2g} times above its noise floor"
+        place = (
+            f"largest over its torque at {name}, {error / prediction.noise_floor[joint]:.2g} times "
+            "its noise floor"
+        )
     elif prediction.noise_floor is not None and not above:
         place = "every joint is at its noise floor"
     else:

@@ -113,10 +113,8 @@ def _cards(identification: Identification) -> list[tuple[str, str]]:
     joint, above = shown.limiting_joint()
     errors = f"{number(shown.error('nominal')[joint], 2)} → {number(shown.error()[joint], 2)}"
     reason = (
-        "furthest above its noise floor"
-        if above
-        else "largest relative error"
-        if shown.noise_floor is None
+        "largest error over its torque"
+        if above or shown.noise_floor is None
         else "most reduced; every joint is at its noise floor"
     )
     unit = robot.entries[joint].unit("N m")

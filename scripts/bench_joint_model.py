@@ -23,15 +23,11 @@ import numpy as np
 from concealed_trial.case_plan import CaseSpec
 from concealed_trial.generate_cases import case_settings
 from concealed_trial.random_excitation import draw_excitation
+from joint_diagnosis import prepare
 
-from excite import api
 from excite._types import FloatArray
-from excite.api.robots import resolve_limits
-from excite.diagnosis import bandwidth, joint_model, posterior, selection
+from excite.diagnosis import joint_model, posterior, selection
 from excite.diagnosis.regression import rms
-from excite.effects import recorded_motion
-from excite.identification import identification, segments
-from excite.robot import base_parameters, inertial_parameters
 from excite.robot.robot import locate
 from excite.simulator import dense_robot
 from excite.simulator.effect_instance import EffectInstance, with_effects
@@ -121,24 +117,9 @@ class CaseScore:
 
 def score_case(case: SimulatedCase) -> CaseScore:
     """Fit the joint model to a case and compare it with the truth."""
-    robot = api.load_robot(case.robot)
-    limits = resolve_limits(robot, None)
-    standard = inertial_parameters.standard_parameters(robot, limits, inertial_parameters.DRIVE)
-    base = base_parameters.find(robot, standard, limits)
-    train, held_out = (
-        [api.read_recording(case.folder / f"{name}.csv", robot, limits=limits) for name in names]
-        for names in (("train1", "train2"), ("validate",))
-    )
-    pieces = [list(segments.extract_segments(group, average=False)) for group in (train, held_out)]
-    hertz = bandwidth.needed_hertz(pieces[0])
-    options = identification.IdentificationOptions(band=hertz)
-    identified = identification.identify(robot, standard, base, train, (), options)
-    fitted_robot = recorded_motion.fitted_robot(robot, standard, identified.psi)
-    theta = base.matrix @ identified.psi
-    motions = [
-        recorded_motion.recorded_motions(identified.model, fitted_robot, theta, group, hertz)
-        for group in pieces
-    ]
+    train = [case.folder / f"{name}.csv" for name in ("train1", "train2")]
+    identified, motions = prepare(case.robot, train, [case.folder / "validate.csv"])
+    robot = identified.model.robot
     begin = time.process_time()
     model = joint_model.fit(identified, motions[0])
     left_out, evidence = posterior.select(model)

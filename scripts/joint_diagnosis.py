@@ -22,8 +22,37 @@ from excite.api.robots import resolve_limits
 from excite.diagnosis import bandwidth, joint_model, posterior, selection
 from excite.diagnosis.regression import rms
 from excite.effects import recorded_motion
+from excite.effects.recorded_motion import RecordedMotion
 from excite.identification import identification, segments
+from excite.identification.identification import Identification
 from excite.robot import base_parameters, inertial_parameters
+
+
+def prepare(
+    source: str,
+    recordings: Sequence[str | Path],
+    validate: Sequence[str | Path],
+    limits_file: Path | None = None,
+) -> tuple[Identification, list[list[RecordedMotion]]]:
+    """Fit the base model, and compute the motions of the training and held-out recordings."""
+    robot = api.load_robot(source)
+    limits = resolve_limits(robot, limits_file)
+    standard = inertial_parameters.standard_parameters(robot, limits, inertial_parameters.DRIVE)
+    base = base_parameters.find(robot, standard, limits)
+    train, held_out = (
+        [api.read_recording(path, robot, limits=limits) for path in paths]
+        for paths in (recordings, validate)
+    )
+    pieces = [list(segments.extract_segments(group, average=False)) for group in (train, held_out)]
+    hertz = bandwidth.needed_hertz(pieces[0])
+    options = identification.IdentificationOptions(band=hertz)
+    identified = identification.identify(robot, standard, base, train, (), options)
+    fitted_robot = recorded_motion.fitted_robot(robot, standard, identified.psi)
+    theta = base.matrix @ identified.psi
+    return identified, [
+        recorded_motion.recorded_motions(identified.model, fitted_robot, theta, group, hertz)
+        for group in pieces
+    ]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -36,24 +65,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--validate", nargs="+", required=True, help="held-out recordings")
     parser.add_argument("--limits", type=Path, help="limits file")
     arguments = parser.parse_args(argv)
-    robot = api.load_robot(arguments.robot)
-    limits = resolve_limits(robot, arguments.limits)
-    standard = inertial_parameters.standard_parameters(robot, limits, inertial_parameters.DRIVE)
-    base = base_parameters.find(robot, standard, limits)
-    train, held_out = (
-        [api.read_recording(path, robot, limits=limits) for path in paths]
-        for paths in (arguments.recordings, arguments.validate)
+    identified, motions = prepare(
+        arguments.robot, arguments.recordings, arguments.validate, arguments.limits
     )
-    pieces = [list(segments.extract_segments(group, average=False)) for group in (train, held_out)]
-    hertz = bandwidth.needed_hertz(pieces[0])
-    options = identification.IdentificationOptions(band=hertz)
-    identified = identification.identify(robot, standard, base, train, (), options)
-    fitted_robot = recorded_motion.fitted_robot(robot, standard, identified.psi)
-    theta = base.matrix @ identified.psi
-    motions = [
-        recorded_motion.recorded_motions(identified.model, fitted_robot, theta, group, hertz)
-        for group in pieces
-    ]
+    robot = identified.model.robot
     model, _ = selection.find_rare_effects(
         identified, motions[0], progress=lambda line: print(line, file=sys.stderr)
     )

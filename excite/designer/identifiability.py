@@ -20,10 +20,7 @@ from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
 from ..robot.parameter_names import SMALLEST_SHARE, sentence
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .identifiability_threshold import (
-    IDENTIFIABLE_VARIANCE as IDENTIFIABLE_VARIANCE,  # noqa: PLC0414  re-exported for identification
-)
-from .identifiability_threshold import is_identifiable
+from .identifiability_threshold import IDENTIFIABLE_VARIANCE, is_identifiable
 
 SCHEMA = "excite.identifiability/1"
 """Schema of `identifiability.json`."""

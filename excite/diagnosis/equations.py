@@ -85,14 +85,9 @@ def _known(
     if trusted:
         return slopes, np.zeros(n)
     base, prior = identified.model.base, identified.prior
-    spread = (
-        base.matrix
-        @ consistency.symmetric_pseudo_inverse(
-            consistency.prior_information(identified.model.parameters, prior)
-        )
-        @ base.matrix.T
+    values, vectors = np.linalg.eigh(
+        consistency.base_prior_information(identified.model.parameters, base, prior)
     )
-    values, vectors = np.linalg.eigh(consistency.symmetric_pseudo_inverse(spread))
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     rows = np.zeros((base.count, width))
     rows[:, : base.count] = root

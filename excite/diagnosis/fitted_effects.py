@@ -13,6 +13,7 @@ from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME, recorded_motion
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
+from ..identification.identification import MAX_BAND_SHARE
 from ..identification.identified_model import IdentifiedModel
 from ..identification.lowpass import Grid
 from ..identification.segments import RecordingSegment
@@ -130,7 +131,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, 
             temperature=stretch.temperature,
             recording_start=float(recording.t[0]),
         )
-        band = segment.band(min(fitted.hertz, 0.45 * segment.rate))
+        band = segment.band(min(fitted.hertz, MAX_BAND_SHARE * segment.rate))
         motion = RecordedMotion(
             segment,
             band,

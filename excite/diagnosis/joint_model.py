@@ -292,13 +292,7 @@ def _base_columns(motions: Sequence[RecordedMotion], level: FloatArray) -> Float
 def _base_prior(identified: Identification, n: int) -> tuple[FloatArray, FloatArray]:
     """Mean and information of the base parameters, the widths and the delay."""
     base, prior = identified.model.base, identified.prior
-    information = consistency.symmetric_pseudo_inverse(
-        base.matrix
-        @ consistency.symmetric_pseudo_inverse(
-            consistency.prior_information(identified.model.parameters, prior)
-        )
-        @ base.matrix.T
-    )
+    information = consistency.base_prior_information(identified.model.parameters, base, prior)
     p = base.count
     out = np.zeros((p + n + 1, p + n + 1))
     out[:p, :p] = information

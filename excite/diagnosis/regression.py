@@ -126,6 +126,7 @@ class JointRegression:
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
     _solution: Solution | None = None
+    _assembly: tuple[FloatArray, FloatArray, float] | None = None
 
     @classmethod
     def of_base(
@@ -191,13 +192,13 @@ class JointRegression:
         )
         self._prior_score = np.concatenate([self._prior_score, np.zeros(columns.count)])
         self.slices.append(slice(start, start + columns.count))
-        self._solution = None
+        self._solution, self._assembly = None, None
         return len(self.slices) - 1
 
     def reweighted(self, sigma: FloatArray, independent_share: float) -> None:
         """Replace the weights of the rows."""
         self.sigma, self.independent_share = sigma, independent_share
-        self._solution = None
+        self._solution, self._assembly = None, None
 
     @property
     def solution(self) -> Solution:
@@ -215,6 +216,8 @@ class JointRegression:
 
     def _assembled(self) -> tuple[FloatArray, FloatArray, float]:
         """Information matrix A, score b and power of the weighted rows and the priors."""
+        if self._assembly is not None:
+            return self._assembly
         matrix, score, power = (
             self.prior_matrix.copy(),
             self._prior_score.copy(),
@@ -224,7 +227,8 @@ class JointRegression:
             matrix[np.ix_(gram.places, gram.places)] += weight * gram.matrix
             score[gram.places] += weight * gram.score
             power += weight * gram.power
-        return matrix, score, power
+        self._assembly = matrix, score, power
+        return self._assembly
 
     def _solve(self, used: BoolArray) -> Solution:
         matrix, score, power = self._assembled()
@@ -354,14 +358,6 @@ class Solution:
         """Return log det A over the active coefficients."""
         factor, scale = self._factored()
         return float(2.0 * np.sum(np.log(np.diag(factor))) - 2.0 * np.sum(np.log(scale)))
-
-    def draws(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Return draws of all coefficients from the Laplace approximation, shape (count, K)."""
-        factor, scale = self._factored()
-        noise = rng.standard_normal((len(scale), count))
-        out = np.tile(self.coefficients, (count, 1))
-        out[:, self.active] += (scale[:, None] * linalg.solve_triangular(factor.T, noise)).T
-        return out
 
 
 def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:

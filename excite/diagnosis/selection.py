@@ -55,7 +55,6 @@ class CandidateColumns:
     """Columns of all candidates over the motions of a joint model, computed once."""
 
     def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
-        self._model = model
         self.shapes: dict[tuple[str, int | None], list[tuple[CandidateModel, Columns]]] = {}
         for effect in EFFECTS:
             if effect.name in DENSE_NAMES or (effect.prior_only and not trusted):

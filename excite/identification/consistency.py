@@ -15,6 +15,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..errors import UnusableInput
+from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
 from .inertia_distance import Distance, NominalFrames, distance_metrics, pseudo_inertias
 
@@ -128,6 +129,12 @@ def prior_information(parameters: Parameters, prior: Prior) -> FloatArray:
     ):
         out[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = 2.0 * prior.inertial_weight * G
     return out
+
+
+def base_prior_information(parameters: Parameters, base: Base, prior: Prior) -> FloatArray:
+    """Compute (B (2γG)⁺ Bᵀ)⁺, what the prior is worth for the base parameters. Shape (p, p)."""
+    covariance = symmetric_pseudo_inverse(prior_information(parameters, prior))
+    return symmetric_pseudo_inverse(base.matrix @ covariance @ base.matrix.T)
 
 
 class _BarrierProblem:

@@ -18,6 +18,7 @@ import numpy as np
 from .._types import FloatArray
 from ..designer import identifiability
 from ..designer.identifiability import Identifiability
+from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE, is_identifiable
 from ..errors import UnusableInput
 from ..recordings import Recording
 from ..robot.base_parameters import Base
@@ -85,7 +86,7 @@ class IdentificationOptions:
     distance: Distance = Distance.BREGMAN
     gamma: str | tuple[float, float] = "evidence"
     band: float | None = None
-    threshold: float = identifiability.IDENTIFIABLE_VARIANCE
+    threshold: float = IDENTIFIABLE_VARIANCE
     bounds: Bounds = field(default_factory=Bounds)
     align: bool = False
     trusted: Mapping[int, float] = field(default_factory=dict)
@@ -226,14 +227,8 @@ class Identification:
             self.data.information_root @ base.matrix, self.metric_base
         )
         directions = base.matrix @ self.metric_base.geometric @ vectors
-        information = consistency.prior_information(self.model.parameters, self.prior)
-        covariance = base.matrix @ consistency.symmetric_pseudo_inverse(information) @ base.matrix.T
-        prior = np.einsum(
-            "ik,ij,jk->k",
-            directions,
-            consistency.symmetric_pseudo_inverse(covariance),
-            directions,
-        )
+        information = consistency.base_prior_information(self.model.parameters, base, self.prior)
+        prior = np.einsum("ik,ij,jk->k", directions, information, directions)
         return np.asarray(values / np.maximum(values + prior, 1e-300))
 
 
@@ -538,7 +533,7 @@ def _reduced_estimate(
     values, vectors = identifiability.eigenvalues_and_directions(
         data.information_root @ base.matrix, base
     )
-    identified = values * options.threshold >= 1.0
+    identified = is_identifiable(values, options.threshold)
     # coordinates of θ in which the metric is 1 and the information diagonal
     frame = vectors[:, identified].T @ np.linalg.inv(base.matrix @ base.geometric)
     root = np.sqrt(values[identified])[:, None] * frame

@@ -24,7 +24,7 @@ from ..schemas.model import SCHEMA, ModelDocument
 from ..trajectory import trajectory_file
 from . import estimators
 from .hausman_test import HausmanTest
-from .identification import Identification, Prediction
+from .identification import MAX_BAND_SHARE, Identification, Prediction
 from .link_estimates import LinkEstimate, link_estimates
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from .regression import BLOCK_ROWS
@@ -51,8 +51,6 @@ INERTIAL_UNITS = (
     "kg m²",
 )
 """Units of a link's ten inertial parameters."""
-MAX_BAND_SHARE = 0.45
-"""Cutoff frequency over the rate of a recording, at most."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from .._types import BoolArray, FloatArray, IntArray
 from . import segment_distance
 from .batch_kinematics import KinematicTree
 from .geometry import Shape, ShapeKind
+from .mesh_distance import MeshDistance
 from .segment_distance import NearestPoints
 
 SCALE_RATIO = 20.0
@@ -338,16 +339,21 @@ class ClearanceEvaluation:
         self, sample: IntArray, a: IntArray, b: IntArray, *, exact: bool = False
     ) -> NearestPoints:
         """Nearest points of hulls, or of the exact shapes, each pair at its own pose."""
-        solids = [
-            hull.shape.solid() if exact else hull.shape.hull() for hull in self.constraint.hulls
-        ]
+        shapes = [hull.shape for hull in self.constraint.hulls]
+        if exact:
+            search = MeshDistance([shape.solid() for shape in shapes])
+        else:
+            hulls = [shape.hull() for shape in shapes]
         placements = [self._hull_placements(sample, hull) for hull in (a, b)]
         out = np.empty((len(sample), 10))
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         for row, (i, j) in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
             first, second = (coal.Transform3s(R[row], p[row]) for R, p in placements)
-            result.clear()
-            distance = coal.distance(solids[i], first, solids[j], second, request, result)
+            if exact:
+                distance = search.nearest((i, j), first, second, result)
+            else:
+                result.clear()
+                distance = coal.distance(hulls[i], first, hulls[j], second, request, result)
             # coal's normal points from the first body to the second
             out[row] = (
                 distance,

@@ -33,7 +33,7 @@ SHRINKING = (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2)
 STARTS_PER_RESTART = 2
 """Starts of a search that is repeated because no motion of the first one was certified."""
 
-WARM_ITERATIONS = 40
+WARM_ITERATIONS = 20
 """Iterations of a search that continues with the curvature of an earlier one; the motion changes by
 millimetres."""
 

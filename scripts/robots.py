@@ -1,9 +1,9 @@
 #!/usr/bin/env python
 """Design and certify a motion for many robots: built-in models and example-robot-data.
 
-It prints a Markdown table (or JSON); the exit code is 1 when a robot fails. example-robot-data is
-used where its wheel is installed or unpacked. Robots of other wheels are used where these are
-unpacked, each in a folder of its distribution's name:
+It prints a Markdown table (or JSON); the exit code is 1 when a robot fails, not when it is refused.
+example-robot-data is used where its wheel is installed or unpacked. Robots of other wheels are used
+where these are unpacked, each in a folder of its distribution's name:
 
     pip download --no-deps example-robot-data && unzip -d DIR example_robot_data*.whl
     for NAME in rtb-data dexmate-urdf hello-robot-stretch-urdf icub-models armar jvrc-description \\
@@ -11,12 +11,15 @@ unpacked, each in a folder of its distribution's name:
         pip download --no-deps "$NAME" && unzip -d "OTHERS/${NAME//-/_}" "${NAME//-/_}"*.whl
     done
     python scripts/robots.py --data DIR --wheels OTHERS
+
+Single starts of all criteria: --starts 1 --criteria a,d,e,cond,cond_regressor --seeds 0,1,2.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 import os
 import signal
@@ -137,8 +140,8 @@ def wheel(data: Path | None) -> Path | None:
     return None
 
 
-def run_in_process(name: str, given: argparse.Namespace) -> Row:
-    """Try a robot in a process of its own.
+def run_in_process(name: str, criterion: str, seed: int, given: argparse.Namespace) -> Row:
+    """Try a robot with one criterion and seed in a process of its own.
 
     A crash or a solver that never ends then does not affect the others.
     """
@@ -146,14 +149,14 @@ def run_in_process(name: str, given: argparse.Namespace) -> Row:
     command += [
         "--starts",
         str(given.starts),
-        "--criterion",
-        given.criterion,
+        "--criteria",
+        criterion,
         "--uncertainty",
         str(given.uncertainty),
     ]
     command += [] if given.data is None else ["--data", str(given.data)]
     command += [] if given.wheels is None else ["--wheels", str(given.wheels)]
-    command += ["--seed", str(given.seed), "--jobs", str(given.jobs)]
+    command += ["--seeds", str(seed), "--jobs", str(given.jobs)]
     # in a session of its own, so that the workers of a robot that hangs can be ended with it
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
@@ -294,9 +297,9 @@ def round_trip(trajectory: trajectory_file.Trajectory) -> certificate_module.Cer
     return certificate_module.verify_file(again, again.load_robot())
 
 
-def markdown(rows: Sequence[Row], criterion: str) -> str:
+def markdown(rows: Sequence[Row]) -> str:
     """Return the table; the last cell of a robot that failed is the reason."""
-    values = [f"{criterion} at start", f"{criterion} after"]
+    values = ["criterion at start", "criterion after"]
     head = [
         "robot",
         "joints",
@@ -383,7 +386,11 @@ def parse_arguments() -> argparse.Namespace:
         "--wheels", type=Path, metavar="DIR", help="folder of other unpacked wheels, one each"
     )
     parser.add_argument(
-        "--seed", type=int, default=standard.seed, help="of the starts (default %(default)s)"
+        "--seeds",
+        type=lambda text: tuple(int(part) for part in text.split(",")),
+        default=(standard.seed,),
+        metavar="N,…",
+        help="of the starts; every robot is tried with each (default 0)",
     )
     parser.add_argument(
         "--jobs",
@@ -399,10 +406,12 @@ def parse_arguments() -> argparse.Namespace:
         help="random starts per robot (default %(default)s)",
     )
     parser.add_argument(
-        "--criterion",
-        choices=[c.value for c in Criterion],
-        default=standard.criterion.value,
-        help="default %(default)s",
+        "--criteria",
+        type=lambda text: tuple(Criterion(part) for part in text.split(",")),
+        default=(standard.criterion,),
+        metavar="NAME,…",
+        help=f"of {', '.join(c.value for c in Criterion)}; every robot is tried with each "
+        f"(default {standard.criterion.value})",
     )
     parser.add_argument(
         "--uncertainty",
@@ -429,31 +438,36 @@ def parse_arguments() -> argparse.Namespace:
 def main() -> int:
     """Try the robots; return the exit code."""
     given = parse_arguments()
-    options = DesignOptions(
-        criterion=Criterion(given.criterion),
-        starts=given.starts,
-        uncertainty=given.uncertainty,
-        seed=given.seed,
-        jobs=given.jobs,
-    )
+    combinations = list(itertools.product(given.criteria, given.seeds))
     rows = []
     for case, source in chosen(cases(given.data, given.wheels), given.only):
-        if given.alone:
-            rows.append(attempt(case, source, options))
-            continue
-        say(f"{case.name}: {source}")
-        rows.append(row := run_in_process(case.name, given))
-        for text in row.warnings:
-            say(f"  {text}")
-        say("  " + " | ".join(cells(row)))
+        for criterion, seed in combinations:
+            if given.alone:
+                options = DesignOptions(
+                    criterion=criterion,
+                    starts=given.starts,
+                    uncertainty=given.uncertainty,
+                    seed=seed,
+                    jobs=given.jobs,
+                )
+                rows.append(attempt(case, source, options))
+                continue
+            label = f" {criterion.value} {seed}" if len(combinations) > 1 else ""
+            say(f"{case.name}{label}: {source}")
+            row = run_in_process(case.name, criterion.value, seed, given)
+            row.robot += label
+            rows.append(row)
+            for text in row.warnings:
+                say(f"  {text}")
+            say("  " + " | ".join(cells(row)))
     if not given.alone:
         say(summary(rows))
     print(
         json.dumps([dataclasses.asdict(r) for r in rows], indent=1)
         if given.json
-        else markdown(rows, given.criterion)
+        else markdown(rows)
     )
-    return 0 if all(row.ok for row in rows) else 1
+    return 1 if any(outcome(row).startswith("FAILED") for row in rows) else 0
 
 
 if __name__ == "__main__":

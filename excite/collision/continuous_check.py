@@ -34,7 +34,7 @@ MIN_STEPS = 8
 ABSOLUTE_TOLERANCE = 5e-4
 """Distance by which a proven lower bound may be below the observed least distance [m]."""
 MARGIN_TOLERANCE = 0.25
-"""Largest such distance over the margin of the pair [1]: margins below 2 mm need more resolution."""
+"""Largest such distance over the margin of the pair [1]; margins below 2 mm need it."""
 RELATIVE_TOLERANCE = 0.02
 """The same as a share of the observed distance; the larger of both counts [1]."""
 UNRESOLVED_EXCESS = 0.02

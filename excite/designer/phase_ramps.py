@@ -119,7 +119,7 @@ def shortest_ramp(
 def shortest_at_rest(
     constraints: MotionConstraints,
     fourier: FourierSeries,
-    rest: float,
+    rest_phase: float,
     grid: float,
     step: float,
     *,
@@ -130,14 +130,14 @@ def shortest_at_rest(
     Args:
         constraints: Constraints, derived limits included.
         fourier: Periodic motion.
-        rest: Phase of the pose at rest [s].
+        rest_phase: Phase of the pose at rest [s].
         grid: Duration that ramps are multiples of [s].
         step: Time step at which the certificate will check it [s].
         inwards: True for a ramp-in, which begins there; False for a ramp-out, which ends there.
     """
     for duration in _durations(fourier.period, grid, np.inf):
         half = 0.5 * duration
-        shifted = fourier.shifted(rest + half if inwards else rest - half)
+        shifted = fourier.shifted(rest_phase + half if inwards else rest_phase - half)
         profile = phase_profile(shifted, duration, inwards=inwards)
         if _exceeds_coarsely(constraints, profile, duration):
             continue

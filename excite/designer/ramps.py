@@ -561,7 +561,7 @@ def _shortest_ramp(
 
 
 def _closed_pair(
-    planner: RampPlanner, fourier: FourierSeries, rest: float, step: float
+    planner: RampPlanner, fourier: FourierSeries, rest_phase: float, step: float
 ) -> _RampPair | None:
     """Return ramps along the path from rest at a phase and back to it, None where there are none.
 
@@ -570,15 +570,15 @@ def _closed_pair(
     where the motion of the periodic part helps against gravity.
     """
     constraints, grid = planner.constraints, 2.0 * planner.time_step
-    begin = phase_ramps.shortest_at_rest(constraints, fourier, rest, grid, step, inwards=True)
+    begin = phase_ramps.shortest_at_rest(constraints, fourier, rest_phase, grid, step, inwards=True)
     if begin is None:
         return None
-    end = phase_ramps.shortest_at_rest(constraints, fourier, rest, grid, step, inwards=False)
+    end = phase_ramps.shortest_at_rest(constraints, fourier, rest_phase, grid, step, inwards=False)
     if end is None:
         return None
     advance = 0.5 * (begin + end)  # of the phase, in both ramps
     cruise = np.ceil(advance / fourier.period - 1e-9) * fourier.period - advance
-    shifted = fourier.shifted(rest + 0.5 * begin)
+    shifted = fourier.shifted(rest_phase + 0.5 * begin)
     ramp_in = phase_ramps.phase_profile(shifted, begin, inwards=True)
     if cruise < planner.time_step:  # both ramps together take whole periods already
         return _RampPair(

@@ -580,7 +580,7 @@ def _closed_pair(
     cruise = np.ceil(advance / fourier.period - 1e-9) * fourier.period - advance
     shifted = fourier.shifted(rest_phase + 0.5 * begin)
     ramp_in = phase_ramps.phase_profile(shifted, begin, inwards=True)
-    if cruise < planner.time_step:  # both ramps together take whole periods already
+    if cruise < 1e-9:  # both ramps together take whole periods already
         return _RampPair(
             shifted,
             (ramp_in, begin),

@@ -35,6 +35,7 @@ class MeshDistance:
         first: coal.Transform3s,
         second: coal.Transform3s,
         result: coal.DistanceResult,
+        resolved: float = math.inf,
     ) -> float:
         """Find the distance and the nearest points of two shapes.
 
@@ -42,22 +43,27 @@ class MeshDistance:
             pair: Indices of the shapes.
             first: Pose of the first shape.
             second: Pose of the second shape.
-            result: Result that is overwritten.
+            result: Result that is overwritten; its points are not numbers beyond `resolved`.
+            resolved: Distance up to which the distance of meshes is needed [m].
 
         Returns:
-            Distance, not positive for shapes in contact [m].
+            Distance, not positive for shapes in contact; `resolved` where it is larger [m].
         """
         solids = self._solids[pair[0]], self._solids[pair[1]]
         result.clear()
         if not (self._is_mesh[pair[0]] or self._is_mesh[pair[1]]):
             return float(coal.distance(solids[0], first, solids[1], second, self._request, result))
-        points = self._points.get(pair)
+        bound, points = resolved, self._points.get(pair)
         if points is not None:
             ends = first.transform(points[0]), second.transform(points[1])
-            result.min_distance = math.dist(*ends) + ROUNDING
+            bound = min(bound, math.dist(*ends) + ROUNDING)
+        if bound < math.inf:
+            result.min_distance = bound
         distance = coal.distance(solids[0], first, solids[1], second, self._request, result)
         nearest = result.getNearestPoint1(), result.getNearestPoint2()
-        if points is not None and math.isnan(nearest[0][0]):  # nothing was below the bound
+        if math.isnan(nearest[0][0]):  # nothing was below the bound
+            if bound == resolved:
+                return resolved
             result.clear()
             distance = coal.distance(solids[0], first, solids[1], second, self._request, result)
             nearest = result.getNearestPoint1(), result.getNearestPoint2()

@@ -40,8 +40,8 @@ def test_an_upper_bound_changes_no_distance():
             expected = coal.distance(
                 solids[pair[0]], still, solids[pair[1]], placement, request, separate
             )
-            found = bounded.nearest(pair, still, placement, result)
-            assert abs(found - expected) < 1e-9
+            distance = bounded.nearest(pair, still, placement, result)
+            assert abs(distance - expected) < 1e-9
             contacts += expected <= 0.0
             if expected > 0.0:
                 ends = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())

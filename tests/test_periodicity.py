@@ -78,11 +78,11 @@ def test_nothing_is_averaged_where_nothing_repeats(planned):
     (remark,) = checked.remarks
     assert "does not repeat" in remark.text and "no periods are averaged" in remark.text
     assert "joint 'joint_" in remark.text
-    assert periodicity.with_own_period(checked) is checked
+    assert periodicity.with_detected_period(checked) is checked
 
 
 def test_a_motion_without_a_stated_period_shows_its_own(planned):
-    periodic = periodicity.with_own_period(executed(planned))
+    periodic = periodicity.with_detected_period(executed(planned))
     assert periodic.sidecar.period == pytest.approx(planned.motion.fourier.period, rel=1e-5)
     assert periodic.sidecar.periodic == pytest.approx(true_window(planned), abs=0.3)
 

@@ -28,7 +28,7 @@ from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
 from ..recordings import Recording, executed_motion, recording_cost, require_distinct
-from ..recordings.periodicity import check_repetition, with_own_period
+from ..recordings.periodicity import check_repetition, with_detected_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -365,7 +365,7 @@ def identify(
         columns=columns,
     )
     train, held_out = (
-        [with_own_period(recording) for recording in group] for group in (train, held_out)
+        [with_detected_period(recording) for recording in group] for group in (train, held_out)
     )
     loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard_parameters(loaded, table, drive)

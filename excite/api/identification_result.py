@@ -90,6 +90,11 @@ class IdentificationResult:
         ).identifiable_count
 
     @property
+    def doubts(self) -> list[dict[str, Any]]:
+        """Unrepaired doubts about the recordings, with the recording that each is about."""
+        return recording_doubts([*self.recordings, *self.validation])
+
+    @property
     def parameters(self) -> dict[str, float]:
         """Identified standard parameters by name, in SI units."""
         result = self.identification
@@ -98,6 +103,8 @@ class IdentificationResult:
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""
         out = identified_model.model_document(self.identification, self.recordings)
+        if self.doubts:
+            out["doubts"] = [dict(doubt) for doubt in self.doubts]
         if self.lmi is not None:
             out["lmi"] = {"gap": self.lmi.gap, "agrees": self.lmi.agrees}
         return out
@@ -480,6 +487,15 @@ def read_both(
         for recordings_of_set in sets
     )
     return train_set, held_out_set
+
+
+def recording_doubts(read: Sequence[Recording]) -> list[dict[str, Any]]:
+    """Unrepaired doubts about recordings, with the recording that each is about."""
+    return [
+        {"recording": recording.source, **doubt.document()}
+        for recording in read
+        for doubt in recording.doubts
+    ]
 
 
 def _checked(recording: Recording, robot: Robot, limits: Limits) -> Recording:

@@ -287,7 +287,7 @@ def identify(
         "computing the physically consistent estimate"
     )
     data, equations = fit.estimate, fit.equations
-    dissipation.require_dissipation(recordings[0].source, fit.model, equations, data)
+    dissipation.require_dissipation(recordings, fit.model, equations, data)
     prior, gamma_trials = _choose_prior(parameters, base, equations, data, options)
     posterior = _consistent_estimate(parameters, base, data, prior, options)
     endogeneity = None

@@ -108,7 +108,7 @@ def check_repetition(recording: Recording) -> Recording:
         return recording
     repetition = find_window(recording, period)
     if repetition is not None and abs(repetition.period / period - 1.0) <= PERIOD_TOLERANCE:
-        repetition = dataclasses.replace(repetition, period=period)
+        repetition = _with_stated_period(repetition, period)
         if stated.periodic is None:
             return _with_repetition(recording, repetition, None)
         text = (
@@ -127,6 +127,13 @@ def check_repetition(recording: Recording) -> Recording:
         )
         return _with_repetition(recording, detected, text)
     return _without_repetition(recording, period)
+
+
+def _with_stated_period(repetition: Repetition, period: float) -> Repetition:
+    """The repetition with the stated period, and with the same number of periods."""
+    start, end = repetition.window
+    end = start + (end - start) * period / repetition.period
+    return dataclasses.replace(repetition, period=period, window=(start, end))
 
 
 def _is_confirmed(recording: Recording, period: float, window: tuple[float, float] | None) -> bool:
@@ -326,7 +333,9 @@ def _whole_periods(
     difference, known = _relative_difference(recording, period, rows)
     square = np.where(known, np.sum(difference**2, axis=1), 0.0)
     total = np.concatenate([[0.0], np.cumsum(square)])
-    starts = window[0] + np.linspace(0.0, slack, WINDOW_STARTS)
+    # a window starts at a row, or averaging would lose its last period to rounding
+    choices = recording.t[_rows_between(recording, window[0], window[0] + slack)]
+    starts = choices[np.unique(np.linspace(0, len(choices) - 1, WINDOW_STARTS).astype(int))]
     ends = starts + length - period
     costs = total[np.searchsorted(t, ends, side="right")] - total[np.searchsorted(t, starts)]
     start = float(starts[int(np.argmin(costs))])

@@ -14,7 +14,7 @@ class RemarkKind(Enum):
     REPEATED = "repeated"
     CLOCK = "clock"
     JITTER = "jitter"
-    TIMESTAMP_JITTER = "waver"
+    TIMESTAMP_JITTER = "timestamp jitter"
     GAP = "gap"
     MISSING = "missing"
     UNIT = "unit"

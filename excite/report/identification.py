@@ -56,7 +56,7 @@ def identification_page(
         title=f"Identification of {identification.model.robot.name}",
         subtitle="Physically consistent parameters from recordings: how well they predict, how "
         "certain they are, and what to record next.",
-        banners=_banners(identification),
+        banners=[*_doubt_banners(remarks), *_banners(identification)],
         cards=_cards(identification),
         sections=[
             prediction_section(identification),
@@ -73,6 +73,16 @@ def identification_page(
 
 
 # -- first screen ----------------------------------------------------------------------------------
+
+
+def _doubt_banners(remarks: Sequence[Remark]) -> list[Banner]:
+    """Unrepaired doubts about the recordings: with them the figures below say little."""
+    doubts = [remark.text for remark in remarks if remark.doubt]
+    if not doubts:
+        return []
+    more = f" ({len(doubts) - 1} more below, in the remarks)" if len(doubts) > 1 else ""
+    text = f"Do not use this model: the recordings are doubted. {doubts[0]}{more}."
+    return [Banner(text, "bad")]
 
 
 def _banners(identification: Identification) -> list[Banner]:

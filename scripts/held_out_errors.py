@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Compare `excite identify` with its defaults, ordinary least squares and the URDF on real machines.
+"""Compare `excite identify` with least squares and the URDF on recordings of real machines.
 
 Least squares solve the same equations (same columns, same band), without a prior, without weights
 and without consistency. The error is the norm of the torque error over the norm of the torque, all

@@ -180,9 +180,9 @@ def test_no_whole_period_is_lost_to_rounding(planned, stated_period):
     recording = executed(planned, idle=5.0033)
     period = planned.motion.fourier.period
     if stated_period:
-        found = periodicity.check_repetition(stated(recording, period))
+        periodic = periodicity.check_repetition(stated(recording, period))
     else:
-        found = periodicity.with_detected_period(recording)
-    torque = dataclasses.replace(found, tau=np.zeros_like(found.q))
+        periodic = periodicity.with_detected_period(recording)
+    torque = dataclasses.replace(periodic, tau=np.zeros_like(periodic.q))
     mean = segments.average_periods(torque, *torque.repetition)
     assert mean is not None and mean.periods == 4

@@ -286,6 +286,26 @@ def test_a_clean_simulated_recording_raises_no_doubt():
     assert not recording.doubts and not recording.remarks
 
 
+@pytest.mark.parametrize("name", ["fr3", "iiwa14", "panda", "two_link", "tx40", "ur10e", "ur5e"])
+@pytest.mark.parametrize("setting", [{}, {"rate": 125.0}], ids=["250 Hz", "125 Hz"])
+def test_a_simulated_builtin_robot_raises_no_doubt(tmp_path, name, setting):
+    pytest.importorskip("mujoco", reason="the simulated robot needs pip install 'excite[sim]'")
+    trajectory = Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json"
+    api.simulate(name, trajectory, periods=2, seed=1, **setting).save(tmp_path / "run.csv")
+    recording = checked(tmp_path / "run.csv", name)
+    assert not recording.doubts and not recording.remarks
+
+
+def test_timestamp_jitter_of_fast_joints_is_no_glitch(tmp_path):
+    """Readings are 1 ms (rms) off their stamps, 4 ms apart, at nearly the velocity limit."""
+    pytest.importorskip("mujoco", reason="the simulated robot needs pip install 'excite[sim]'")
+    trajectory = Path(__file__).resolve().parents[1] / "trajectories" / "fr3.json"
+    api.simulate("fr3", trajectory, periods=2, seed=2, jitter=1e-3).save(tmp_path / "run.csv")
+    recording = checked(tmp_path / "run.csv", "fr3")
+    assert [remark.kind for remark in recording.remarks] == [RemarkKind.TIMESTAMP_JITTER]
+    assert not recording.doubts
+
+
 @pytest.mark.parametrize(
     ("folder", "urdf"),
     [
@@ -297,6 +317,8 @@ def test_a_clean_simulated_recording_raises_no_doubt():
         ("panda_unit2", "panda"),
         ("double_pendulum", "double_pendulum"),
         ("laas_cogging", "motor"),
+        ("xl330", "xl330_pendulum"),
+        ("human_wrench", "human"),
     ],
 )
 def test_real_recordings_raise_no_doubt(folder, urdf):
@@ -316,7 +338,7 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
             try:
                 _ = recording.torque
             except UnusableInput:
-                continue  # two files of the SO-101 serve replay only
+                continue  # two files of the SO-101 serve replay only; the human has no joint torque
             assert not nominal_comparison.compare_with_nominal(recording, robot), path
 
 

@@ -277,6 +277,30 @@ def test_the_scale_of_torque_is_named(simulated, factor, word):
     assert any(word in d.text or "check its unit" in d.text for d in doubts)
 
 
+@pytest.mark.parametrize("joint", [0, 1, 2, 3])
+def test_a_position_of_inverted_sign_is_named(simulated, joint):
+    recording, robot = simulated
+    q = recording.q.copy()
+    q[:, joint] *= -1.0
+    doubts = nominal_comparison.compare_with_nominal(dataclasses.replace(recording, q=q), robot)
+    if joint == 2:  # the elbow's sign turns the wrist, whose torque then seems to be out of scale
+        assert doubts
+        return
+    assert [(d.kind, d.joint) for d in doubts] == [(RemarkKind.POSITION, robot.joints[joint])]
+    assert "with the opposite sign; turn its sign" in doubts[0].text
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3])
+@pytest.mark.parametrize("offset", [90, -90])
+def test_another_zero_of_a_position_is_named(simulated, joint, offset):
+    recording, robot = simulated
+    q = recording.q.copy()
+    q[:, joint] -= np.radians(offset)
+    doubts = nominal_comparison.compare_with_nominal(dataclasses.replace(recording, q=q), robot)
+    assert [(d.kind, d.joint) for d in doubts] == [(RemarkKind.POSITION, robot.joints[joint])]
+    assert f"shifted by {offset:+d}°; correct its zero" in doubts[0].text
+
+
 # -- clean recordings -----------------------------------------------------------------------------
 
 

@@ -38,6 +38,7 @@ class RemarkKind(Enum):
     TORQUE_SCALE = "torque scale"
     GRAVITY = "gravity"
     EXCHANGED = "exchanged joints"
+    POSITION = "position"
 
 
 @dataclass(frozen=True)

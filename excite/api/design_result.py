@@ -24,7 +24,7 @@ from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
-from ..recordings.periodicity import with_own_period
+from ..recordings.periodicity import with_detected_period
 from ..report.design_record import DesignRecord
 from ..robot import dynamics, inertial_parameters
 from ..robot.inertial_parameters import Parameters
@@ -427,7 +427,7 @@ def motion_samples(
         UnusableInput: The file cannot be used, or moves other joints.
     """
     if path.suffix != ".json":
-        recording = with_own_period(
+        recording = with_detected_period(
             with_trajectory(recordings.read(path, robot, columns=columns), executed)
         )
         return reference_samples(recording), None

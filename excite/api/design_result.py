@@ -17,11 +17,18 @@ from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..collision import clearance_builder, scene_file
 from ..collision.workcell import NOT_CHECKED, Cell
-from ..designer import experiment_comparison, identifiability, pipeline, time_budget
+from ..designer import (
+    experiment_comparison,
+    identifiability,
+    pipeline,
+    task_variance,
+    time_budget,
+)
 from ..designer import validation_trajectory as validation
 from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE
 from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
+from ..designer.task_variance import TaskPrediction
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..recordings.periodicity import with_own_period
@@ -36,6 +43,7 @@ from ..trajectory.trajectory_file import Trajectory
 from . import identification_result
 from .identification_result import reference_samples, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
+from .task_design import TaskDesign, read_task
 
 MOTION_FILES = ("trajectory.json", "trajectory.csv")
 """Files of a motion."""
@@ -106,6 +114,7 @@ class DesignResult:
         cell: Surroundings that were checked; None if distances were not checked.
         plan: Trade-off of robot time; None without a time budget.
         given_root: Root of the information of earlier recordings; None without. Shape (m, P).
+        task_design: Task that the motion was designed for; None without.
     """
 
     delivery: pipeline.CertifiedDesign
@@ -115,6 +124,16 @@ class DesignResult:
     cell: Cell | None = None
     plan: time_budget.BudgetPlan | None = None
     given_root: FloatArray | None = field(default=None, repr=False)
+    task_design: TaskDesign | None = field(default=None, repr=False)
+
+    @cached_property
+    def task(self) -> TaskPrediction | None:
+        """Predicted torque band along the task of `--for`; None without a task."""
+        if self.task_design is None:
+            return None
+        base = self.delivery.design.setup.base
+        designed = _motion_root(self.delivery, self.robot)
+        return self.task_design.predict(self.robot, base, self.given_root, designed)
 
     @property
     def ok(self) -> bool:
@@ -186,6 +205,7 @@ class DesignResult:
             second=second,
             cell=self.cell,
             near=self.delivery.certificate.pair_distances,
+            task=self.task,
         )
 
     def save(self, folder: str | Path) -> list[Path]:
@@ -226,6 +246,7 @@ class DesignResult:
             "duration": trajectory.motion.duration,
         }
         out |= {} if self.validation is None else {"validation": self.validation.document()}
+        out |= {} if self.task is None else {"task": self.task.document()}
         return out | ({} if self.plan is None else {"plan": self.plan.document()})
 
     def __repr__(self) -> str:
@@ -250,6 +271,7 @@ def design(
     time: float | None = None,
     start: Sequence[float] | None = None,
     given: Sequence[str | Path] = (),
+    for_task: str | Path | None = None,
     validate: bool = False,
     speed: float = 1.0,
     threshold: float = IDENTIFIABLE_VARIANCE,
@@ -279,6 +301,9 @@ def design(
         time: Robot time with ramps [s], for which the four options above are chosen.
         start: Pose at which the motion begins and ends at rest. Shape (n,) [rad or m].
         given: Trajectories or recordings whose information is already available.
+        for_task: Motion of a task, a recording or a `trajectory.json`, along which the identified
+            model is to predict the torque with the least variance (V-optimality); replaces the
+            criterion.
         validate: Also design a second, different motion.
         speed: Share of the speed at which the motion is played.
         threshold: Largest scale-free variance of an identifiable direction.
@@ -302,8 +327,13 @@ def design(
     pose = None if start is None else np.asarray(start, float)
     earlier = _information(given, loaded, table, chosen)
     information = None if earlier is None else earlier.T @ earlier
+    task = None if for_task is None else read_task(Path(for_task), loaded, table, chosen)
+    if task is not None:
+        weak = task_variance.prior_information(task.parameters)
+        information = weak if information is None else information + weak
     facts = {
         **(notes or {}),
+        **({} if task is None else {"for": task.source}),
         "given": [str(path) for path in given],
         "speed": speed,
         "chosen": request.unspecified,
@@ -344,6 +374,7 @@ def design(
             run,
             overlap_penalty=overlap,
             earlier_information=information if overlap is None else None,
+            objective=task.objective if task is not None and overlap is None else None,
         )
         return (
             search_once(chosen) if plan is None else time_budget.run_plan(plan, chosen, search_once)
@@ -352,7 +383,7 @@ def design(
     delivery = deliver()
     second = validation.design_validation(delivery, loaded, deliver) if validate else None
     analysis = _analyse(delivery, loaded, threshold, earlier)
-    return DesignResult(delivery, loaded, analysis, second, workcell, plan, earlier)
+    return DesignResult(delivery, loaded, analysis, second, workcell, plan, earlier, task)
 
 
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:
@@ -468,10 +499,7 @@ def _analyse(
 ) -> identifiability.Identifiability:
     trajectory, setting = delivery.trajectory, delivery.design.setup
     standard = setting.problem.parameters
-    samples = trajectory.motion.samples(
-        trajectory.motion.grid(identification_result.REFERENCE_RATE)
-    )
-    root = identifiability.information_root(robot, standard, samples, trajectory.noise)
+    root = _motion_root(delivery, robot)
     known = root if earlier is None else np.vstack([root, earlier])
     return identifiability.analyse_root(
         standard,
@@ -480,8 +508,18 @@ def _analyse(
         trajectory.noise,
         robot,
         threshold=threshold,
-        samples=len(samples),
+        samples=len(trajectory.motion.grid(identification_result.REFERENCE_RATE)),
     )
+
+
+def _motion_root(delivery: pipeline.CertifiedDesign, robot: Robot) -> FloatArray:
+    """Return a root of the information of a complete motion. Shape (m, P)."""
+    trajectory = delivery.trajectory
+    samples = trajectory.motion.samples(
+        trajectory.motion.grid(identification_result.REFERENCE_RATE)
+    )
+    standard = delivery.design.setup.problem.parameters
+    return identifiability.information_root(robot, standard, samples, trajectory.noise)
 
 
 def _record(delivery: pipeline.CertifiedDesign) -> DesignRecord:

@@ -45,6 +45,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         time=arguments.time,
         start=None if not arguments.start else shared.of_joints("--start", arguments.start, robot),
         given=arguments.given,
+        for_task=arguments.for_task,
         validate=arguments.validation,
         speed=arguments.speed,
         threshold=arguments.threshold,
@@ -118,7 +119,11 @@ def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path
         f"{trajectory.motion.duration:.2f} s: "
         f"{' → '.join(s.kind for s in trajectory.motion.segments)}",
         *certificate.verdict_lines(),
-        *(part.summary() for part in (result.plan, result.validation) if part is not None),
+        *(
+            part.summary()
+            for part in (result.plan, result.validation, result.task)
+            if part is not None
+        ),
         f"designed in {result.delivery.timing['total']:.1f} s",
         *written_lines(written),
     ]

@@ -290,7 +290,16 @@ def _design(commands: Commands) -> None:
         metavar="FILE",
         action="append",
         default=[],
-        help="trajectory.json or recording whose information is already available",
+        help="trajectory.json or recording whose information is already available; may be repeated",
+    )
+    group.add_argument(
+        "--for",
+        dest="for_task",
+        metavar="TASK",
+        help=(
+            "recording (CSV with q, …) or trajectory.json of a task: design for the least predicted "
+            "torque variance along it"
+        ),
     )
     group = sub.add_argument_group("motion")
     group.add_argument(

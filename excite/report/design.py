@@ -14,6 +14,7 @@ from ..collision.workcell import Cell
 from ..designer.certificate import CLEARANCE
 from ..designer.experiment_comparison import Scenario, compare_scenarios
 from ..designer.identifiability import Identifiability
+from ..designer.task_variance import TaskPrediction
 from ..robot.base_parameters import Base
 from ..robot.dynamics import torque_band
 from ..robot.inertial_parameters import Parameters
@@ -31,6 +32,7 @@ from .figures.trajectory import MotionScene
 from .formatting import capitalized, number, plural
 from .identifiability import identifiability_sections, key_figures
 from .render import render
+from .task import task_section
 
 ROUNDING = 1e-9
 """Relative margin below zero that is rounding, not a violation."""
@@ -89,6 +91,7 @@ def design_page(
     second: Trajectory | None = None,
     cell: Cell | None = None,
     near: Sequence[PairDistance] = (),
+    task: TaskPrediction | None = None,
 ) -> str:
     """Render the report of a design as HTML.
 
@@ -103,6 +106,7 @@ def design_page(
         second: A second motion for validation.
         cell: Bodies that must not touch, where clearances were checked.
         near: Least distances of the pairs of bodies, the most critical first.
+        task: Predicted torque band along the task that the motion was designed for.
     """
     subject = _Subject(trajectory, robot, parameters, base, identifiability, record, cell)
     if cases is None:
@@ -122,6 +126,7 @@ def design_page(
         _collision_section(trajectory, cell, near),
         *identifiability_sections(identifiability, parameters, cases),
         _path_section(subject),
+        *([] if task is None else [task_section(task)]),
         *([] if second is None else [_validation_section(trajectory, second, robot)]),
         *([_plan_section(trajectory.design["plan"])] if "plan" in trajectory.design else []),
         history_section(record),

@@ -165,7 +165,13 @@ def compare(
     name: str, machine: Robot, task: Path, title: str, given: argparse.Namespace
 ) -> list[str]:
     """Return a row of the table: one robot and one task."""
-    common = {"cell": CellOptions(check=False), "starts": given.starts, "seed": given.seed}
+    common = {
+        "cell": CellOptions(check=False),
+        "starts": given.starts,
+        "seed": given.seed,
+        "period": given.period,
+        "harmonics": given.harmonics,
+    }
     designs = {
         "V": api.design(machine, for_task=task, **common),
         "A": api.design(machine, criterion=Criterion.A, **common),
@@ -205,6 +211,8 @@ def main() -> int:
     )
     parser.add_argument("--only", help="one robot of the table")
     parser.add_argument("--starts", type=int, default=2)
+    parser.add_argument("--period", type=float, help="period [s] (default: that of a design)")
+    parser.add_argument("--harmonics", type=int, help="harmonics (default: 5)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--draws", type=int, default=400, help="random robots per motion")
     given = parser.parse_args()

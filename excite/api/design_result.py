@@ -374,7 +374,7 @@ def design(
             run,
             overlap_penalty=overlap,
             earlier_information=information if overlap is None else None,
-            objective=task.objective if task is not None and overlap is None else None,
+            objective=task.with_objective if task is not None and overlap is None else None,
         )
         return (
             search_once(chosen) if plan is None else time_budget.run_plan(plan, chosen, search_once)

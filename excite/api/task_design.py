@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,6 @@ import numpy as np
 from .. import recordings
 from .._types import FloatArray
 from ..designer.criteria import Criterion, criterion_weighting
-from ..designer.design_objective import DesignObjective
 from ..designer.options import DesignOptions, torque_noise_levels
 from ..designer.problem import DesignProblem
 from ..designer.task_variance import TaskPrediction, TaskVariance, task_moment, torque_band
@@ -44,8 +44,8 @@ class TaskDesign:
     regressor: FloatArray
     noise: FloatArray
 
-    def objective(self, problem: DesignProblem, base: Base) -> DesignObjective:
-        """Build the objective of a design problem: predicted variance along the task.
+    def with_objective(self, problem: DesignProblem, base: Base) -> DesignProblem:
+        """Return a design problem whose objective is the predicted variance along the task.
 
         Args:
             problem: The design problem, whose earlier information contains the prior.
@@ -53,9 +53,9 @@ class TaskDesign:
         """
         weighting = criterion_weighting(Criterion.A, base, self.noise, plain=False)
         assert problem.earlier_root is not None
-        return TaskVariance(
-            problem.weighting, task_moment(self.regressor, weighting), problem.earlier_root
-        )
+        moment = task_moment(self.regressor, weighting)
+        objective = TaskVariance(problem.weighting, moment, problem.earlier_root)
+        return dataclasses.replace(problem, objective=objective)
 
     def predict(
         self, robot: Robot, base: Base, given: FloatArray | None, designed: FloatArray

@@ -46,6 +46,11 @@ class ObjectiveGradient:
 class DesignObjective(Protocol):
     """An objective of a periodic motion with an exact gradient; picklable."""
 
+    @property
+    def stopping_gain(self) -> float:
+        """Decrease over ten iterations below which a search ends."""
+        ...
+
     def evaluate(self, motion: SampledMotion) -> ObjectiveGradient:
         """Evaluate the objective and its gradient.
 

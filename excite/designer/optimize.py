@@ -21,7 +21,6 @@ from ..trajectory.fourier import FourierSeries
 from . import criteria, design_cost, initial_guess, multistart, problem, sqp
 from .constraint_margins import MotionConstraints
 from .criteria import Criterion
-from .design_objective import DesignObjective
 from .evaluator import Evaluator
 from .motion_overlap import OverlapPenalty
 from .multistart import Attempt, Progress
@@ -43,8 +42,8 @@ WARM_RADIUS = 0.05
 units of the variables: a quarter of that of a new search."""
 
 
-ObjectiveBuilder = Callable[[DesignProblem, Base], DesignObjective]
-"""Builds an objective for a design problem, which has its own criterion so far."""
+ObjectiveBuilder = Callable[[DesignProblem, Base], DesignProblem]
+"""Returns a design problem with an objective in place of its criterion."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,7 @@ def set_up(
         overlap_penalty: Penalty on similarity to another motion.
         clearance: Bodies that have to keep their distance.
         start_pose: Pose from which the motion has to be reachable. Shape (n,).
-        objective: Builds the objective that replaces the criterion; None: the criterion.
+        objective: Sets the objective that replaces the criterion; None: the criterion.
 
     Raises:
         UnusableInput: Options are inconsistent.
@@ -175,7 +174,7 @@ def set_up(
         start_pose=start_pose,
     )
     if objective is not None:
-        built = dataclasses.replace(built, objective=objective(built, base))
+        built = objective(built, base)
     return DesignSetup(built, base, noise, time.perf_counter())
 
 

@@ -120,7 +120,7 @@ def design_trajectory(
         speed: Share of the designed speed at which the motion is delivered [1].
         force: Return a motion even when its certificate fails.
         progress: Called with a line of text now and then.
-        objective: Builds the objective that replaces the criterion; None: the criterion.
+        objective: Sets the objective that replaces the criterion; None: the criterion.
 
     Raises:
         CheckFailed: The certificate fails and `force` is not set.

@@ -49,6 +49,7 @@ class DesignProblem:
         clearance: Bodies that keep their distance at the samples, None where no shape is known.
         start_pose: Pose from which the motion has to be reachable, None without. Shape (n,).
         objective: Objective in place of the criterion of the options, None for the criterion.
+        warm_start: Motion with which start 0 begins, None for a random one.
     """
 
     robot: Robot
@@ -64,6 +65,7 @@ class DesignProblem:
     clearance: ClearanceConstraint | None = None
     start_pose: FloatArray | None = None
     objective: DesignObjective | None = None
+    warm_start: FourierSeries | None = None
 
     @property
     def size(self) -> int:
@@ -194,6 +196,7 @@ def rebuild_problem(
         clearance=problem.clearance,
         start_pose=problem.start_pose,
         objective=problem.objective,
+        warm_start=problem.warm_start,
     )
 
 

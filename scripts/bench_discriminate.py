@@ -15,6 +15,7 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Sequence
 
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
@@ -23,7 +24,7 @@ import numpy as np
 from excite._types import FloatArray
 from excite.designer import initial_guess, optimize
 from excite.designer.criteria import Criterion
-from excite.designer.discrimination import SeparationObjective
+from excite.designer.discrimination import Comparison, SeparationObjective
 from excite.designer.discrimination_design import (
     CandidateExplanation,
     ExplanationSet,
@@ -44,6 +45,8 @@ ROBOTS = ("ur10e", "panda", "iiwa14", "tx40", "fr3")
 """Built-in robots of the table."""
 JOINT = 1
 """Index of the joint that carries the effects: the shoulder, which carries load."""
+FRICTIONS = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction")
+"""Effects that real joints have at once and a diagnosis fits jointly."""
 RANDOM_MOTIONS = 9
 """Random feasible motions, of whose separations the median counts."""
 
@@ -79,6 +82,26 @@ def pairs(constants: RobotConstants) -> dict[str, tuple[SymbolicEffect, Symbolic
         "gain ~ saturation": (usual("torque_gain"), usual("torque_saturation")),
         "elasticity ~ delay": (usual("elasticity"), usual("delay")),
     }
+
+
+def competition(
+    constants: RobotConstants, forms: Sequence[SymbolicEffect], beside: bool
+) -> tuple[tuple[CandidateExplanation, ...], tuple[Comparison, ...]]:
+    """Return the explanations of a pair and its two comparisons.
+
+    Args:
+        constants: The robot.
+        forms: The pair.
+        beside: Fit the other frictions of the joint jointly, as a diagnosis does.
+    """
+    named = {form.effect for form in forms}
+    others = [effect for effect in FRICTIONS if effect not in named] if beside else []
+    frictions = [
+        symbolic_effect(EffectSpecification(effect, JOINT, {}), constants) for effect in others
+    ]
+    candidates = tuple(CandidateExplanation(form, None, 0.5) for form in (*forms, *frictions))
+    indices = tuple(range(2, len(candidates)))
+    return candidates, tuple(competing_pairs([0, 1], [0.5, 0.5], lambda a, b: indices))
 
 
 def separation(setup: DesignSetup, objective: SeparationObjective, motion: FourierSeries) -> float:
@@ -125,9 +148,7 @@ def compare(name: str, given: argparse.Namespace) -> list[tuple[str, float, floa
     for title, forms in pairs(constants).items():
         if given.pair not in title:
             continue
-        candidates = tuple(CandidateExplanation(form, None, 0.5) for form in forms)
-        comparisons = tuple(competing_pairs([0, 1], [0.5, 0.5], lambda a, b: ()))
-        question = ExplanationSet(constants, candidates, comparisons)
+        question = ExplanationSet(constants, *competition(constants, forms, given.beside))
         objective = question.objective(setup.problem, setup.base, reference)
         problem = dataclasses.replace(setup.problem, objective=objective, warm_start=reference)
         begun = time.perf_counter()
@@ -172,6 +193,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--separation", action="store_true", help="the table of separations")
     parser.add_argument("--robots", nargs="+", default=ROBOTS, metavar="ROBOT")
+    parser.add_argument(
+        "--beside",
+        action="store_true",
+        help="fit the other frictions of the joint jointly, as a diagnosis does",
+    )
     parser.add_argument("--pair", default="", help="only pairs whose title has this text")
     parser.add_argument("--period", type=float, default=10.0, help="period [s]")
     parser.add_argument("--harmonics", type=int, default=5)

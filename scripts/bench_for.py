@@ -11,6 +11,7 @@ over the noise of each joint; ratios have 95 % intervals by resampling the robot
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import sys
 import tempfile
@@ -96,7 +97,7 @@ def pick_and_place(machine: Robot, table: Limits, rng: np.random.Generator) -> F
     above = APPROACH * half * rng.choice([-1.0, 1.0], machine.n)
     poses = [pick + above, pick, pick + above, place + above, place, place + above, pick + above]
     parts = []
-    for start, goal in zip(poses, poses[1:], strict=False):
+    for start, goal in itertools.pairwise(poses):
         request = ruckig.InputParameter(machine.n)
         request.current_position, request.target_position = start.tolist(), goal.tolist()
         request.max_velocity = (TASK_SPEED * table.velocity).tolist()
@@ -134,9 +135,7 @@ def realised(
     motion = trajectory.motion.samples(trajectory.motion.grid(100.0))
     Y = dynamics.regressor(result.robot, setup.problem.parameters, motion) @ setup.base.geometric
     rows = (Y / trajectory.noise[:, None]).reshape(-1, Y.shape[2])
-    along = ((task.regressor @ setup.base.geometric) / task.noise[:, None]).reshape(
-        -1, Y.shape[2]
-    )
+    along = ((task.regressor @ setup.base.geometric) / task.noise[:, None]).reshape(-1, Y.shape[2])
     _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     truth = SPREAD * rng.normal(size=(draws, Y.shape[2]))
     measured = singular * (truth @ right.T) + rng.normal(size=truth.shape)
@@ -154,9 +153,7 @@ def ratio_interval(
     """Return the ratio of two RMS errors with its 95 % interval."""
     draws = len(numerator.square)
     picks = rng.integers(draws, size=(1000, draws))
-    ratios = np.sqrt(
-        numerator.square[picks].mean(axis=1) / denominator.square[picks].mean(axis=1)
-    )
+    ratios = np.sqrt(numerator.square[picks].mean(axis=1) / denominator.square[picks].mean(axis=1))
     low, high = np.quantile(ratios, (0.025, 0.975))
     return numerator.rms / denominator.rms, float(low), float(high)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -20,12 +21,16 @@ from ..collision.workcell import NOT_CHECKED, Cell
 from ..designer import (
     experiment_comparison,
     identifiability,
+    optimize,
     pipeline,
     task_variance,
     time_budget,
 )
 from ..designer import validation_trajectory as validation
+from ..designer.criteria import Criterion
+from ..designer.discrimination_result import DiscriminationResult
 from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE
+from ..designer.isolability_forecast import PairForecast, forecast_isolability
 from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
 from ..designer.task_variance import TaskPrediction
@@ -41,6 +46,7 @@ from ..robot.samples import Samples
 from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
 from . import identification_result
+from .discriminating_design import DiagnosisQuestions, read_questions
 from .identification_result import reference_samples, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 from .task_design import TaskDesign, read_task
@@ -115,6 +121,7 @@ class DesignResult:
         plan: Trade-off of robot time; None without a time budget.
         given_root: Root of the information of earlier recordings; None without. Shape (m, P).
         task_design: Task that the motion was designed for; None without.
+        questions: Explanations that the motion was designed to tell apart; None without.
     """
 
     delivery: pipeline.CertifiedDesign
@@ -125,6 +132,30 @@ class DesignResult:
     plan: time_budget.BudgetPlan | None = None
     given_root: FloatArray | None = field(default=None, repr=False)
     task_design: TaskDesign | None = field(default=None, repr=False)
+    questions: DiagnosisQuestions | None = field(default=None, repr=False)
+
+    @cached_property
+    def discrimination(self) -> DiscriminationResult | None:
+        """What the recording is expected to decide; None without `--discriminate`."""
+        if self.questions is None:
+            return None
+        problem, motion = self.delivery.design.setup.problem, self.trajectory.motion.fourier
+        return self.questions.result(problem, self.trajectory.limits, motion)
+
+    @cached_property
+    def isolability(self) -> tuple[PairForecast, ...]:
+        """Expected log-odds between often confused effects at each joint, the least first."""
+        trajectory, setup = self.trajectory, self.delivery.design.setup
+        motion = trajectory.motion
+        return forecast_isolability(
+            self.robot,
+            setup.problem.parameters,
+            setup.base,
+            trajectory.limits,
+            motion.fourier,
+            trajectory.noise,
+            motion.periods,
+        )
 
     @cached_property
     def task(self) -> TaskPrediction | None:
@@ -206,6 +237,8 @@ class DesignResult:
             cell=self.cell,
             near=self.delivery.certificate.pair_distances,
             task=self.task,
+            discrimination=self.discrimination,
+            isolability=self.isolability,
         )
 
     def save(self, folder: str | Path) -> list[Path]:
@@ -247,6 +280,9 @@ class DesignResult:
         }
         out |= {} if self.validation is None else {"validation": self.validation.document()}
         out |= {} if self.task is None else {"task": self.task.document()}
+        if self.discrimination is not None:
+            out["discrimination"] = self.discrimination.document()
+        out["isolability"] = [dataclasses.asdict(pair) for pair in self.isolability]
         return out | ({} if self.plan is None else {"plan": self.plan.document()})
 
     def __repr__(self) -> str:
@@ -272,6 +308,7 @@ def design(
     start: Sequence[float] | None = None,
     given: Sequence[str | Path] = (),
     for_task: str | Path | None = None,
+    discriminate: str | Path | None = None,
     validate: bool = False,
     speed: float = 1.0,
     threshold: float = IDENTIFIABLE_VARIANCE,
@@ -304,6 +341,8 @@ def design(
         for_task: Motion of a task, a recording or a `trajectory.json`, along which the identified
             model is to predict the torque with the least variance (V-optimality); replaces the
             criterion.
+        discriminate: A `diagnosis.json`, between whose competing explanations the recording is to
+            decide: the smallest separation is maximised; replaces the criterion.
         validate: Also design a second, different motion.
         speed: Share of the speed at which the motion is played.
         threshold: Largest scale-free variance of an identifiable direction.
@@ -327,6 +366,13 @@ def design(
     pose = None if start is None else np.asarray(start, float)
     earlier = _information(given, loaded, table, chosen)
     information = None if earlier is None else earlier.T @ earlier
+    if for_task is not None and discriminate is not None:
+        raise UnusableInput("--for and --discriminate are two criteria; choose one")
+    questions = None
+    if discriminate is not None:
+        questions = read_questions(Path(discriminate), loaded, table, chosen)
+        count = 2 * chosen.samples if samples is None else chosen.samples
+        chosen = replace(chosen, criterion=Criterion.D, samples=count)
     task = None if for_task is None else read_task(Path(for_task), loaded, table, chosen)
     if task is not None:
         weak = task_variance.prior_information(task.parameters)
@@ -334,6 +380,7 @@ def design(
     facts = {
         **(notes or {}),
         **({} if task is None else {"for": task.source}),
+        **({} if questions is None else {"discriminate": questions.source}),
         "given": [str(path) for path in given],
         "speed": speed,
         "chosen": request.unspecified,
@@ -368,13 +415,19 @@ def design(
         unchecked_reason=unchecked,
     )
 
+    with_objective: optimize.ObjectiveBuilder | None = None
+    if task is not None:
+        with_objective = task.with_objective
+    elif questions is not None:
+        with_objective = questions.explanations.with_objective
+
     def deliver(overlap: OverlapPenalty | None = None) -> pipeline.CertifiedDesign:
         # the validation motion has to excite all directions, identified before or not
         search_once = partial(
             run,
             overlap_penalty=overlap,
             earlier_information=information if overlap is None else None,
-            objective=task.with_objective if task is not None and overlap is None else None,
+            objective=with_objective if overlap is None else None,
         )
         return (
             search_once(chosen) if plan is None else time_budget.run_plan(plan, chosen, search_once)
@@ -383,7 +436,9 @@ def design(
     delivery = deliver()
     second = validation.design_validation(delivery, loaded, deliver) if validate else None
     analysis = _analyse(delivery, loaded, threshold, earlier)
-    return DesignResult(delivery, loaded, analysis, second, workcell, plan, earlier, task)
+    return DesignResult(
+        delivery, loaded, analysis, second, workcell, plan, earlier, task, questions
+    )
 
 
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:

@@ -31,7 +31,7 @@ RELATIVE_RANK = 1e-10
 SHARPNESS = 4.0
 """ρ of the smooth minimum over comparisons, (Σ w T^−ρ)^(−1/ρ) [1]: within 20 % of the smallest of
 two equal separations."""
-STOPPING_GAIN = 1e-3
+STOPPING_GAIN = 5e-3
 """Decrease of the objective over ten iterations below which the search ends; the objective is the
 logarithm of a separation."""
 HOPELESS_SHARE = 1e-8
@@ -94,6 +94,32 @@ class WeightedRows:
 
 
 @dataclass(frozen=True)
+class BaseProjection:
+    """Effect columns projected off the base regressor, by the normal equations.
+
+    Residuals are computed from the rows themselves, so that their squares are exact to second order
+    in the rounding error of the coefficients.
+
+    Attributes:
+        coefficients: Γ⁺C. Shape (p, K).
+        gram: Cᵀ(1 − ΓΓ⁺)C. Shape (K, K).
+    """
+
+    coefficients: FloatArray
+    gram: FloatArray
+
+    @classmethod
+    def of(cls, rows: WeightedRows) -> BaseProjection:
+        """Project the columns of rows whose base has full column rank."""
+        information, cross = rows.base.T @ rows.base, rows.base.T @ rows.columns
+        scale = 1.0 / np.sqrt(np.diag(information))
+        triangle = np.linalg.cholesky(information * scale[:, None] * scale)
+        half = np.linalg.solve(triangle, scale[:, None] * cross)
+        coefficients = scale[:, None] * np.linalg.solve(triangle.T, half)
+        return cls(coefficients, rows.columns.T @ rows.columns - half.T @ half)
+
+
+@dataclass(frozen=True)
 class Separations:
     """Separations of all comparisons with what their gradient needs.
 
@@ -139,10 +165,8 @@ def separations(
         explanations: The explanations.
         comparisons: The comparisons.
     """
-    q, triangle = np.linalg.qr(rows.base)
-    projection = q.T @ rows.columns
-    free = rows.columns - q @ projection
-    gram = free.T @ free
+    projection = BaseProjection.of(rows)
+    gram = projection.gram
     values, sizes = np.zeros(len(comparisons)), np.zeros(len(comparisons))
     solutions, owner = [], []
     for index, comparison in enumerate(comparisons):
@@ -160,10 +184,9 @@ def separations(
         owner += [index] * factor.shape[1]
         sizes[index] = float(np.sum(factor * (gram[place, place] @ factor)))
     u = np.hstack(solutions) if solutions else np.zeros((len(gram), 0))
-    residuals = free @ u
-    powers = np.sum(residuals**2, axis=0)
-    np.add.at(values, owner, powers)
-    theta = np.linalg.solve(triangle, projection @ u)
+    theta = projection.coefficients @ u
+    residuals = rows.columns @ u - rows.base @ theta
+    np.add.at(values, owner, np.sum(residuals**2, axis=0))
     return Separations(values, sizes, u, theta, residuals, np.array(owner, int))
 
 

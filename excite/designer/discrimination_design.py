@@ -20,6 +20,7 @@ from . import multistart
 from .design_objective import SampledMotion
 from .discrimination import (
     INDEPENDENT_RATE,
+    BaseProjection,
     Comparison,
     Explanation,
     RunSettings,
@@ -91,7 +92,11 @@ class ExplanationSet:
     comparisons: tuple[Comparison, ...]
 
     def sized(
-        self, effects: EffectColumns, motion: SampledMotion, settings: RunSettings
+        self,
+        effects: EffectColumns,
+        motion: SampledMotion,
+        settings: RunSettings,
+        severity: float = USUAL_SEVERITY,
     ) -> tuple[Explanation, ...]:
         """Return the explanations, those of unknown size scaled along a reference motion.
 
@@ -99,11 +104,13 @@ class ExplanationSet:
             effects: Columns of the candidates.
             motion: The reference motion.
             settings: How it is recorded.
+            severity: RMS torque of an explanation of unknown size beside the base model, over the
+                noise [1].
         """
         columns = effects.evaluate(motion).columns
         rows = motion_rows(motion, columns, effects, settings).rows
         rows = rows.stacked(prior_rows(settings, effects.count))
-        usual = USUAL_SEVERITY**2 * settings.periods * motion.period * INDEPENDENT_RATE
+        usual = severity**2 * settings.periods * motion.period * INDEPENDENT_RATE
         raw = [
             _unit_factor(effects.slices[i], rows, c.factor) for i, c in enumerate(self.candidates)
         ]
@@ -196,8 +203,8 @@ def _unit_factor(place: slice, rows: WeightedRows, factor: FloatArray | None) ->
 
 def _sizes(rows: WeightedRows, effects: EffectColumns, factors: list[FloatArray]) -> FloatArray:
     """Return the squared torque of each explanation beside the base, over the noise."""
-    q, _ = np.linalg.qr(rows.base)
-    free = rows.columns - q @ (q.T @ rows.columns)
+    projection = BaseProjection.of(rows)
+    free = rows.columns - rows.base @ projection.coefficients
     return np.array(
         [
             float(np.sum((free[:, place] @ factor) ** 2))

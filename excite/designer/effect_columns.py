@@ -11,6 +11,7 @@ regressor.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -430,12 +431,14 @@ class ColumnValues:
     Attributes:
         columns: Torque per coefficient at N samples. Shape (N, n, K) [N m].
         motion: The motion.
+        inputs: Arguments of the functions of one sample.
         matrices: Linear map of each `PeriodicFilter`, by its place among the signals.
         states: State of each `FrictionState`, by its place.
     """
 
     columns: FloatArray
     motion: SampledMotion
+    inputs: Sequence[FloatArray]
     matrices: Mapping[int, FloatArray]
     states: Mapping[int, PreslidingState]
 
@@ -538,8 +541,8 @@ class EffectColumns:
             out[layout.block("coulomb")] = 0.0
         return out
 
-    def _inputs(self, motion: SampledMotion) -> tuple[list[FloatArray], ColumnValues]:
-        """Return the arguments of the functions, and the signals' records."""
+    def _signal_values(self, motion: SampledMotion) -> ColumnValues:
+        """Return the arguments of the functions and the signals' records, without columns."""
         load = motion.regressor @ self._link_parameters
         motor = motion.regressor @ self._smooth_parameters
         motor += self._coulomb * np.tanh(motion.dq / self.constants.widths)
@@ -559,8 +562,8 @@ class EffectColumns:
                     slips=signal.slips,
                 )
                 extra[:, i] = states[i].z
-        values = ColumnValues(np.zeros(0), motion, matrices, states)
-        return [motion.q, motion.dq, motion.ddq, load, motor, extra], values
+        inputs = [motion.q, motion.dq, motion.ddq, load, motor, extra]
+        return ColumnValues(np.zeros(0), motion, inputs, matrices, states)
 
     def evaluate(self, motion: SampledMotion) -> ColumnValues:
         """Evaluate the columns along one period of a motion.
@@ -570,12 +573,12 @@ class EffectColumns:
         Args:
             motion: The motion.
         """
-        inputs, record = self._inputs(motion)
-        n = self.constants.robot.n
-        out = self._functions(len(motion.q))[0](*inputs)[0].reshape(len(motion.q), n, -1).copy()
+        record = self._signal_values(motion)
+        count, n = motion.q.shape
+        out = self._functions(count)[0](*record.inputs)[0].reshape(count, n, -1).copy()
         for k, column in self._payload.items():
             out[:, :, k] = motion.regressor[:, :, column]
-        return ColumnValues(out[:, :, : self.count], motion, record.matrices, record.states)
+        return dataclasses.replace(record, columns=out[:, :, : self.count])
 
     def gradients(
         self, values: ColumnValues, seed: FloatArray
@@ -591,9 +594,8 @@ class EffectColumns:
             respect to q, q̇ and q̈, shapes (N, n).
         """
         motion = values.motion
-        inputs, _ = self._inputs(motion)
         parts = self._functions(len(motion.q))[1](
-            *inputs, np.ascontiguousarray(seed).reshape(len(motion.q), -1)
+            *values.inputs, np.ascontiguousarray(seed).reshape(len(motion.q), -1)
         )
         by_q, by_dq, by_ddq, by_load, by_motor, by_extra = (part.copy() for part in parts)
         by_extra = by_extra.reshape(len(motion.q), -1)

@@ -178,7 +178,8 @@ def rebuild_problem(
 ) -> DesignProblem:
     """Build a problem again with other limits, options, earlier information or reserve.
 
-    Overlap penalty, clearance, start pose and objective are those of `problem`; see `build_problem`.
+    Overlap penalty, clearance, start pose, objective and warm start are those of `problem`; see
+    `build_problem`.
     """
     rebuilt = build_problem(
         problem.robot,

@@ -24,8 +24,9 @@ PRIOR_STD = 1.0
 """Prior standard deviation of every direction of the parameters in the metric [1]: 100 %, ten times
 what URDFs are usually off by."""
 STOPPING_GAIN = 1e-3
-"""Decrease of the logarithm of the variance over ten iterations below which the search ends [1]; with
-4e-3, as for the other criteria, it ends 3 % higher (TX40)."""
+"""Decrease of the logarithm of the variance over ten iterations below which the search ends [1].
+
+With 4e-3, as for the other criteria, it ends 3 % higher (TX40)."""
 
 
 def prior_information(parameters: Parameters) -> FloatArray:

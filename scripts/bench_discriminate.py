@@ -85,17 +85,17 @@ def pairs(constants: RobotConstants) -> dict[str, tuple[SymbolicEffect, Symbolic
 
 
 def competition(
-    constants: RobotConstants, forms: Sequence[SymbolicEffect], beside: bool
+    constants: RobotConstants, forms: Sequence[SymbolicEffect], nuisance: bool
 ) -> tuple[tuple[CandidateExplanation, ...], tuple[Comparison, ...]]:
     """Return the explanations of a pair and its two comparisons.
 
     Args:
         constants: The robot.
         forms: The pair.
-        beside: Fit the other frictions of the joint jointly, as a diagnosis does.
+        nuisance: Fit the other frictions of the joint jointly, as a diagnosis does.
     """
     named = {form.effect for form in forms}
-    others = [effect for effect in FRICTIONS if effect not in named] if beside else []
+    others = [effect for effect in FRICTIONS if effect not in named] if nuisance else []
     frictions = [
         symbolic_effect(EffectSpecification(effect, JOINT, {}), constants) for effect in others
     ]
@@ -148,7 +148,7 @@ def compare(name: str, given: argparse.Namespace) -> list[tuple[str, float, floa
     for title, forms in pairs(constants).items():
         if given.pair not in title:
             continue
-        question = ExplanationSet(constants, *competition(constants, forms, given.beside))
+        question = ExplanationSet(constants, *competition(constants, forms, given.nuisance))
         objective = question.objective(setup.problem, setup.base, reference)
         problem = dataclasses.replace(setup.problem, objective=objective, warm_start=reference)
         begun = time.perf_counter()
@@ -194,12 +194,14 @@ def main() -> int:
     parser.add_argument("--separation", action="store_true", help="the table of separations")
     parser.add_argument("--robots", nargs="+", default=ROBOTS, metavar="ROBOT")
     parser.add_argument(
-        "--beside",
+        "--nuisance",
         action="store_true",
         help="fit the other frictions of the joint jointly, as a diagnosis does",
     )
     parser.add_argument("--pair", default="", help="only pairs whose title has this text")
-    parser.add_argument("--period", type=float, default=10.0, help="period [s]")
+    parser.add_argument(
+        "--period", type=float, default=5.0, help="period, of which there are two [s]"
+    )
     parser.add_argument("--harmonics", type=int, default=5)
     parser.add_argument("--starts", type=int, default=4)
     parser.add_argument("--seed", type=int, default=0)

@@ -136,7 +136,7 @@ class DesignResult:
 
     @cached_property
     def discrimination(self) -> DiscriminationResult | None:
-        """What the recording is expected to decide; None without `--discriminate`."""
+        """Decisions expected of the recording; None without `--discriminate`."""
         if self.questions is None:
             return None
         problem, motion = self.delivery.design.setup.problem, self.trajectory.motion.fourier

@@ -45,7 +45,7 @@ WITHOUT_JOINT = ("delay", "gravity_tilt")
 
 @dataclass(frozen=True)
 class DiagnosisQuestions:
-    """What a diagnosis leaves open.
+    """Questions that a diagnosis leaves open.
 
     Attributes:
         source: Path of the diagnosis.
@@ -80,7 +80,8 @@ class DiagnosisQuestions:
             objective.comparisons,
             objective.undecidable,
             self.omitted,
-            *odds,
+            odds[0],
+            odds[1],
             compute_menu(problem, limits, objective, reference, designed),
         )
 
@@ -92,7 +93,7 @@ def read_questions(
 
     Each finding competes with its equivalents, and with the effects considered at its joint; what
     stands alone competes with no effect at all. The findings elsewhere are fitted jointly. Load and
-    friction are those of the `model.json` beside the diagnosis where it fits the robot.
+    friction are those of the `model.json` next to the diagnosis where it fits the robot.
 
     Args:
         path: The `diagnosis.json`.
@@ -129,7 +130,7 @@ def read_questions(
 
 
 def _constants(path: Path, robot: Robot, limits: Limits, options: DesignOptions) -> RobotConstants:
-    """Return the robot with identified parameters where the model beside the diagnosis fits it."""
+    """Return the robot with identified parameters where the model next to the diagnosis fits it."""
     standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     psi, widths = standard.nominal, np.full(robot.n, COULOMB_WIDTH)
     model = path.parent / "model.json"
@@ -247,7 +248,7 @@ class _Builder:
                 self._considered.append(index)
                 counts[finding.joint] = counts.get(finding.joint, 0) + 1
 
-    def _beside(self, *pair: int | None) -> tuple[int, ...]:
+    def _nuisance(self, *pair: int | None) -> tuple[int, ...]:
         """Return the main explanation of every class that neither of a pair belongs to."""
         return tuple(
             members[0] for members in self._classes if not any(index in members for index in pair)
@@ -258,7 +259,7 @@ class _Builder:
         probabilities = [candidate.probability for candidate in self.candidates]
         out: list[Comparison] = []
         for members in self._classes:
-            out += competing_pairs(members, probabilities, self._beside)
+            out += competing_pairs(members, probabilities, self._nuisance)
         for index in self._considered:
             joint = self.candidates[index].form.joint
             rivals = [
@@ -267,11 +268,11 @@ class _Builder:
                 if self.candidates[members[0]].form.joint == joint
             ]
             for pair in ([index, rival] for rival in rivals):
-                out += competing_pairs(pair, probabilities, self._beside)
+                out += competing_pairs(pair, probabilities, self._nuisance)
         alone = [members[0] for members in self._classes if len(members) == 1]
         for index in itertools.chain(alone, self._considered):
             p = probabilities[index]
             weight = max(p * (1.0 - p), MIN_PROBABILITY)
-            out.append(Comparison(index, None, self._beside(index), weight))
+            out.append(Comparison(index, None, self._nuisance(index), weight))
         total = sum(c.weight for c in out)
-        return tuple(Comparison(c.true, c.rival, c.beside, c.weight / total) for c in out)
+        return tuple(Comparison(c.true, c.rival, c.nuisance, c.weight / total) for c in out)

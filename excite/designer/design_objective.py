@@ -34,8 +34,8 @@ class ObjectiveGradient:
     Attributes:
         value: The objective; a logarithm, so that its change is a relative one.
         by_regressor: Gradient with respect to the regressor. Shape (N, n, P).
-        by_motion: Direct gradients with respect to q, q̇ and q̈, beyond those through the regressor;
-            None where there are none. Shapes (N, n).
+        by_motion: Gradients with respect to q, q̇ and q̈, other than through the regressor; None
+            where there are none. Shapes (N, n).
     """
 
     value: float

@@ -1,7 +1,7 @@
 """Discrimination between competing explanations of a torque: separation, objective, gradient.
 
-Explanation a has the torque C_a c_a, its rival b the columns C_b; both stand beside the base
-regressor Γ and the columns of all effects that are modelled jointly. The separation
+Explanation a has the torque C_a c_a, its rival b the columns C_b; both are fitted jointly with the
+base regressor Γ and the columns of all other effects of the model. The separation
 
     T_ab = min_θ ‖W^½ (C_a c_a − [Γ C_b] θ)‖²
 
@@ -34,8 +34,8 @@ two equal separations."""
 STOPPING_GAIN = 5e-3
 """Decrease of the objective over ten iterations below which the search ends; the objective is the
 logarithm of a separation."""
-HOPELESS_SHARE = 1e-8
-"""Share of its torque that an explanation may keep at most beside a rival that reproduces it, for
+INDISTINGUISHABLE_SHARE = 1e-8
+"""Share of its torque that an explanation may keep at most when a rival reproduces it, for
 rounding [1]."""
 
 
@@ -64,13 +64,13 @@ class Comparison:
     Attributes:
         true: Index of the explanation whose torque acts.
         rival: Index of its rival; None for no effect at all.
-        beside: Indices of effects that are fitted jointly in either case.
+        nuisance: Indices of effects that are fitted jointly in either case.
         weight: Weight by the probabilities of both; all weights sum to 1.
     """
 
     true: int
     rival: int | None
-    beside: tuple[int, ...]
+    nuisance: tuple[int, ...]
     weight: float
 
 
@@ -125,7 +125,7 @@ class Separations:
 
     Attributes:
         values: T of each comparison. Shape (c,).
-        sizes: Squared torque of the true explanation beside the base alone. Shape (c,).
+        sizes: Squared torque of the true explanation after projection off the base. Shape (c,).
         coefficients: u of each comparison and column of its factor. Shape (K, t).
         base_coefficients: θ likewise. Shape (p, t).
         residuals: r likewise. Shape (m, t).
@@ -172,7 +172,7 @@ def separations(
     for index, comparison in enumerate(comparisons):
         place = slices[comparison.true]
         factor = explanations[comparison.true].factor
-        rivals = [*comparison.beside, *([] if comparison.rival is None else [comparison.rival])]
+        rivals = [*comparison.nuisance, *([] if comparison.rival is None else [comparison.rival])]
         others = np.concatenate(
             [np.arange(slices[k].start, slices[k].stop) for k in rivals] or [np.zeros(0, int)]
         )
@@ -219,7 +219,7 @@ def prior_rows(settings: RunSettings, count: int) -> WeightedRows:
 
 
 @dataclass(frozen=True)
-class MotionRows:
+class RunRows:
     """Rows of a periodic motion with what their gradient needs.
 
     Attributes:
@@ -233,9 +233,9 @@ class MotionRows:
     factors: FloatArray | None
 
 
-def motion_rows(
+def run_rows(
     motion: SampledMotion, columns: FloatArray, effects: EffectColumns, settings: RunSettings
-) -> MotionRows:
+) -> RunRows:
     """Return the rows of a periodic motion.
 
     Args:
@@ -253,9 +253,9 @@ def motion_rows(
     base = (motion.regressor * scale[:, None]).reshape(samples * n, -1) @ settings.coordinates
     scaled = columns * scale[:, None]
     if factors is None:
-        return MotionRows(WeightedRows(base, scaled.reshape(samples * n, -1)), scale, None)
+        return RunRows(WeightedRows(base, scaled.reshape(samples * n, -1)), scale, None)
     varied = (scaled * factors[:, :, None]).reshape(repeats * samples * n, -1)
-    return MotionRows(WeightedRows(np.tile(base, (repeats, 1)), varied), scale, factors)
+    return RunRows(WeightedRows(np.tile(base, (repeats, 1)), varied), scale, factors)
 
 
 @dataclass(frozen=True)
@@ -282,7 +282,7 @@ class SeparationObjective:
     def rows(self, motion: SampledMotion) -> WeightedRows:
         """Return the rows of a recording of a motion, without the prior's."""
         values = self.effects.evaluate(motion)
-        return motion_rows(motion, values.columns, self.effects, self.settings).rows
+        return run_rows(motion, values.columns, self.effects, self.settings).rows
 
     def separations(self, motion: SampledMotion) -> FloatArray:
         """Return the separation of every comparison along a motion. Shape (c,)."""
@@ -292,7 +292,7 @@ class SeparationObjective:
     def evaluate(self, motion: SampledMotion) -> ObjectiveGradient:
         """Evaluate the objective and its gradient."""
         values = self.effects.evaluate(motion)
-        recorded = motion_rows(motion, values.columns, self.effects, self.settings)
+        recorded = run_rows(motion, values.columns, self.effects, self.settings)
         m = len(recorded.rows.base)
         rows = recorded.rows.stacked(prior_rows(self.settings, self.effects.count))
         result = separations(rows, self.effects.slices, self.explanations, self.comparisons)
@@ -314,7 +314,7 @@ class SeparationObjective:
     def _by_sample(
         self,
         motion: SampledMotion,
-        recorded: MotionRows,
+        recorded: RunRows,
         by_columns: FloatArray,
         weighted: FloatArray,
         theta: FloatArray,
@@ -331,11 +331,11 @@ class SeparationObjective:
         return per_period.sum(axis=0) * scale, by_base
 
 
-def hopeless(values: FloatArray, sizes: FloatArray) -> FloatArray:
+def indistinguishable(values: FloatArray, sizes: FloatArray) -> FloatArray:
     """Return which comparisons no motion decides, as the rival reproduces the torque. Shape (c,).
 
     Args:
         values: Separations along a motion that shows the explanations. Shape (c,).
         sizes: Squared torque of the explanations themselves. Shape (c,).
     """
-    return np.asarray(values <= HOPELESS_SHARE * np.maximum(sizes, 1e-300))
+    return np.asarray(values <= INDISTINGUISHABLE_SHARE * np.maximum(sizes, 1e-300))

@@ -26,8 +26,8 @@ from .discrimination import (
     RunSettings,
     SeparationObjective,
     WeightedRows,
-    hopeless,
-    motion_rows,
+    indistinguishable,
+    run_rows,
     prior_rows,
     separations,
 )
@@ -37,8 +37,8 @@ from .options import torque_noise_levels
 from .problem import DesignProblem
 
 USUAL_SEVERITY = 1.0
-"""RMS torque of an explanation of unknown size beside the base model, over the noise [1], along the
-reference motion."""
+"""RMS torque of an explanation of unknown size after projection off the base, over the noise, along
+the reference motion [1]."""
 DENSE_RATE = 100.0
 """Samples per second at which separations are reported [Hz]."""
 
@@ -104,11 +104,11 @@ class ExplanationSet:
             effects: Columns of the candidates.
             motion: The reference motion.
             settings: How it is recorded.
-            severity: RMS torque of an explanation of unknown size beside the base model, over the
-                noise [1].
+            severity: RMS torque of an explanation of unknown size after projection off the base,
+                over the noise [1].
         """
         columns = effects.evaluate(motion).columns
-        rows = motion_rows(motion, columns, effects, settings).rows
+        rows = run_rows(motion, columns, effects, settings).rows
         rows = rows.stacked(prior_rows(settings, effects.count))
         usual = severity**2 * settings.periods * motion.period * INDEPENDENT_RATE
         raw = [
@@ -147,10 +147,10 @@ class ExplanationSet:
                 "on the time; state --period"
             )
         attempts = multistart.run_starts(problem, time.perf_counter(), range(options.starts))
-        found = [a for a in attempts if isinstance(a, Attempt)]
-        if not found:
+        complete = [a for a in attempts if isinstance(a, Attempt)]
+        if not complete:
             raise next(a for a in attempts if isinstance(a, ExciteError))
-        reference = found[0].motion
+        reference = complete[0].motion
         objective = self.objective(problem, base, reference)
         return dataclasses.replace(problem, objective=objective, warm_start=reference)
 
@@ -175,7 +175,9 @@ class ExplanationSet:
         objective = SeparationObjective(effects, explanations, self.comparisons, settings)
         rows = objective.rows(motion).stacked(prior_rows(settings, effects.count))
         result = separations(rows, effects.slices, explanations, self.comparisons)
-        lost = hopeless(result.values, _raw_sizes(rows, effects, explanations, self.comparisons))
+        lost = indistinguishable(
+            result.values, _raw_sizes(rows, effects, explanations, self.comparisons)
+        )
         kept = [c for c, gone in zip(self.comparisons, lost, strict=True) if not gone]
         undecidable = [c for c, gone in zip(self.comparisons, lost, strict=True) if gone]
         if not kept:
@@ -202,7 +204,7 @@ def _unit_factor(place: slice, rows: WeightedRows, factor: FloatArray | None) ->
 
 
 def _sizes(rows: WeightedRows, effects: EffectColumns, factors: list[FloatArray]) -> FloatArray:
-    """Return the squared torque of each explanation beside the base, over the noise."""
+    """Return each explanation's squared torque over the noise, after projection off the base."""
     projection = BaseProjection.of(rows)
     free = rows.columns - rows.base @ projection.coefficients
     return np.array(
@@ -228,20 +230,20 @@ def _raw_sizes(
 
 
 def competing_pairs(
-    members: list[int], probabilities: list[float], beside: Callable[[int, int], tuple[int, ...]]
+    members: list[int], probabilities: list[float], nuisance: Callable[[int, int], tuple[int, ...]]
 ) -> list[Comparison]:
     """Return both comparisons of every two members of a class.
 
     Args:
         members: Indices of the explanations in the class.
         probabilities: Probability of every explanation.
-        beside: Returns the effects that are fitted jointly with two explanations.
+        nuisance: Returns the effects that are fitted jointly with two explanations.
 
     Returns:
         Comparisons, weighted by the product of both probabilities.
     """
     return [
-        Comparison(a, b, beside(a, b), probabilities[a] * probabilities[b])
+        Comparison(a, b, nuisance(a, b), probabilities[a] * probabilities[b])
         for a in members
         for b in members
         if a != b

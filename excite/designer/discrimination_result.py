@@ -15,7 +15,7 @@ from .experiment_menu import DECISIVE_LOG_ODDS, Experiment, recommended
 
 @dataclass(frozen=True)
 class DiscriminationResult:
-    """What the recording of a discriminating motion is expected to decide.
+    """Decisions expected of the recording of a discriminating motion.
 
     Attributes:
         source: The diagnosis.

@@ -152,7 +152,7 @@ class PeriodicFilter:
 
     def matrix(self, count: int, period: float) -> FloatArray:
         """Return the linear map of N samples over one period. Shape (N, N)."""
-        omega = 2.0 * np.pi / period * np.fft.fftfreq(count, 1.0 / count)
+        omega = np.asarray(2.0 * np.pi / period * np.fft.fftfreq(count, 1.0 / count), float)
         spectrum = self.response(omega)
         if count % 2 == 0:  # the alternating wave has no phase
             spectrum[count // 2] = spectrum[count // 2].real

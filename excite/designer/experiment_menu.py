@@ -1,4 +1,4 @@
-"""What one more experiment would decide, as expected log-odds of every comparison.
+"""Menu of further experiments, with expected log-odds of every comparison.
 
 Each experiment is added to a recording of the reference motion: a repeat, a slower or faster one,
 one with a load at the flange, in another pose of joint 1, after a warm-up, a longer one, and the
@@ -21,7 +21,7 @@ from .discrimination import (
     RunSettings,
     SeparationObjective,
     WeightedRows,
-    motion_rows,
+    run_rows,
     prior_rows,
     separations,
 )
@@ -111,7 +111,7 @@ class _Bench:
         effects = effects or self.objective.effects
         sampled = self.sampled(motion)
         columns = effects.evaluate(sampled).columns
-        return motion_rows(sampled, columns, effects, settings or self.objective.settings).rows
+        return run_rows(sampled, columns, effects, settings or self.objective.settings).rows
 
     def sampled(self, motion: FourierSeries) -> SampledMotion:
         """Return a densely sampled period of a motion."""
@@ -163,7 +163,7 @@ def _with_load(bench: _Bench) -> Experiment:
         loaded = EffectColumns(dataclasses.replace(constants, psi=psi), effects.effects)
         rows = bench.rows(bench.reference, loaded)
         spread = LOAD_STD * mass * np.array([1.0, *[LOAD_DISTANCE] * 3, *[LOAD_DISTANCE**2] * 6])
-        scale = motion_rows(
+        scale = run_rows(
             sampled, effects.evaluate(sampled).columns, effects, bench.objective.settings
         ).scale
         payload = (sampled.regressor[:, :, link : link + 10] * scale[:, None]) * spread

@@ -35,8 +35,8 @@ from .explanations import EffectSpecification, friction_of, symbolic_effect
 FORECAST_RATE = 40.0
 """Samples per second of the forecast [Hz]: twice the band in which torque is compared."""
 SMALLEST_SEVERITY = 0.3
-"""RMS torque of the effects beside the base model, over the noise [1]: the smallest that counts as
-an effect in a diagnosis."""
+"""RMS torque of the effects after projection off the base, over the noise [1]: the smallest that
+counts as an effect in a diagnosis."""
 CONFUSABLE_PAIRS = (
     ("nonlinear_viscous", "drag"),
     ("load_friction", "position_friction"),

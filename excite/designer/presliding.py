@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class PreslidingState:
     slope: FloatArray
     by_travel: FloatArray
     acceleration: FloatArray
-    reverses: FloatArray
+    reverses: BoolArray
     dq: FloatArray
     step: float
 

@@ -120,7 +120,7 @@ def torque_band(Y: FloatArray, base: Base, root: FloatArray | None) -> TorqueBan
     known = np.eye(p) / PRIOR_STD
     if root is not None:
         known = np.vstack([root @ base.geometric, known])
-    triangle = np.linalg.qr(known, mode="r")
+    triangle = np.asarray(np.linalg.qr(known, mode="r"))
     rows = (Y @ base.geometric).reshape(-1, p)
     white = np.linalg.solve(triangle.T, rows.T)
     return TorqueBand(np.sqrt(np.sum(white**2, axis=0)).reshape(Y.shape[:2]))

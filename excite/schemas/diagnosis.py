@@ -13,7 +13,7 @@ SCHEMA = "excite.diagnosis/1"
 Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
-class ParameterDocument(msgspec.Struct):
+class FindingParameter(msgspec.Struct):
     """A parameter of a finding with its standard deviation, null where it is unknown."""
 
     value: float | None = None
@@ -28,7 +28,7 @@ class FindingDocument(msgspec.Struct):
     joint: Name | None
     probability: Probability
     equivalents: list[Name] = []
-    parameters: dict[str, ParameterDocument] = {}
+    parameters: dict[str, FindingParameter] = {}
     other: Name | None = msgspec.field(name="from", default=None)
 
 

@@ -27,8 +27,8 @@ from .discrimination import (
     SeparationObjective,
     WeightedRows,
     indistinguishable,
-    run_rows,
     prior_rows,
+    run_rows,
     separations,
 )
 from .effect_columns import EffectColumns, RobotConstants, SymbolicEffect

@@ -21,8 +21,8 @@ from .discrimination import (
     RunSettings,
     SeparationObjective,
     WeightedRows,
-    run_rows,
     prior_rows,
+    run_rows,
     separations,
 )
 from .discrimination_design import sampled_motion

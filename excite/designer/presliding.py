@@ -1,8 +1,8 @@
 """State of presliding friction along a sampled periodic motion, with its exact gradient.
 
-Between two samples a joint either keeps its direction or reverses once, with constant acceleration
-a = Δq̇/Δt: it then travels −q̇ₖ²/(2a) to the reversal and q̇ₖ₊₁²/(2a) after it. Over a travel Δ the
-state of Dahl's model becomes s + (z − s) exp(−|Δ|/r), s = sgn Δ (Dahl 1968), that of a Maxwell-slip
+Between two samples a joint either keeps its direction or reverses once, at the extremum of the
+cubic through both positions and velocities (Hermite). Over a travel Δ the state of Dahl's model
+becomes s + (z − s) exp(−|Δ|/r), s = sgn Δ (Dahl 1968), that of a Maxwell-slip
 element clip(z + Δ/r, −1, 1) (Iwan 1966). The state is that of the second period, when the
 transient from z = 0 has decayed.
 """
@@ -24,18 +24,16 @@ class PreslidingState:
         z: State at each sample. Shape (N,).
         slope: ∂z′/∂z of each of the 4N steps over two periods. Shape (4N,).
         by_travel: ∂z′/∂Δ of each step. Shape (4N,).
-        acceleration: a of each interval. Shape (N,) [rad/s²].
         reverses: Intervals within which the joint reverses. Shape (N,).
-        dq: Velocity. Shape (N,) [rad/s].
+        place: Time of the reversal over that between two samples [1]. Shape (N,).
         step: Time between samples [s].
     """
 
     z: FloatArray
     slope: FloatArray
     by_travel: FloatArray
-    acceleration: FloatArray
     reverses: BoolArray
-    dq: FloatArray
+    place: FloatArray
     step: float
 
     def gradients(self, seed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -60,17 +58,41 @@ class PreslidingState:
                 carried += seeds[step // 2 - count]
         first, second = by_travel.sum(axis=0).T
         by_q, by_dq = np.zeros(count), np.zeros(count)
-        plain = ~self.reverses
-        by_q -= np.where(plain, first, 0.0)
-        by_q += np.roll(np.where(plain, first, 0.0), 1)
-        a, v = self.acceleration, self.dq
-        w = np.roll(v, -1)
-        by_v = np.where(self.reverses, -first * v / a, 0.0)
-        by_w = np.where(self.reverses, second * w / a, 0.0)
-        by_a = np.where(self.reverses, (first * v**2 - second * w**2) / (2.0 * a**2), 0.0)
-        by_dq += by_v - by_a / self.step
-        by_dq += np.roll(by_w + by_a / self.step, 1)
+        # travels: extremum − qₖ and qₖ₊₁ − extremum; without a reversal qₖ₊₁ − qₖ and 0
+        by_extremum = np.where(self.reverses, first - second, 0.0)
+        h00, h10, h01, h11 = _hermite(self.place)
+        by_q += h00 * by_extremum - first
+        by_q += np.roll(h01 * by_extremum + np.where(self.reverses, second, first), 1)
+        by_dq += self.step * h10 * by_extremum
+        by_dq += np.roll(self.step * h11 * by_extremum, 1)
         return by_q, by_dq
+
+
+def _hermite(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the cubic Hermite basis at s between 0 and 1: of q₀, q̇₀Δt, q₁ and q̇₁Δt."""
+    return (
+        (1.0 + 2.0 * s) * (1.0 - s) ** 2,
+        s * (1.0 - s) ** 2,
+        s**2 * (3.0 - 2.0 * s),
+        s**2 * (s - 1.0),
+    )
+
+
+def _extremum_place(travel: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
+    """Return the place s of the extremum of a cubic whose slopes v and w at 0 and 1 differ in sign.
+
+    Args:
+        travel: q₁ − q₀.
+        v: q̇₀Δt.
+        w: q̇₁Δt.
+    """
+    a, b = 3.0 * (v + w - 2.0 * travel), 2.0 * (3.0 * travel - 2.0 * v - w)
+    root = np.sqrt(np.maximum(b**2 - 4.0 * a * v, 0.0))
+    half = -0.5 * (b + np.where(b < 0.0, -root, root))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = half / a, v / half
+    inside = (first >= 0.0) & (first <= 1.0)
+    return np.asarray(np.where(inside, first, np.nan_to_num(second)))
 
 
 def presliding_state(
@@ -90,9 +112,11 @@ def presliding_state(
     """
     w = np.roll(dq, -1)
     reverses = dq * w < 0.0
-    a = np.where(reverses, (w - dq) / step, 1.0)
-    first = np.where(reverses, -(dq**2) / (2.0 * a), np.roll(q, -1) - q)
-    second = np.where(reverses, w**2 / (2.0 * a), 0.0)
+    total = np.roll(q, -1) - q
+    place = np.where(reverses, _extremum_place(total, step * dq, step * w), 0.0)
+    _, h10, h01, h11 = _hermite(place)
+    first = np.where(reverses, h01 * total + step * (h10 * dq + h11 * w), total)
+    second = total - first
     travels = np.tile(np.column_stack([first, second]).ravel(), 2)
     signs, decays = np.sign(travels), np.exp(-np.abs(travels) / reach)
     states, state = [], 0.0
@@ -111,4 +135,4 @@ def presliding_state(
             by_travel[k] = (sign - state) * decay * sign / reach
             state = sign + (state - sign) * decay
     z = np.array(states[2 * len(q) :: 2])
-    return PreslidingState(z, slope, by_travel, a, reverses, dq, step)
+    return PreslidingState(z, slope, by_travel, reverses, place, step)

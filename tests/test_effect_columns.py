@@ -85,7 +85,12 @@ def constants() -> RobotConstants:
     limits = resolve(robot)
     standard = inertial_parameters.standard_parameters(robot, limits, inertial_parameters.DRIVE)
     psi = standard.nominal.copy()
-    for kind, value in {"rotor_inertia": 1.0, "viscous": 5.0, "coulomb": 4.0, "offset": 1.0}.items():
+    for kind, value in {
+        "rotor_inertia": 1.0,
+        "viscous": 5.0,
+        "coulomb": 4.0,
+        "offset": 1.0,
+    }.items():
         psi[standard.block(kind)] = value
     return RobotConstants(robot, standard, psi, np.full(robot.n, WIDTH), limits)
 
@@ -223,6 +228,4 @@ def test_presliding_friction_reverses_over_its_reach():
     position = np.sin(t)
     falling = (t > 0.5 * np.pi) & (t < 1.5 * np.pi)
     travelled = 1.0 - position[falling]
-    np.testing.assert_allclose(
-        z[falling], np.clip(1.0 - travelled / 0.05, -1.0, 1.0), atol=2e-3
-    )
+    np.testing.assert_allclose(z[falling], np.clip(1.0 - travelled / 0.05, -1.0, 1.0), atol=2e-3)

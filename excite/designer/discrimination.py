@@ -35,7 +35,7 @@ STOPPING_GAIN = 5e-3
 """Decrease of the objective over ten iterations below which the search ends; the objective is the
 logarithm of a separation."""
 INDISTINGUISHABLE_SHARE = 1e-8
-"""Share of its torque that an explanation may keep at most when a rival reproduces it, for
+"""Share of its squared torque that an explanation keeps at most when a rival reproduces it, for
 rounding [1]."""
 
 
@@ -207,15 +207,16 @@ class RunSettings:
     run_time: float = 0.0
 
 
-def prior_rows(settings: RunSettings, count: int) -> WeightedRows:
+def prior_rows(settings: RunSettings, count: int, std: float = PRIOR_STD) -> WeightedRows:
     """Return the rows of the weak prior on the base parameters.
 
     Args:
         settings: Coordinates of the base parameters.
         count: Number K of effect columns.
+        std: Prior standard deviation of the base parameters in the metric [1].
     """
     p = settings.coordinates.shape[1]
-    return WeightedRows(np.eye(p) / PRIOR_STD, np.zeros((p, count)))
+    return WeightedRows(np.eye(p) / std, np.zeros((p, count)))
 
 
 @dataclass(frozen=True)

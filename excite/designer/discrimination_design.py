@@ -39,6 +39,8 @@ from .problem import DesignProblem
 USUAL_SEVERITY = 1.0
 """RMS torque of an explanation of unknown size after projection off the base, over the noise, along
 the reference motion [1]."""
+VAGUE_STD = 1e3
+"""Prior standard deviation with which indistinguishable explanations are sought [1]."""
 DENSE_RATE = 100.0
 """Samples per second at which separations are reported [Hz]."""
 
@@ -173,7 +175,8 @@ class ExplanationSet:
         motion = sampled_motion(problem.robot, problem.parameters, reference)
         explanations = self.sized(effects, motion, settings)
         objective = SeparationObjective(effects, explanations, self.comparisons, settings)
-        rows = objective.rows(motion).stacked(prior_rows(settings, effects.count))
+        # without the prior, against which large parameters of the base model would stand out
+        rows = objective.rows(motion).stacked(prior_rows(settings, effects.count, VAGUE_STD))
         result = separations(rows, effects.slices, explanations, self.comparisons)
         lost = indistinguishable(
             result.values, _raw_sizes(rows, effects, explanations, self.comparisons)

@@ -1,4 +1,4 @@
-"""Designs that discriminate: separations, gradients, explanations of a diagnosis, menu, forecast."""
+"""Designs that discriminate: separations, gradients, explanations of a diagnosis, menu."""
 
 from __future__ import annotations
 

@@ -194,6 +194,9 @@ class _Builder:
         if effect not in SYMBOLIC_EFFECTS or (joint is None and effect not in WITHOUT_JOINT):
             self.omitted.append(f"{effect}{place}: its torque is no smooth function of the motion")
             return None
+        if effect == "coupling" and self.robot.n == 1:
+            self.omitted.append(f"{effect}{place}: the robot has no other joint")
+            return None
         form = symbolic_effect(specification, self.constants)
         for index, other in enumerate(self.candidates):
             if other.form.effect == effect and other.form.joint == joint:

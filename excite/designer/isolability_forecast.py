@@ -6,6 +6,7 @@ recording if one of them acts with the smallest torque that counts as an effect.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,13 @@ CONFUSABLE_PAIRS = (
 """Effects that one recording often cannot tell apart."""
 
 
+MAX_LINK_JOINTS = 12
+"""Joints up to which effects of the links behind a joint are forecast, too [1]: their columns take
+the dynamics of the complete robot once per joint."""
+LINK_EFFECTS = ("elasticity", "encoder_error")
+"""These effects."""
+
+
 @dataclass(frozen=True)
 class PairForecast:
     """Expected decision between two effects at a joint.
@@ -72,9 +80,11 @@ class PairForecast:
         return self.log_odds >= DECISIVE_LOG_ODDS
 
 
-def _effects_of(constants: RobotConstants, joint: int) -> dict[str, SymbolicEffect]:
-    """Return the effects of the pairs at a joint, and both kinds of thermal drift."""
-    names = dict.fromkeys(name for pair in CONFUSABLE_PAIRS for name in pair)
+def _effects_of(
+    constants: RobotConstants, joint: int, pairs: Sequence[tuple[str, str]]
+) -> dict[str, SymbolicEffect]:
+    """Return the effects of pairs at a joint, and both kinds of thermal drift."""
+    names = dict.fromkeys(name for pair in pairs for name in pair)
     out = {name: symbolic_effect(EffectSpecification(name, joint, {}), constants) for name in names}
     coulomb, viscous = friction_of(constants, joint)
     constant = symbolic_effect(EffectSpecification("thermal_drift", joint, {}), constants)
@@ -114,11 +124,16 @@ def forecast_isolability(
     settings = RunSettings(base.geometric, noise, periods)
     sampled = sampled_motion(robot, parameters, motion, FORECAST_RATE)
     out: list[PairForecast] = []
+    usual = [
+        pair
+        for pair in CONFUSABLE_PAIRS
+        if robot.n <= MAX_LINK_JOINTS or not set(pair) & set(LINK_EFFECTS)
+    ]
     for joint in range(robot.n):
-        effects = _effects_of(constants, joint)
+        effects = _effects_of(constants, joint, usual)
         names = list(effects)
         thermal = (names[-2], names[-1])
-        pairs = (*CONFUSABLE_PAIRS, thermal)
+        pairs = (*usual, thermal)
         comparisons = tuple(
             Comparison(names.index(a), names.index(b), (), 0.5 / len(pairs))
             for pair in pairs

@@ -53,7 +53,7 @@ class DiscriminationResult:
 
     def question_of(self, comparison: Comparison) -> str:
         """Return a comparison in words."""
-        return f"{self.name_of(comparison.true)}, not {self.name_of(comparison.rival)}"
+        return f"{self.name_of(comparison.true)} against {self.name_of(comparison.rival)}"
 
     @property
     def linearised(self) -> dict[str, str]:

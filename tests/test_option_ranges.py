@@ -35,6 +35,8 @@ TEXT = {
     "host",
     "limits_template",
     "format",
+    "source",
+    "into",
 }
 """Options and arguments that are names, paths or lists of names."""
 POSITIONALS = {

@@ -13,6 +13,8 @@ from .identification_result import IdentificationResult as IdentificationResult
 from .identification_result import identify as identify
 from .identification_result import predict as predict
 from .identification_result import read_recording as read_recording
+from .model_export import ExportedModel as ExportedModel
+from .model_export import export_model as export_model
 from .robots import load_robot as load_robot
 from .simulated_recording import SimulatedRecording as SimulatedRecording
 from .simulated_recording import simulate as simulate

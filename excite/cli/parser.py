@@ -504,14 +504,23 @@ def _sources(sub: argparse.ArgumentParser) -> None:
 
 
 def _export(commands: Commands) -> None:
-    sub = _command(commands, "export", "write a trajectory for a controller")
-    sub.add_argument("trajectory", metavar="TRAJECTORY", help="path of a trajectory.json")
+    sub = _command(
+        commands,
+        "export",
+        "write a trajectory for a controller, or an identified robot for a simulator",
+    )
+    sub.add_argument(
+        "source",
+        metavar="TRAJECTORY_OR_MODEL",
+        help="path of a trajectory.json or of a model.json; it decides which formats there are",
+    )
     sub.add_argument(
         "--format",
         required=True,
         metavar="F",
         help=(
-            "name of a format: csv, json, ros2-joint-trajectory, urscript, … (see 'excite formats')"
+            "name of a format: csv, json, ros2-joint-trajectory, urscript, …; of a model mjcf, "
+            "urdf, sdf, isaaclab, … (see 'excite formats')"
         ),
     )
     sub.add_argument("-o", dest="out", metavar="FILE", required=True, help="file to write")
@@ -527,6 +536,18 @@ def _export(commands: Commands) -> None:
         default=1.0,
         metavar="F",
         help="export the motion at F times its speed, for a first careful run",
+    )
+    group = sub.add_argument_group("identified robot")
+    group.add_argument(
+        "--into",
+        metavar="FILE",
+        help="your own MJCF: it is written to -o with what was identified; all else stays",
+    )
+    group.add_argument(
+        "--recording",
+        metavar="FILE",
+        help="motion along which the torque of what the format cannot hold is stated (default: a "
+        "recording of the model, if it is still in its place)",
     )
     group = sub.add_argument_group("ROS 2")
     group.add_argument(

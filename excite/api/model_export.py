@@ -9,7 +9,7 @@ from typing import Any
 
 from .._system.output_files import output_files
 from ..errors import UnusableInput
-from ..exporters.model_formats import held_quantities, model_text
+from ..exporters.model_formats import model_text, remainders, require_format
 from ..exporters.simulator_model import Remainder, SimulatorModel, simulator_model
 from ..identification.identified_model import model_from_document
 from ..recordings import Recording
@@ -36,7 +36,7 @@ class ExportedModel:
     @property
     def remainders(self) -> list[Remainder]:
         """The parts of the model that the format does not hold, the largest first."""
-        return self.model.remainders(held_quantities(self.format))
+        return remainders(self.model, self.format)
 
     def document(self) -> dict[str, Any]:
         """Return what `excite export --json` prints."""
@@ -161,7 +161,7 @@ def export_model(
     Raises:
         UnusableInput: A file cannot be used, or the format is unknown.
     """
-    held_quantities(format)  # refuses an unknown format before anything is computed
+    require_format(format)  # before anything is computed
     prepared = read_simulator_model(model, recording=recording, limits=limits)
     text = model_text(prepared, format, None if into is None else Path(into))
     return ExportedModel(prepared, format, text)

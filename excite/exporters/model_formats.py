@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import UnusableInput
-from . import isaaclab_file, mjcf_file, sdf_file, urdf_file
+from ..schemas.effects import EffectDocument
+from . import isaaclab_file, mjcf_file, python_friction, sdf_file, urdf_file
 from .mjcf_merge import merged_mjcf
-from .simulator_model import Held, SimulatorModel
+from .simulator_model import Held, Remainder, SimulatorModel
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,13 @@ class _Format:
         description: One line for `excite formats`.
         render: Returns the text of the file.
         holds: Quantities that the format holds.
+        computes: Whether it computes an effect for which simulators have no quantity.
     """
 
     description: str
     render: Callable[[SimulatorModel], str]
     holds: frozenset[Held]
+    computes: Callable[[EffectDocument], bool] = lambda effect: False
 
 
 _FORMATS = {
@@ -51,6 +54,12 @@ _FORMATS = {
         "Isaac Lab: actuator configuration (Python), USD attributes; static and dynamic friction",
         isaaclab_file.isaaclab_text,
         isaaclab_file.HOLDS,
+    ),
+    "python-friction": _Format(
+        "Python module (NumPy only): friction of q, dq and load, with memory; for any simulator",
+        python_friction.python_text,
+        python_friction.HOLDS,
+        python_friction.is_term,
     ),
 }
 MODEL_FORMATS: Mapping[str, str] = {name: entry.description for name, entry in _FORMATS.items()}
@@ -76,13 +85,19 @@ def model_text(model: SimulatorModel, format: str, into: Path | None = None) -> 
     return merged_mjcf(model, into)
 
 
-def held_quantities(format: str) -> frozenset[Held]:
-    """Return the quantities that a format holds.
+def remainders(model: SimulatorModel, format: str) -> list[Remainder]:
+    """Return the parts of an identified robot that a format does not hold, the largest first.
 
     Raises:
         UnusableInput: The format is unknown.
     """
-    return _entry(format).holds
+    entry = _entry(format)
+    return model.remainders(entry.holds, entry.computes)
+
+
+def require_format(name: str) -> None:
+    """Raise UnusableInput if there is no such format."""
+    _entry(name)
 
 
 def _entry(name: str) -> _Format:

@@ -167,11 +167,16 @@ class SimulatorModel:
             return float(self.limits.torque[joint])
         return self.model.robot.entries[joint].torque
 
-    def remainders(self, holds: frozenset[Held]) -> list[Remainder]:
+    def remainders(
+        self,
+        holds: frozenset[Held],
+        computes: Callable[[EffectDocument], bool] = lambda effect: False,
+    ) -> list[Remainder]:
         """Return the parts of the model that a simulator with certain quantities does not hold.
 
         Args:
             holds: Quantities that the simulator holds.
+            computes: Whether the file computes an effect for which simulators have no quantity.
         """
         robot, out = self.model.robot, list[Remainder]()
         for j, joint in enumerate(robot.joints):
@@ -183,7 +188,7 @@ class SimulatorModel:
             if Held.OFFSET not in holds and offset:
                 out.append(Remainder("offset", joint, abs(float(offset)), unit))
         for k, (effect, quantity) in enumerate(zip(self.model.effects, self.held, strict=True)):
-            if quantity is None or quantity not in holds:
+            if (quantity is None or quantity not in holds) and not computes(effect):
                 out.append(self._remainder(k, effect))
         return sorted(out, key=lambda part: -(np.inf if part.rms is None else part.rms))
 
@@ -198,12 +203,18 @@ class SimulatorModel:
             effect.effect, effect.joint, rms, self.model.robot.entries[joint].unit("N m")
         )
 
-    def header(self, simulator: str, holds: frozenset[Held]) -> list[str]:
+    def header(
+        self,
+        simulator: str,
+        holds: frozenset[Held],
+        computes: Callable[[EffectDocument], bool] = lambda effect: False,
+    ) -> list[str]:
         """Return the lines of the comment at the beginning of an exported file.
 
         Args:
             simulator: Name of the format.
             holds: Quantities that it holds.
+            computes: Whether it computes an effect for which simulators have no quantity.
 
         Returns:
             Lines of printable ASCII.
@@ -218,7 +229,7 @@ class SimulatorModel:
             *(f"  {line}" for line in self._joint_lines()),
             *self._link_lines(),
         ]
-        left = self.remainders(holds)
+        left = self.remainders(holds, computes)
         along = f" (along {Path(self.rms_source).name})" if self.rms_source else ""
         if left:
             lines.append(f"NOT in this file, as {simulator} has no field for it{along}:")

@@ -90,8 +90,8 @@ def unfiltered(model: IdentifiedModel) -> tuple[FloatArray, Samples, FloatArray,
     Returns:
         Torque, shape (N, n), and the motion, the load, and a mask of the samples inside.
     """
-    fourier, rate = random_fourier(2, 3, period=2.0), 2000.0
-    t = np.arange(round(4.0 * fourier.period * rate) + 1) / rate
+    fourier, rate = random_fourier(2, 3, period=2.0), 1000.0
+    t = np.arange(round(2.0 * fourier.period * rate) + 1) / rate
     recording = Recording("a.csv", model.robot.joints, t, fourier.samples(t).q, row_times=t)
     wide = dataclasses.replace(model, hertz=0.4 * rate)
     without = dataclasses.replace(wide, effects=())

@@ -260,6 +260,24 @@ def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunction
     )
 
 
+def inverse_dynamics(robot: Robot, phi: FloatArray, q: ca.SX, dq: ca.SX, ddq: ca.SX) -> ca.SX:
+    """Return the torque of the links as an expression.
+
+    Args:
+        robot: The robot.
+        phi: Inertial parameters of its links. Shape (10·bodies,).
+        q: Positions. Shape (n,) [rad or m].
+        dq: Velocities.
+        ddq: Accelerations.
+
+    Returns:
+        Shape (n,) [N m or N].
+    """
+    kinematics = _kinematics(robot, q)
+    motion = _velocities(robot, kinematics, dq, ddq)
+    return ca.densify(_inverse_dynamics(robot, kinematics, motion, ca.SX(phi)))
+
+
 def frame_position(robot: Robot, frame: str) -> ca.Function:
     """Build the function of the position of a frame.
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..errors import UnusableInput
 from ..schemas.effects import EffectDocument
-from . import isaaclab_file, mjcf_file, python_friction, sdf_file, urdf_file
+from . import c_file, isaaclab_file, mjcf_file, python_friction, sdf_file, urdf_file
 from .mjcf_merge import merged_mjcf
 from .simulator_model import Held, Remainder, SimulatorModel
 
@@ -54,6 +54,12 @@ _FORMATS = {
         "Isaac Lab: actuator configuration (Python), USD attributes; static and dynamic friction",
         isaaclab_file.isaaclab_text,
         isaaclab_file.HOLDS,
+    ),
+    "c": _Format(
+        "C99 without dependencies: inverse dynamics, friction feed-forward, gravity torque",
+        c_file.c_text,
+        c_file.HOLDS,
+        c_file.is_computed,
     ),
     "python-friction": _Format(
         "Python module (NumPy only): friction of q, dq and load, with memory; for any simulator",

@@ -28,6 +28,7 @@ __all__ = [
     "DiagnosisResult",
     "ExportedModel",
     "IdentificationResult",
+    "ReplayResult",
     "SimulatedRecording",
     "VerificationResult",
     "design",
@@ -38,6 +39,7 @@ __all__ = [
     "load_robot",
     "predict",
     "read_recording",
+    "replay",
     "simulate",
     "verify",
 ]

@@ -51,6 +51,7 @@ POSITIONALS = {
     "identify": ["two_link", "unused.csv", "-o", "unused"],
     "predict": ["unused.json", "unused.csv", "-o", "unused.csv"],
     "diagnose": ["two_link", "unused.csv", "--validate", "unused.csv", "-o", "unused"],
+    "replay": ["unused.json", "unused.csv", "-o", "unused"],
     "simulate": ["two_link", "unused.json", "-o", "unused.csv"],
     "view": ["unused.json"],
 }

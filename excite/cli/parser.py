@@ -126,6 +126,7 @@ def parser() -> argparse.ArgumentParser:
     _identify(commands)
     _predict(commands)
     _diagnose(commands)
+    _replay(commands)
     _simulate(commands)
     _view(commands)
     return top
@@ -814,6 +815,45 @@ def _diagnose(commands: Commands) -> None:
         action="store_true",
         help="do not write report.html, which takes a third of the time",
     )
+
+
+def _replay(commands: Commands) -> None:
+    sub = _command(
+        commands,
+        "replay",
+        "replay recorded commands in MuJoCo with an identified robot and with its description",
+    )
+    sub.add_argument(
+        "model", metavar="MODEL", help="model.json of 'excite identify' or 'excite diagnose'"
+    )
+    sub.add_argument(
+        "recording", metavar="RECORDING", help="recording with qref.<joint> or tau.<joint>"
+    )
+    sub.add_argument(
+        "-o",
+        dest="out",
+        metavar="DIR",
+        required=True,
+        help="folder for replay.json and report.html",
+    )
+    sub.add_argument(
+        "--command",
+        dest="drive_with",
+        choices=("qref", "torque"),
+        help="replay the commanded positions through a position loop, or the torque (default: qref "
+        "if it was recorded)",
+    )
+    sub.add_argument(
+        "--gains",
+        type=Numbers(Range(0.0, 1e9, "N m/rad, N m s/rad")),
+        metavar="KP,KD[,…]",
+        help="gains of the position loop, one pair or one for each joint (default: fitted to the "
+        "recorded torque)",
+    )
+    sub.add_argument(
+        "--robot", metavar="URDF", help="robot before its identification, if it has moved"
+    )
+    _columns_option(sub)
 
 
 def _simulate(commands: Commands) -> None:

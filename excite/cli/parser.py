@@ -127,6 +127,7 @@ def parser() -> argparse.ArgumentParser:
     _predict(commands)
     _diagnose(commands)
     _replay(commands)
+    _payload(commands)
     _simulate(commands)
     _view(commands)
     return top
@@ -182,7 +183,13 @@ def _check(commands: Commands) -> None:
     )
 
 
-def _robot_options(sub: argparse.ArgumentParser) -> None:
+def _robot_options(sub: argparse.ArgumentParser, *, payload: bool = True) -> None:
+    """Add the options that describe the robot.
+
+    Args:
+        sub: Parser of the command.
+        payload: Whether a payload and the robot's mass may be stated.
+    """
     group = sub.add_argument_group("robot")
     group.add_argument(
         "robot",
@@ -205,6 +212,19 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="TOML or MoveIt joint_limits.yaml that overrides the URDF's limits",
     )
+    if payload:
+        _payload_options(group)
+    group.add_argument(
+        "--gravity",
+        type=Numbers(ranges.GRAVITY, (3,)),
+        metavar="X,Y,Z",
+        default="0,0,-9.81",
+        help="gravity in the base frame [m/s²] (default %(default)s)",
+    )
+
+
+def _payload_options(group: argparse._ActionsContainer) -> None:
+    """Add the options that state masses of the robot and of a payload."""
     body = "LINK:M[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]"
     quantities = (ranges.MASS, *[ranges.LENGTH] * 3, *[ranges.INERTIA] * 6)
     group.add_argument(
@@ -219,13 +239,6 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
         metavar="KG",
         help="mass of the complete robot: links without <inertial> get uniform bodies in their "
         "collision shapes",
-    )
-    group.add_argument(
-        "--gravity",
-        type=Numbers(ranges.GRAVITY, (3,)),
-        metavar="X,Y,Z",
-        default="0,0,-9.81",
-        help="gravity in the base frame [m/s²] (default %(default)s)",
     )
 
 
@@ -814,6 +827,68 @@ def _diagnose(commands: Commands) -> None:
         "--no-report",
         action="store_true",
         help="do not write report.html, which takes a third of the time",
+    )
+
+
+def _payload(commands: Commands) -> None:
+    sub = _command(
+        commands,
+        "payload",
+        "identify mass, centre of mass and inertia of what is attached to a link",
+    )
+    sub.add_argument(
+        "-o",
+        dest="out",
+        metavar="DIR",
+        required=True,
+        help="folder for payload.json and report.html",
+    )
+    _robot_options(sub, payload=False)
+    group = sub.add_argument_group("recordings")
+    group.add_argument(
+        "--with",
+        dest="carrying",
+        metavar="RECORDING",
+        nargs="+",
+        required=True,
+        help="recordings with the payload",
+    )
+    group.add_argument(
+        "--without",
+        dest="empty",
+        metavar="RECORDING",
+        nargs="+",
+        default=[],
+        help="recordings of the same robot without it",
+    )
+    group.add_argument(
+        "--model",
+        metavar="MODEL",
+        help="model.json of the robot without it, in place of --without: its recordings are used",
+    )
+    group.add_argument(
+        "--band",
+        type=Number(HERTZ),
+        metavar="HZ",
+        help="cutoff of the low-pass filter of the torque (default: chosen from the data)",
+    )
+    _recording_options(group)
+    group = sub.add_argument_group("payload")
+    group.add_argument(
+        "--link", metavar="LINK", help="link or frame that carries it (default: the last link)"
+    )
+    group.add_argument(
+        "--mass",
+        dest="payload_mass",
+        type=Number(Range(1e-6, 1e5, "kg")),
+        metavar="KG",
+        help="its mass, if it was weighed",
+    )
+    group.add_argument(
+        "--shape",
+        metavar="SHAPE",
+        help="box:X,Y,Z, cylinder:RADIUS,LENGTH, sphere:RADIUS or mesh:FILE, with @CX,CY,CZ if "
+        "its centre is known [m]; axes of the link",
     )
 
 

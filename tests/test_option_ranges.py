@@ -40,6 +40,7 @@ TEXT = {
     "carrying",
     "empty",
     "link",
+    "for_payload",
     "shape",
 }
 """Options and arguments that are names, paths or lists of names."""

@@ -22,6 +22,7 @@ from ..designer import validation_trajectory as validation
 from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE
 from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
+from ..designer.payload_weighting import PayloadDeviation, payload_deviation
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..recordings.periodicity import with_own_period
@@ -208,6 +209,19 @@ class DesignResult:
         path = Path(path)
         return output_files(path).replace({path.name: self.html()})[0]
 
+    @cached_property
+    def payload(self) -> PayloadDeviation | None:
+        """Predicted deviations of a payload, of a motion designed for one."""
+        setup, trajectory = self.delivery.design.setup, self.trajectory
+        link = setup.problem.options.payload_link
+        if link is None:
+            return None
+        samples = trajectory.motion.samples(
+            trajectory.motion.grid(identification_result.REFERENCE_RATE)
+        )
+        noise = np.asarray(trajectory.noise, float)
+        return payload_deviation(self.robot, setup.problem.parameters, samples, noise, link)
+
     def document(self) -> dict[str, Any]:
         """Return what `excite design --json` prints."""
         certificate, trajectory = self.delivery.certificate, self.trajectory
@@ -225,6 +239,7 @@ class DesignResult:
             "collision": trajectory.collision,
             "duration": trajectory.motion.duration,
         }
+        out |= {} if self.payload is None else {"payload": self.payload.document()}
         out |= {} if self.validation is None else {"validation": self.validation.document()}
         return out | ({} if self.plan is None else {"plan": self.plan.document()})
 

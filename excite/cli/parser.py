@@ -306,6 +306,12 @@ def _design(commands: Commands) -> None:
         default=[],
         help="trajectory.json or recording whose information is already available",
     )
+    group.add_argument(
+        "--for-payload",
+        metavar="LINK",
+        help="show a payload on this link of a robot that is known, friction eliminated (15 s "
+        "unless --time or --period is given)",
+    )
     group = sub.add_argument_group("motion")
     group.add_argument(
         "--time",

@@ -4,9 +4,9 @@
 
 Each robot carries payloads of 0.02 to 0.5 of its rating, eccentric, with load friction hidden at
 every joint (with --dense, all frictions of a dense robot). The robot is recorded once without a
-payload and once with each, along the motion in trajectories/. The static estimate uses the torque
-of four poses at rest, each with any friction that rest allows; the plain difference subtracts the
-torque without payload from that with it, without a model of friction.
+payload and once with each, along a motion of 20 s by `excite design --for-payload`. The static
+estimate uses the torque of four poses at rest, each with any friction that rest allows; the plain
+difference subtracts the torque without payload from that with it, without a model of friction.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from excite import _json, design
 from excite._types import FloatArray
 from excite.api.robots import resolve_limits
 from excite.identification import segments
@@ -35,7 +37,7 @@ from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters
 from excite.robot.dynamics import regressor
 from excite.robot.inertial_parameters import COULOMB_WIDTH
-from excite.robot.robot import load, locate
+from excite.robot.robot import Payload, load, locate
 from excite.robot.samples import Samples
 from excite.simulator.dense_robot import dense_effects
 from excite.simulator.effect_instance import EffectInstance, with_effects
@@ -57,8 +59,8 @@ LOAD_FRICTION = (0.03, 0.15)
 """Smallest and largest coefficient of load friction."""
 STATIC_POSES = 4
 """Poses of the static estimate."""
-PERIODS = 3
-"""Periods of each recording."""
+MOTION_SECONDS = 20.0
+"""Robot time of each recording [s]."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +88,8 @@ class Laboratory:
     """A simulated robot that is recorded with and without payloads."""
 
     def __init__(self, name: str, is_dense: bool) -> None:
-        path = Path(__file__).parents[1] / "trajectories" / f"{name}.json"
         self.name = name
-        self.reference: ReferenceTrajectory = read_reference(path, PERIODS)
+        self.reference: ReferenceTrajectory = payload_motion(name)
         self.settings = ExperimentSettings(seed=3)
         robot = build_robot(locate(name), self.reference, self.settings)
         rng = np.random.default_rng(11)
@@ -136,6 +137,21 @@ class Laboratory:
         empty = list(segments.extract_segments([self.empty]))
         hertz = segments.torque_spectra(groups[0]).hertz
         return build_payload_equations(self.model, self.place, groups, empty, hertz)
+
+
+def payload_motion(name: str) -> ReferenceTrajectory:
+    """Design a motion for payloads up to the largest one, with `excite design --for-payload`."""
+    mass = SHARES[1] * RATINGS[name]
+    link = load(name).links[-1]
+    centre = (0.8 * LARGEST_OFFSET,) * 3
+    carrying = load(name, payload=Payload(link, mass, centre, (0.01, 0, 0.01, 0, 0, 0.01)))
+    result = design(carrying, time=MOTION_SECONDS, payload_link=link, starts=2, jobs=1)
+    document = result.trajectory.document()
+    document["robot"]["payload"] = None  # the simulated robot gets one in each case
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trajectory.json"
+        path.write_text(_json.dumps(document), encoding="utf-8")
+        return read_reference(path)
 
 
 def draw_payload(lab: Laboratory, rng: np.random.Generator, share: float) -> AttachedBody:

@@ -148,15 +148,14 @@ def estimate_payload(
     data, friction = _data_estimate(equations)
     information, target = _with_mass(data, mass)
     shape, phi0 = _start(target, information, shape, mass)
-    prior = _prior_information(phi0, shape, mass)
     phi = phi0.copy()
     for _ in range(PRIOR_ITERATIONS):
         phi = _physical_body(information, target, phi0, 0.5 / shape.deviation**2, phi)
         moved = _shaped(phi, shape, mass)
-        prior = _prior_information(moved, shape, mass)
         if np.linalg.norm(moved - phi0) < 1e-9 * np.linalg.norm(moved):
             break
         phi0 = moved
+    prior = _prior_information(phi, shape, mass)
     unknown = np.eye(LINK_PARAMETERS) / UNSHOWN_VARIANCE
     covariance = np.asarray(np.linalg.inv(information + prior + unknown), float)
     quantities = _quantities(
@@ -227,20 +226,23 @@ def _shaped(phi: FloatArray, shape: PayloadShape, mass: float | None) -> FloatAr
     return _body(amount, centre, shape.second)
 
 
-def _prior_information(phi0: FloatArray, shape: PayloadShape, mass: float | None) -> FloatArray:
-    """Information of the prior at a body, without its directions of mass and centre unless they are
-    stated. Shape (10, 10)."""
-    G = metric(phi0) / shape.deviation**2
-    free = [phi0 / phi0[0]] if mass is None else []
+def _prior_information(phi: FloatArray, shape: PayloadShape, mass: float | None) -> FloatArray:
+    """Information of the prior at the estimate φ (Laplace), without its directions of mass and
+    centre unless they are stated. Shape (10, 10).
+
+    The second derivative of D is twice the metric at φ.
+    """
+    G = metric(phi) / shape.deviation**2
+    free = [phi / phi[0]] if mass is None else []
     if shape.centre is None:
-        free += _shifts(phi0)
+        free += _shifts(phi)
     if free:
         U = np.column_stack(free)
         G = G - G @ U @ np.linalg.solve(U.T @ G @ U, U.T @ G)
     if shape.centre is not None:
         # a stated centre is known to a few millimetres, whatever the shape
         for k in range(3):
-            G[1 + k, 1 + k] += 1.0 / (phi0[0] * CENTRE_DEVIATION) ** 2
+            G[1 + k, 1 + k] += 1.0 / (phi[0] * CENTRE_DEVIATION) ** 2
     return np.asarray(G)
 
 

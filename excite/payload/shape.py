@@ -13,12 +13,13 @@ from ..errors import UnusableInput
 
 DIMENSIONS = {"box": 3, "cylinder": 2, "sphere": 1}
 """Number of lengths of each shape: edges x, y, z; radius and length along z; radius."""
-DEFAULT_DENSITY = 2700.0
-"""Density of a payload of unknown shape, that of aluminium [kg/m³]."""
+DEFAULT_DENSITY = 1000.0
+"""Density of a payload of unknown shape [kg/m³]: that of a hollow or light tool."""
 STATED_DEVIATION = 0.3
 """Standard deviation of a body from its stated shape, in the affine-invariant metric."""
-UNKNOWN_DEVIATION = 1.0
-"""The same for a body of unknown shape: its moments of inertia may be three times as large."""
+UNKNOWN_DEVIATION = 3.0
+"""The same for a body of unknown shape: second moments that are s times as large are at the
+distance √(3/2) ln s, so that s may well be 10."""
 USAGE = "box:X,Y,Z, cylinder:RADIUS,LENGTH, sphere:RADIUS or mesh:FILE, each with @CX,CY,CZ [m]"
 """Grammar of `parse_shape`."""
 
@@ -41,7 +42,7 @@ class PayloadShape:
 
 
 def ball_of_mass(mass: float) -> PayloadShape:
-    """Return the shape that stands for an unknown one: an aluminium ball.
+    """Return the shape that stands for an unknown one: a ball of light material.
 
     Args:
         mass: Mass of the payload [kg].

@@ -89,7 +89,7 @@ def _values_section(document: Mapping[str, Any]) -> Section:
                 else TableCell("not shown", tone="warn"),
             )
         )
-    prior = document["shape"] or "an aluminium ball of the estimated mass, as none was stated"
+    prior = document["shape"] or "a light ball of the estimated mass, as none was stated"
     return Section(
         "values",
         "What is attached?",

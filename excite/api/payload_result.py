@@ -20,7 +20,7 @@ from ..payload.equations import build_payload_equations, payload_place
 from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
 from ..payload.shape import PayloadShape, parse_shape
 from ..payload.snippets import snippets
-from ..recordings import Recording, require_distinct
+from ..recordings import Recording
 from ..recordings.periodicity import with_own_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import COULOMB_WIDTH
@@ -187,7 +187,9 @@ def identify_payload(
 
     logger.info(f"reading {len(carrying)} recordings with and {len(sources)} without the payload")
     loaded_recordings, empty_recordings = read(carrying), read(sources)
-    require_distinct(loaded_recordings, empty_recordings)
+    both = {r.source for r in loaded_recordings} & {r.source for r in empty_recordings}
+    if both:
+        raise UnusableInput(f"{min(both)}: is both with and without the payload; name it once")
     standard = inertial_parameters.standard_parameters(loaded, table)
     base = base_parameters.find(loaded, standard, table)
     identification = IdentificationModel(loaded, standard, base, np.full(loaded.n, COULOMB_WIDTH))

@@ -25,7 +25,7 @@ from .simulator_model import SimulatorModel
 
 HORIZONS = (0.1, 0.3, 1.0)
 """Lengths of the windows that start from the recorded state [s]."""
-MAX_WINDOWS = 40
+MAX_WINDOWS = 20
 """Largest number of windows of each length, evenly spread over the recording."""
 LOST_DISTANCE = 1.0
 """Distance from the recording at which a simulation counts as lost, and as which it then counts

@@ -29,6 +29,7 @@ ORDER = (
     "designer",
     "recordings",
     "identification",
+    "payload",
     "effects",
     "diagnosis",
     "exporters",

@@ -37,6 +37,13 @@ TEXT = {
     "host",
     "limits_template",
     "format",
+    "source",
+    "into",
+    "carrying",
+    "empty",
+    "link",
+    "for_payload",
+    "shape",
 }
 """Options and arguments that are names, paths or lists of names."""
 POSITIONALS = {
@@ -51,6 +58,8 @@ POSITIONALS = {
     "identify": ["two_link", "unused.csv", "-o", "unused"],
     "predict": ["unused.json", "unused.csv", "-o", "unused.csv"],
     "diagnose": ["two_link", "unused.csv", "--validate", "unused.csv", "-o", "unused"],
+    "payload": ["two_link", "--with", "unused.csv", "-o", "unused"],
+    "replay": ["unused.json", "unused.csv", "-o", "unused"],
     "simulate": ["two_link", "unused.json", "-o", "unused.csv"],
     "view": ["unused.json"],
 }

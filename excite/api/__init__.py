@@ -13,6 +13,12 @@ from .identification_result import IdentificationResult as IdentificationResult
 from .identification_result import identify as identify
 from .identification_result import predict as predict
 from .identification_result import read_recording as read_recording
+from .model_export import ExportedModel as ExportedModel
+from .model_export import export_model as export_model
+from .payload_result import PayloadResult as PayloadResult
+from .payload_result import identify_payload as identify_payload
+from .replay_result import ReplayResult as ReplayResult
+from .replay_result import replay as replay
 from .robots import load_robot as load_robot
 from .simulated_recording import SimulatedRecording as SimulatedRecording
 from .simulated_recording import simulate as simulate

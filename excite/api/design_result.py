@@ -33,6 +33,7 @@ from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE
 from ..designer.isolability_forecast import PairForecast, forecast_isolability
 from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
+from ..designer.payload_weighting import PayloadDeviation, payload_deviation
 from ..designer.task_variance import TaskPrediction
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
@@ -261,6 +262,19 @@ class DesignResult:
         path = Path(path)
         return output_files(path).replace({path.name: self.html()})[0]
 
+    @cached_property
+    def payload(self) -> PayloadDeviation | None:
+        """Predicted deviations of a payload, of a motion designed for one."""
+        setup, trajectory = self.delivery.design.setup, self.trajectory
+        link = setup.problem.options.payload_link
+        if link is None:
+            return None
+        samples = trajectory.motion.samples(
+            trajectory.motion.grid(identification_result.REFERENCE_RATE)
+        )
+        noise = np.asarray(trajectory.noise, float)
+        return payload_deviation(self.robot, setup.problem.parameters, samples, noise, link)
+
     def document(self) -> dict[str, Any]:
         """Return what `excite design --json` prints."""
         certificate, trajectory = self.delivery.certificate, self.trajectory
@@ -278,6 +292,7 @@ class DesignResult:
             "collision": trajectory.collision,
             "duration": trajectory.motion.duration,
         }
+        out |= {} if self.payload is None else {"payload": self.payload.document()}
         out |= {} if self.validation is None else {"validation": self.validation.document()}
         out |= {} if self.task is None else {"task": self.task.document()}
         if self.discrimination is not None:
@@ -368,6 +383,9 @@ def design(
     information = None if earlier is None else earlier.T @ earlier
     if for_task is not None and discriminate is not None:
         raise UnusableInput("--for and --discriminate are two criteria; choose one")
+    if chosen.payload_link is not None and (for_task is not None or discriminate is not None):
+        name = "--for" if discriminate is None else "--discriminate"
+        raise UnusableInput(f"{name} and --for-payload are two criteria; choose one")
     questions = None
     if discriminate is not None:
         questions = read_questions(Path(discriminate), loaded, table, chosen)

@@ -20,6 +20,7 @@ FILE_METAVARS = (
     "RECORDING",
     "ROBOT",
     "TRAJECTORY",
+    "TRAJECTORY_OR_MODEL",
     "TRAJECTORY_OR_RECORDING",
     "URDF",
 )
@@ -65,7 +66,7 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
         )
     import shtab
 
-    from ..exporters import FORMATS
+    from ..exporters import FORMATS, MODEL_FORMATS
 
     for action in _all_actions(parser):
         if action.metavar in FILE_METAVARS:
@@ -73,7 +74,7 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
         elif action.metavar == "DIR":
             action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]
         elif "--format" in action.option_strings:
-            action.choices = list(FORMATS)
+            action.choices = [*FORMATS, *MODEL_FORMATS]
     return str(shtab.complete(parser, shell))
 
 

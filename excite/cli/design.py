@@ -16,6 +16,7 @@ from ..api.identification_result import REFERENCE_RATE
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
+from ..designer.payload_weighting import payload_body
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
@@ -45,7 +46,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         harmonics=arguments.harmonics,
         samples=arguments.samples,
         periods=arguments.periods,
-        time=arguments.time,
+        time=_time(arguments),
         start=None if not arguments.start else shared.of_joints("--start", arguments.start, robot),
         given=arguments.given,
         for_task=arguments.for_task,
@@ -60,6 +61,18 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     written = output.replace(result.contents())
     document = with_files(result.document(), written)
     return (0 if result.ok else 1), document, _text(result, document, written)
+
+
+PAYLOAD_SECONDS = 15.0
+"""Robot time of a motion for a payload, unless it is stated [s]."""
+
+
+def _time(arguments: argparse.Namespace) -> float | None:
+    """Robot time of the motion [s]; None: the period and its repeats decide."""
+    is_stated = arguments.time is not None or arguments.period or arguments.periods
+    if arguments.for_payload is None or is_stated:
+        return arguments.time
+    return PAYLOAD_SECONDS
 
 
 def _cell_options(arguments: argparse.Namespace) -> CellOptions:
@@ -93,6 +106,7 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> DesignOptions:
         seed=arguments.seed,
         jobs=arguments.jobs,
         iterations=arguments.iterations,
+        payload_link=_payload_link(arguments, robot),
     )
 
 
@@ -101,6 +115,22 @@ def _starts(arguments: argparse.Namespace) -> int:
     if arguments.starts is not None:
         return int(arguments.starts)
     return DesignOptions.starts if arguments.discriminate is None else DISCRIMINATION_STARTS
+
+
+def _payload_link(arguments: argparse.Namespace, robot: Robot) -> str | None:
+    """Link whose payload the motion is to show.
+
+    Raises:
+        UnusableInput: The link does not move, or the criterion does not go with it.
+    """
+    link: str | None = arguments.for_payload
+    if link is not None:
+        payload_body(robot, link)
+        if arguments.criterion != "a" or arguments.plain:
+            raise UnusableInput(
+                "--for-payload: has the A-criterion; leave --criterion and --plain out"
+            )
+    return link
 
 
 def _box(frame: str, v: tuple[float, ...]) -> WorkspaceBox:
@@ -127,6 +157,7 @@ def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path
         f"(torque noise {_noise(trajectory)}, {REFERENCE_RATE:g} rows a second)",
         f"{kind}{criterion.value}: {periodic:.6g} per sample of the periodic part, "
         f"{complete:.6g} of the whole motion",
+        *([] if result.payload is None else [result.payload.text]),
         f"{trajectory.motion.duration:.2f} s: "
         f"{' → '.join(s.kind for s in trajectory.motion.segments)}",
         *certificate.verdict_lines(),

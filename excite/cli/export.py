@@ -1,18 +1,40 @@
-"""`excite export`: write a trajectory for a controller."""
+"""`excite export`: write a trajectory for a controller, or an identified robot for a simulator."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from pathlib import Path
 
 from .. import api
+from .._system.output_files import output_files
+from ..api.model_export import is_model
+from ..errors import UnusableInput
 from ..exporters.goal_options import GoalOptions
 from .outcome import Outcome
 
+OF_TRAJECTORIES: Mapping[str, object] = {
+    "rate": None,
+    "speed": 1.0,
+    "path_tolerance": None,
+    "goal_tolerance": None,
+    "robot": None,
+    "packages": [],
+    "force": False,
+}
+"""Options that concern trajectories only, with their defaults."""
+OF_MODELS: Mapping[str, object] = {"into": None, "recording": None}
+"""Options that concern identified robots only, with their defaults."""
+
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Run `excite export`: verify a trajectory and write the file for the controller."""
+    """Run `excite export`: the kind of the document decides."""
+    if is_model(arguments.source):
+        _require_defaults(arguments, OF_TRAJECTORIES, "a trajectory.json")
+        return _export_model(arguments)
+    _require_defaults(arguments, OF_MODELS, "a model.json")
     result = api.export(
-        arguments.trajectory,
+        arguments.source,
         arguments.format,
         arguments.out,
         speed=arguments.speed,
@@ -25,3 +47,34 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
     lines = [*result.verdict, f"wrote {result.path}", *result.next_steps]
     return 0, result.document(), "\n".join(lines)
+
+
+def _require_defaults(
+    arguments: argparse.Namespace, options: Mapping[str, object], document: str
+) -> None:
+    """Raise UnusableInput for an option that concerns the other kind of document."""
+    for name, default in options.items():
+        if getattr(arguments, name) != default:
+            raise UnusableInput(
+                f"--{name.replace('_', '-')}: goes with {document}, which {arguments.source} is "
+                "not; leave it out"
+            )
+
+
+def _export_model(arguments: argparse.Namespace) -> Outcome:
+    """Export an identified robot."""
+    path = Path(arguments.out)
+    inputs = [arguments.source, arguments.into, arguments.recording, arguments.limits]
+    output = output_files(path, inputs=[Path(name) for name in inputs if name is not None])
+    result = api.export_model(
+        arguments.source,
+        arguments.format,
+        into=arguments.into,
+        recording=arguments.recording,
+        limits=arguments.limits,
+    )
+    written = output.replace({path.name: result.text})[0]
+    along = f", along {result.model.rms_source}" if result.model.rms_source else ""
+    lines = [f"not in the file{along}:"] if result.remainders else []
+    lines += [f"  {part.text}" for part in result.remainders]
+    return 0, {"file": str(written), **result.document()}, "\n".join([*lines, f"wrote {written}"])

@@ -15,7 +15,7 @@ from ..robot.robot import Payload, Robot
 def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
     """Arguments of `api.load_robot` that the options state."""
     payload = None
-    if arguments.payload:
+    if getattr(arguments, "payload", None):
         link, values = arguments.payload
         values += (0.0,) * (10 - len(values))
         payload = Payload(link, values[0], values[1:4], values[4:])
@@ -27,7 +27,7 @@ def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
         "lock": lock,
         "payload": payload,
         "gravity": arguments.gravity,
-        "mass": None if arguments.mass is None else arguments.mass[0],
+        "mass": mass[0] if (mass := getattr(arguments, "mass", None)) else None,
         "packages": getattr(arguments, "packages", ()),
     }
 

@@ -126,6 +126,8 @@ def parser() -> argparse.ArgumentParser:
     _identify(commands)
     _predict(commands)
     _diagnose(commands)
+    _replay(commands)
+    _payload(commands)
     _simulate(commands)
     _view(commands)
     return top
@@ -181,7 +183,13 @@ def _check(commands: Commands) -> None:
     )
 
 
-def _robot_options(sub: argparse.ArgumentParser) -> None:
+def _robot_options(sub: argparse.ArgumentParser, *, payload: bool = True) -> None:
+    """Add the options that describe the robot.
+
+    Args:
+        sub: Parser of the command.
+        payload: Whether a payload and the robot's mass may be stated.
+    """
     group = sub.add_argument_group("robot")
     group.add_argument(
         "robot",
@@ -204,6 +212,19 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="TOML or MoveIt joint_limits.yaml that overrides the URDF's limits",
     )
+    if payload:
+        _payload_options(group)
+    group.add_argument(
+        "--gravity",
+        type=Numbers(ranges.GRAVITY, (3,)),
+        metavar="X,Y,Z",
+        default="0,0,-9.81",
+        help="gravity in the base frame [m/s²] (default %(default)s)",
+    )
+
+
+def _payload_options(group: argparse._ActionsContainer) -> None:
+    """Add the options that state masses of the robot and of a payload."""
     body = "LINK:M[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]"
     quantities = (ranges.MASS, *[ranges.LENGTH] * 3, *[ranges.INERTIA] * 6)
     group.add_argument(
@@ -218,13 +239,6 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
         metavar="KG",
         help="mass of the complete robot: links without <inertial> get uniform bodies in their "
         "collision shapes",
-    )
-    group.add_argument(
-        "--gravity",
-        type=Numbers(ranges.GRAVITY, (3,)),
-        metavar="X,Y,Z",
-        default="0,0,-9.81",
-        help="gravity in the base frame [m/s²] (default %(default)s)",
     )
 
 
@@ -308,6 +322,12 @@ def _design(commands: Commands) -> None:
             "diagnosis.json: design for the largest separation of its competing explanations, and "
             "compare other experiments"
         ),
+    )
+    group.add_argument(
+        "--for-payload",
+        metavar="LINK",
+        help="show a payload on this link of a robot that is known, friction eliminated (15 s "
+        "unless --time or --period is given)",
     )
     group = sub.add_argument_group("motion")
     group.add_argument(
@@ -520,14 +540,23 @@ def _sources(sub: argparse.ArgumentParser) -> None:
 
 
 def _export(commands: Commands) -> None:
-    sub = _command(commands, "export", "write a trajectory for a controller")
-    sub.add_argument("trajectory", metavar="TRAJECTORY", help="path of a trajectory.json")
+    sub = _command(
+        commands,
+        "export",
+        "write a trajectory for a controller, or an identified robot for a simulator",
+    )
+    sub.add_argument(
+        "source",
+        metavar="TRAJECTORY_OR_MODEL",
+        help="path of a trajectory.json or of a model.json; it decides which formats there are",
+    )
     sub.add_argument(
         "--format",
         required=True,
         metavar="F",
         help=(
-            "name of a format: csv, json, ros2-joint-trajectory, urscript, … (see 'excite formats')"
+            "name of a format: csv, json, ros2-joint-trajectory, urscript, …; of a model mjcf, "
+            "urdf, sdf, isaaclab, … (see 'excite formats')"
         ),
     )
     sub.add_argument("-o", dest="out", metavar="FILE", required=True, help="file to write")
@@ -543,6 +572,18 @@ def _export(commands: Commands) -> None:
         default=1.0,
         metavar="F",
         help="export the motion at F times its speed, for a first careful run",
+    )
+    group = sub.add_argument_group("identified robot")
+    group.add_argument(
+        "--into",
+        metavar="FILE",
+        help="your own MJCF: it is written to -o with what was identified; all else stays",
+    )
+    group.add_argument(
+        "--recording",
+        metavar="FILE",
+        help="motion along which the torque of what the format cannot hold is stated (default: a "
+        "recording of the model, if it is still in its place)",
     )
     group = sub.add_argument_group("ROS 2")
     group.add_argument(
@@ -809,6 +850,107 @@ def _diagnose(commands: Commands) -> None:
         action="store_true",
         help="do not write report.html, which takes a third of the time",
     )
+
+
+def _payload(commands: Commands) -> None:
+    sub = _command(
+        commands,
+        "payload",
+        "identify mass, centre of mass and inertia of what is attached to a link",
+    )
+    sub.add_argument(
+        "-o",
+        dest="out",
+        metavar="DIR",
+        required=True,
+        help="folder for payload.json and report.html",
+    )
+    _robot_options(sub, payload=False)
+    group = sub.add_argument_group("recordings")
+    group.add_argument(
+        "--with",
+        dest="carrying",
+        metavar="RECORDING",
+        nargs="+",
+        required=True,
+        help="recordings with the payload",
+    )
+    group.add_argument(
+        "--without",
+        dest="empty",
+        metavar="RECORDING",
+        nargs="+",
+        default=[],
+        help="recordings of the same robot without it",
+    )
+    group.add_argument(
+        "--model",
+        metavar="MODEL",
+        help="model.json of the robot without it, in place of --without: its recordings are used",
+    )
+    group.add_argument(
+        "--band",
+        type=Number(HERTZ),
+        metavar="HZ",
+        help="cutoff of the low-pass filter of the torque (default: chosen from the data)",
+    )
+    _recording_options(group)
+    group = sub.add_argument_group("payload")
+    group.add_argument(
+        "--link", metavar="LINK", help="link or frame that carries it (default: the last link)"
+    )
+    group.add_argument(
+        "--mass",
+        dest="payload_mass",
+        type=Number(Range(1e-6, 1e5, "kg")),
+        metavar="KG",
+        help="its mass, if it was weighed",
+    )
+    group.add_argument(
+        "--shape",
+        metavar="SHAPE",
+        help="box:X,Y,Z, cylinder:RADIUS,LENGTH, sphere:RADIUS or mesh:FILE, with @CX,CY,CZ if "
+        "its centre is known [m]; axes of the link",
+    )
+
+
+def _replay(commands: Commands) -> None:
+    sub = _command(
+        commands,
+        "replay",
+        "replay recorded commands in MuJoCo with an identified robot and with its description",
+    )
+    sub.add_argument(
+        "model", metavar="MODEL", help="model.json of 'excite identify' or 'excite diagnose'"
+    )
+    sub.add_argument(
+        "recording", metavar="RECORDING", help="recording with qref.<joint> or tau.<joint>"
+    )
+    sub.add_argument(
+        "-o",
+        dest="out",
+        metavar="DIR",
+        required=True,
+        help="folder for replay.json and report.html",
+    )
+    sub.add_argument(
+        "--command",
+        dest="drive_with",
+        choices=("qref", "torque"),
+        help="replay the commanded positions through a position loop, or the torque (default: qref "
+        "if it was recorded)",
+    )
+    sub.add_argument(
+        "--gains",
+        type=Numbers(Range(0.0, 1e9, "N m/rad, N m s/rad")),
+        metavar="KP,KD[,…]",
+        help="gains of the position loop, one pair or one for each joint (default: fitted to the "
+        "recorded torque)",
+    )
+    sub.add_argument(
+        "--robot", metavar="URDF", help="robot before its identification, if it has moved"
+    )
+    _columns_option(sub)
 
 
 def _simulate(commands: Commands) -> None:

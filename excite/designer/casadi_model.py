@@ -288,7 +288,8 @@ def link_torque(
         Joint torques. Shape (n,) [N m].
     """
     kinematics = _kinematics(robot, q)
-    return _inverse_dynamics(robot, kinematics, _velocities(robot, kinematics, dq, ddq, lift), phi)
+    motion = _velocities(robot, kinematics, dq, ddq, lift)
+    return ca.densify(_inverse_dynamics(robot, kinematics, motion, phi))
 
 
 def frame_position(robot: Robot, frame: str) -> ca.Function:

@@ -25,6 +25,7 @@ from .evaluator import Evaluator
 from .motion_overlap import OverlapPenalty
 from .multistart import Attempt, Progress
 from .options import DesignOptions, check_options, torque_noise_levels
+from .payload_weighting import payload_weighting
 from .problem import DesignProblem
 
 SHRINKING = (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2)
@@ -160,7 +161,11 @@ def set_up(
     standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     base = base_parameters.find(robot, standard, limits)
     noise = torque_noise_levels(limits, options.noise)
-    weights = criteria.criterion_weighting(options.criterion, base, noise, plain=options.plain)
+    weights = (
+        criteria.criterion_weighting(options.criterion, base, noise, plain=options.plain)
+        if options.payload_link is None
+        else payload_weighting(robot, standard, noise, options.payload_link)
+    )
     count = options.periods * options.period * options.rate
     root = (
         None

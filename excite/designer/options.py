@@ -52,6 +52,7 @@ class DesignOptions:
         seed: Seed of the random starts.
         jobs: Number of processes, -1 for one per core.
         iterations: Iterations per start.
+        payload_link: Link whose payload the motion is to show; None: it shows the robot.
     """
 
     criterion: Criterion = Criterion.A
@@ -70,6 +71,7 @@ class DesignOptions:
     seed: int = 0
     jobs: int = -1
     iterations: int = 300
+    payload_link: str | None = None
 
 
 def check_options(options: DesignOptions) -> None:

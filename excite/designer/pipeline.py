@@ -206,8 +206,9 @@ def _check(
             f"{robot.source}: no motion of {1 + MAX_RESTARTS} searches keeps all limits between "
             f"its samples: {certificate.failure_reason()}; {remedy}, or --force"
         )
-    # directions known from earlier recordings need not be excited again
-    if earlier_information is None and not _condition(trajectory) < 1.0 / MIN_SPECTRUM_RATIO:
+    # directions known from earlier recordings need not be excited again, nor the robot of a payload
+    is_known = earlier_information is not None or "payload_link" in trajectory.design
+    if not is_known and not _condition(trajectory) < 1.0 / MIN_SPECTRUM_RATIO:
         raise CheckFailed(
             f"{robot.source}: the designed motion does not excite all base parameters; "
             "widen the limits or lengthen --period"
@@ -428,6 +429,7 @@ def _assemble(
         "margin": dict(limits.margin),
         "speed": speed,
         "boxes": [dataclasses.asdict(box) for box in options.boxes],
+        **({} if options.payload_link is None else {"payload_link": options.payload_link}),
         **notes,
     }
     draft = Trajectory(

@@ -30,6 +30,10 @@ COEFFICIENT_TOLERANCE = 1e-12
 """Coefficient of a joint coupling that counts as zero."""
 GRAVITY_TOLERANCE = 0.05
 """Difference of gravity that is not worth a remark [m/s²]: gravity varies by as much on earth."""
+OFFSET_STIFFNESS = 1e-12
+"""Stiffness up to which a spring is a constant torque [N m/rad or N/m]: `excite export` holds the
+offset of a joint by a spring of this stiffness with a rest position so far away that its torque is
+constant to 1e-11 N m over ten radians, as MJCF has no constant torque of a joint."""
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 """MuJoCo's and this package's default [m/s²]."""
 
@@ -341,9 +345,20 @@ class _Converter:
             ElementTree.SubElement(
                 element, "dynamics", damping=repr(damping), friction=repr(friction)
             )
+        stiffness, extra = float(model.jnt_stiffness[joint]), dict[str, str]()
         if armature:
-            ElementTree.SubElement(element, "excite", rotor_inertia=repr(armature))
-        if model.jnt_stiffness[joint]:
+            extra["rotor_inertia"] = repr(armature)
+        if 0.0 < stiffness <= OFFSET_STIFFNESS:
+            position = float(model.qpos_spring[model.jnt_qposadr[joint]])
+            extra["offset"] = repr(-stiffness * position)
+        if extra:
+            ElementTree.SubElement(element, "excite", extra)
+        if np.any(_higher_powers(model, "dof_dampingpoly", degree)):
+            self._remark(
+                f"the damping of joint '{self._joints[joint]}' that grows with powers of the speed "
+                "is not modelled"
+            )
+        if stiffness > OFFSET_STIFFNESS:
             self._remark(f"the spring of joint '{self._joints[joint]}' is not modelled")
 
     # -- links ------------------------------------------------------------------------------------
@@ -450,6 +465,13 @@ def _optional(model: Any, name: str, index: int) -> float:
     """An entry of an array that older versions of MuJoCo do not have; 0 there."""
     values = getattr(model, name, None)
     return 0.0 if values is None else float(values[index])
+
+
+def _higher_powers(model: Any, name: str, index: int) -> FloatArray:
+    """Coefficients of higher powers in an array that older versions of MuJoCo do not have; 0
+    there."""
+    values = getattr(model, name, None)
+    return np.zeros(1) if values is None else np.array(values[index], float)
 
 
 def _pose(position: FloatArray, quaternion: FloatArray) -> pin.SE3:

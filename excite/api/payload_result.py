@@ -1,0 +1,240 @@
+"""Identify a payload: the body attached to a link, from recordings with and without it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from .. import _json
+from .._system.output_files import output_files, output_folder
+from .._system.progress import logger
+from ..errors import UnusableInput
+from ..identification import segments
+from ..identification.regression import IdentificationModel
+from ..payload.equations import build_payload_equations, payload_place
+from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
+from ..payload.shape import PayloadShape, parse_shape
+from ..payload.snippets import snippets
+from ..recordings import Recording
+from ..recordings.periodicity import with_own_period
+from ..robot import base_parameters, inertial_parameters
+from ..robot.inertial_parameters import COULOMB_WIDTH
+from ..robot.limits import Limits
+from ..robot.robot import Robot
+from ..schemas.document_file import DocumentFile
+from ..schemas.model import SCHEMA as MODEL_SCHEMA
+from .identification_result import (
+    RecordingSource,
+    TrajectorySources,
+    read_recording,
+    with_trajectory,
+)
+from .robots import RobotSource, load_robot, resolve_limits
+
+PAYLOAD_FILES = ("payload.json", "report.html")
+"""Files of a payload."""
+DIFFERENT_MOUNTING = 0.01
+"""p-value below which recordings hold differently mounted payloads."""
+
+
+@dataclass(frozen=True)
+class PayloadResult:
+    """A payload with its uncertainty.
+
+    Attributes:
+        robot: The robot.
+        link: Link whose frame the values are in.
+        estimate: The payload.
+        shape: Its stated shape; None: none was stated.
+        mass: Its stated mass [kg]; None: none was stated.
+        carrying: Recordings with the payload.
+        empty: Recordings without.
+        hertz: Cutoff frequency of the fit [Hz].
+    """
+
+    robot: Robot
+    link: str
+    estimate: PayloadEstimate
+    shape: PayloadShape | None
+    mass: float | None
+    carrying: tuple[Recording, ...]
+    empty: tuple[Recording, ...]
+    hertz: float
+
+    @property
+    def mounting(self) -> str | None:
+        """How the payload was mounted in the recordings with it: "same" or "different" in all of
+        them; None for one recording."""
+        p_value = self.estimate.mounting
+        if p_value is None:
+            return None
+        return "different" if p_value < DIFFERENT_MOUNTING else "same"
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of `payload.json`."""
+        estimate = self.estimate
+        return {
+            "schema": "excite.payload/1",
+            "robot": {"name": self.robot.name, "source": self.robot.source},
+            "link": self.link,
+            "with": [recording.source for recording in self.carrying],
+            "without": [recording.source for recording in self.empty],
+            "shape": None if self.shape is None else self.shape.description,
+            "stated_mass": self.mass,
+            "payload": {q.name: q.document() for q in estimate.quantities},
+            "not_shown": [q.name for q in estimate.quantities if not q.shown],
+            "load_friction": dict(
+                zip(self.robot.joints, estimate.load_friction.tolist(), strict=True)
+            ),
+            "mounting": None
+            if estimate.mounting is None
+            else {"verdict": self.mounting, "p_value": estimate.mounting},
+            "residual": dict(zip(self.robot.joints, estimate.residual.tolist(), strict=True)),
+            "band_hz": self.hertz,
+            "snippets": snippets(estimate.body, self.link),
+        }
+
+    def html(self) -> str:
+        """Return the report as HTML."""
+        from ..report.payload import payload_page
+
+        return payload_page(self.document())
+
+    def contents(self) -> dict[str, str]:
+        """Return the files of the payload by name."""
+        return {"payload.json": _json.dumps(self.document()), "report.html": self.html()}
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write `payload.json` and `report.html`; return their paths.
+
+        Raises:
+            UnusableInput: The files cannot be written.
+        """
+        return output_folder(Path(folder), PAYLOAD_FILES).replace(self.contents())
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report alone; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
+        path = Path(path)
+        return output_files(path).replace({path.name: self.html()})[0]
+
+    def __repr__(self) -> str:
+        mass = self.estimate["mass"]
+        return f"<PayloadResult at {self.link}: {mass.value:.4g} ± {mass.std:.2g} kg>"
+
+
+def identify_payload(
+    robot: RobotSource,
+    carrying: Sequence[RecordingSource],
+    *,
+    empty: Sequence[RecordingSource] = (),
+    model: str | Path | None = None,
+    link: str | None = None,
+    mass: float | None = None,
+    shape: str | None = None,
+    limits: str | Path | Limits | None = None,
+    band: float | None = None,
+    trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> PayloadResult:
+    """Identify a payload, as `excite payload` does.
+
+    Args:
+        robot: Path of a URDF, name of a built-in model, or a loaded robot, without the payload.
+        carrying: Recordings with the payload.
+        empty: Recordings without.
+        model: `model.json` of the robot without the payload, whose recordings are used.
+        link: Link whose frame the values are in; None: the last one.
+        mass: Mass of the payload, if it was weighed [kg].
+        shape: Its shape, see `payload.shape.USAGE`.
+        limits: Limits file or limits.
+        band: Cutoff frequency [Hz]; None: chosen from the data.
+        trajectory: The `trajectory.json` that was executed, or several.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+
+    Raises:
+        UnusableInput: An argument or a file cannot be used.
+    """
+    loaded = load_robot(robot)
+    table = resolve_limits(loaded, limits)
+    link = loaded.links[-1] if link is None else link
+    place = payload_place(loaded, link)
+    stated = None if shape is None else parse_shape(shape)
+    if mass is not None and not 0.0 < mass < 1e5:
+        raise UnusableInput(f"--mass {mass:g}: should be a mass above 0 [kg]")
+    if not carrying:
+        raise UnusableInput("--with: needs a recording with the payload")
+    sources = [*empty, *([] if model is None else _recordings_of(Path(model)))]
+    if not sources:
+        raise UnusableInput(
+            "--without: needs a recording without the payload on the same robot, or a --model of it"
+        )
+
+    def read(paths: Sequence[RecordingSource]) -> list[Recording]:
+        recordings = [read_recording(p, loaded, limits=table, columns=columns) for p in paths]
+        return [
+            with_own_period(with_trajectory(recording, trajectory, required=False))
+            for recording in recordings
+        ]
+
+    logger.info(f"reading {len(carrying)} recordings with and {len(sources)} without the payload")
+    loaded_recordings, empty_recordings = read(carrying), read(sources)
+    both = {r.source for r in loaded_recordings} & {r.source for r in empty_recordings}
+    if both:
+        raise UnusableInput(f"{min(both)}: is both with and without the payload; name it once")
+    standard = inertial_parameters.standard_parameters(loaded, table)
+    base = base_parameters.find(loaded, standard, table)
+    identification = IdentificationModel(loaded, standard, base, np.full(loaded.n, COULOMB_WIDTH))
+    groups = [list(segments.extract_segments([recording])) for recording in loaded_recordings]
+    others = list(segments.extract_segments(empty_recordings))
+    together = [segment for group in groups for segment in group]
+    if not together or not others:
+        raise UnusableInput(
+            f"{(loaded_recordings if not together else empty_recordings)[0].source}: has no "
+            "gap-free stretch that is long enough; record again"
+        )
+    hertz = segments.torque_spectra(together, band).hertz
+    logger.info(f"band {hertz:.3g} Hz: building the equations")
+    equations = build_payload_equations(identification, place, groups, others, hertz)
+    result = estimate_payload(equations, stated, mass)
+    require_mass(result, [recording.source for recording in loaded_recordings])
+    return PayloadResult(
+        loaded,
+        link,
+        result,
+        stated,
+        mass,
+        tuple(loaded_recordings),
+        tuple(empty_recordings),
+        hertz,
+    )
+
+
+def _recordings_of(path: Path) -> list[Path]:
+    """Paths of the recordings that a model was fitted to.
+
+    Raises:
+        UnusableInput: The file is no model, or a recording is no longer in its place.
+    """
+    file = DocumentFile(path, "a model", "identify again", "the model.json of 'excite identify'")
+    content = file.json()
+    file.schema(content, (MODEL_SCHEMA,))
+    out = []
+    for name in content.get("recordings", []):
+        stated = Path(str(name))
+        place = next((p for p in (stated, path.parent / stated.name) if p.is_file()), None)
+        if place is None:
+            raise UnusableInput(
+                f"{path}: its recording {name} is not in its place; give the recordings without "
+                "the payload with --without"
+            )
+        out.append(place)
+    return out

@@ -1,0 +1,225 @@
+"""Replay recorded commands in MuJoCo with an identified robot, and with the robot as described."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from .. import _json
+from .._system.output_files import output_files, output_folder
+from .._system.progress import logger
+from ..errors import UnusableInput
+from ..exporters import mujoco_replay
+from ..exporters.mjcf_file import HOLDS
+from ..exporters.mujoco_replay import PositionLoop, Replay, ReplayErrors, ReplayInput
+from ..exporters.simulator_model import SimulatorModel, simulator_model
+from ..identification.identified_model import IdentifiedModel
+from ..recordings import Recording
+from ..robot.inertial_parameters import COULOMB_WIDTH, DRIVE
+from .identification_result import RecordingSource, read_recording
+from .model_export import read_simulator_model
+from .robots import load_robot
+
+REPLAY_FILES = ("replay.json", "report.html")
+"""Files of a replay."""
+COMMANDS = ("qref", "torque")
+"""Commands that can be replayed."""
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """Deviation of simulated robots from a recording under its commands.
+
+    Attributes:
+        model: The identified robot.
+        recording: The recording.
+        data: The stretch of it that was replayed.
+        loop: Position loop; None: the torque was replayed.
+        errors: Errors of the robot as its URDF describes it ("before"), as identified ("after"),
+            and, where MJCF does not hold all of it, with the friction module.
+    """
+
+    model: SimulatorModel
+    recording: Recording
+    data: ReplayInput
+    loop: PositionLoop | None
+    errors: tuple[ReplayErrors, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of `replay.json`."""
+        joints = self.model.joints
+        horizons = mujoco_replay.fitting_horizons(self.data)
+
+        def plain(values: Any) -> dict[str, float | None]:
+            numbers = [float(v) if np.isfinite(v) else None for v in values]
+            return dict(zip(joints, numbers, strict=True))
+
+        return {
+            "schema": "excite.replay/1",
+            "model": self.model.model.source,
+            "recording": self.recording.source,
+            "command": "torque" if self.loop is None else "qref",
+            "seconds": float(self.data.t[-1]),
+            "position_loop": None if self.loop is None else self.loop.document(joints),
+            "robots": [
+                {
+                    "name": errors.name,
+                    "position_rmse": plain(errors.position),
+                    "torque_rmse": plain(errors.torque),
+                    "lost_at": errors.lost,
+                    "horizons": [
+                        {"seconds": horizon, "position_rmse": plain(row)}
+                        for horizon, row in zip(horizons, errors.horizons, strict=True)
+                    ],
+                }
+                for errors in self.errors
+            ],
+        }
+
+    def html(self) -> str:
+        """Return the report as HTML."""
+        from ..report.replay import replay_page
+
+        return replay_page(self.model, self.recording.source, self.data, self.loop, self.errors)
+
+    def contents(self) -> dict[str, str]:
+        """Return the files of the replay by name."""
+        return {"replay.json": _json.dumps(self.document()), "report.html": self.html()}
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write `replay.json` and `report.html`; return their paths.
+
+        Raises:
+            UnusableInput: The files cannot be written.
+        """
+        return output_folder(Path(folder), REPLAY_FILES).replace(self.contents())
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report alone; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
+        path = Path(path)
+        return output_files(path).replace({path.name: self.html()})[0]
+
+    def __repr__(self) -> str:
+        before, after = self.errors[0], self.errors[-1]
+        return (
+            f"<ReplayResult of {self.recording.source}: position RMSE "
+            f"{_total(before):.3g} before, {_total(after):.3g} after>"
+        )
+
+
+def _total(errors: ReplayErrors) -> float:
+    """RMS position error over all joints."""
+    return float(np.sqrt(np.mean(errors.position**2)))
+
+
+def replay(
+    model: str | Path,
+    recording: RecordingSource,
+    *,
+    command: str | None = None,
+    gains: Sequence[float] | None = None,
+    robot: str | Path | None = None,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> ReplayResult:
+    """Replay the commands of a recording in MuJoCo, as `excite replay` does.
+
+    Args:
+        model: Path of a `model.json`.
+        recording: Recording with commanded positions, `qref.<joint>`, or torque.
+        command: "qref" or "torque"; None: qref where it was recorded.
+        gains: K_p and K_d of the position loop: one pair, or one for each joint [N m/rad,
+            N m s/rad]; None: they are fitted to the recorded torque.
+        robot: Description of the robot before its identification; None: the one that the model
+            states.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+
+    Raises:
+        UnusableInput: MuJoCo is not installed, or a file or an option cannot be used.
+    """
+    if importlib.util.find_spec("mujoco") is None:
+        raise UnusableInput(
+            "MuJoCo is not installed; install the extra: .venv/bin/pip install -e '.[sim]'"
+        )
+    prepared = read_simulator_model(model, recording=None)
+    fitted = prepared.model
+    measured = read_recording(recording, fitted.robot, columns=columns)
+    if command is None:
+        command = "torque" if measured.qref is None and gains is None else "qref"
+    data = mujoco_replay.replay_input(fitted, measured, command == "torque")
+    loop = None
+    if command == "qref":
+        loop = (
+            mujoco_replay.fit_position_loop(
+                data, mujoco_replay.torque_limits(prepared), measured.source
+            )
+            if gains is None
+            else _stated_loop(gains, fitted)
+        )
+    described = nominal_model(prepared, robot)
+    robots = [("before", described, False), ("after", prepared, False)]
+    if prepared.remainders(HOLDS):
+        robots.append(("after, with friction module", prepared, True))
+    errors = []
+    for name, machine, with_friction in robots:
+        logger.info(f"replaying {data.t[-1]:.3g} s: {name}")
+        errors.append(
+            mujoco_replay.replay_errors(name, Replay(machine, data, loop, with_friction), data)
+        )
+    return ReplayResult(prepared, measured, data, loop, tuple(errors))
+
+
+def _stated_loop(gains: Sequence[float], model: IdentifiedModel) -> PositionLoop:
+    """The position loop with stated gains.
+
+    Raises:
+        UnusableInput: There is neither one pair nor one for each joint.
+    """
+    n = model.robot.n
+    if len(gains) not in (2, 2 * n):
+        raise UnusableInput(
+            f"--gains: should hold KP,KD once or for each of the {n} joints "
+            f"({', '.join(model.robot.joints)}), not {len(gains)} numbers"
+        )
+    table = np.broadcast_to(np.array(gains, float).reshape(-1, 2), (n, 2))
+    return mujoco_replay.stated_loop(table[:, 0].copy(), table[:, 1].copy())
+
+
+def nominal_model(model: SimulatorModel, robot: str | Path | None = None) -> SimulatorModel:
+    """Return the robot as it was described before its identification.
+
+    Args:
+        model: The identified robot.
+        robot: Its description; None: the one that the `model.json` states.
+
+    Raises:
+        UnusableInput: The description is missing or has other joints.
+    """
+    fitted, stated = model.model, model.document.get("robot", {})
+    source = str(robot if robot is not None else stated.get("source", ""))
+    try:
+        described = load_robot(
+            source, joints=list(fitted.robot.joints), gravity=fitted.robot.model.gravity.linear
+        )
+    except UnusableInput as error:
+        raise UnusableInput(
+            f"{error}; state the robot before its identification with --robot"
+        ) from error
+    bodies = [
+        described.model.inertias[i].toDynamicParameters() for i in range(1, described.model.njoints)
+    ]
+    joint_parameters = [[getattr(entry, kind) for entry in described.entries] for kind in DRIVE]
+    psi = np.concatenate([*bodies, *np.array(joint_parameters, float)])
+    nominal = IdentifiedModel(
+        source, described, DRIVE, psi, np.full(described.n, COULOMB_WIDTH), fitted.hertz
+    )
+    return simulator_model(nominal, {}, limits=model.limits)

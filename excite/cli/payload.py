@@ -1,0 +1,44 @@
+"""`excite payload`: identify what is attached to a link."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from .. import api
+from .._system.output_files import output_folder
+from ..api.payload_result import PAYLOAD_FILES
+from . import options as shared
+from .outcome import Outcome, with_files, written_lines
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Run `excite payload`."""
+    output = output_folder(Path(arguments.out), PAYLOAD_FILES)
+    robot = shared.robot(arguments)
+    result = api.identify_payload(
+        robot,
+        arguments.carrying,
+        empty=arguments.empty,
+        model=arguments.model,
+        link=arguments.link,
+        mass=arguments.payload_mass,
+        shape=arguments.shape,
+        limits=shared.limits(arguments, robot),
+        band=arguments.band,
+        trajectory=arguments.trajectory,
+        columns=shared.columns(arguments),
+    )
+    written = output.replace(result.contents())
+    lines = [f"payload at {result.link}, 95 % intervals:"]
+    for quantity in result.estimate.quantities:
+        if quantity.shown:
+            half = quantity.interval[1] - quantity.value
+            text = f"{quantity.value:.5g} ± {half:.2g} {quantity.unit}"
+        else:
+            text = "not shown by these recordings"
+        lines.append(f"  {quantity.name:10}{text}")
+    if result.mounting == "different":
+        lines.append("the payload differs between the recordings: it was mounted differently")
+    lines += written_lines(written)
+    return 0, with_files(result.document(), written), "\n".join(lines)

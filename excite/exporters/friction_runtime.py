@@ -1,0 +1,356 @@
+"""Friction and other joint torques of one robot, for simulators and controllers.
+
+Needs NumPy only. `Friction.torque` is the torque that the motors have to produce on top of that of
+the rigid links and rotors: friction opposes the motion, so that a simulator applies its negative.
+
+    friction = Friction(TABLE)
+    tau = friction.torque(q, dq, load)
+
+Positions, velocities and loads have the shape (n,), or (environments, n) for many robots at once.
+The load is the torque of the rigid links, without rotors and friction [N m]: inverse dynamics of q,
+dq, ddq. Presliding hysteresis (Dahl's model, Maxwell-slip elements) has a
+state, which `torque` advances by the change of q since the last call; `reset` forgets it. The state
+does not depend on time, so that repeated calls at one position change nothing.
+
+MuJoCo: `install(mujoco, model, friction, beyond="mjcf")` subtracts from the passive forces what the
+exported MJCF does not hold. Isaac Lab: subtract `friction.torque(q, dq, load, beyond="isaaclab")`
+in `compute` of an actuator, with the tensors as NumPy arrays.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+CURVE_POINTS = 200
+"""Positions over which the mean of a wave of position-dependent friction is formed."""
+REACH_RATIO = 3.0
+"""Slip distance of a Maxwell-slip element over that of the one before."""
+
+
+class JointMotion(NamedTuple):
+    """JointMotion of a joint, as its torque depends on it; numbers, arrays or symbols.
+
+    Attributes:
+        q: Position [rad or m].
+        dq: Velocity.
+        ddq: Acceleration.
+        load: Torque of the rigid links [N m or N].
+        driven: Torque of the motor by the base model [N m or N].
+        other_dq: Velocity of the joint that a coupling comes from.
+        other_ddq: Acceleration of that joint.
+        width: Width of the base model's sign function [rad/s or m/s].
+    """
+
+    q: Any
+    dq: Any
+    ddq: Any
+    load: Any
+    driven: Any
+    other_dq: Any
+    other_ddq: Any
+    width: float
+
+
+class Term(NamedTuple):
+    """A part of the torque of one joint.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: Index of the joint.
+        other: Index of the joint that a coupling comes from; -1 without.
+        values: Nonlinear parameters.
+        coefficients: Linear coefficients.
+        held_by: Simulators whose exported file holds this part.
+    """
+
+    effect: str
+    joint: int
+    other: int
+    values: dict[str, float]
+    coefficients: list[float]
+    held_by: list[str]
+
+
+def weakening(dq: Any, values: dict[str, float], m: Any) -> Any:
+    """Stribeck curve: 1 at rest, 1/e at the velocity."""
+    x = (m.fabs(dq) / values["velocity"]) ** values["exponent"]
+    return 1.0 / (1.0 + (np.e - 1.0) * x) if "rational" in values else m.exp(-x)
+
+
+def stateless(term: Term, x: JointMotion, m: Any = np) -> tuple[Any, Any]:
+    """Return both parts of a term's torque s + d sign(dq), the sign smooth over the width.
+
+    Args:
+        term: A term without memory.
+        x: JointMotion of its joint.
+        m: Module of the functions: numpy, or casadi for symbols.
+
+    Returns:
+        The smooth part s and the factor d of the sign [N m or N].
+    """
+    return _FUNCTIONS[term.effect](term.values, term.coefficients, x, m)
+
+
+def _base(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    return c[0] * x.dq, c[1]
+
+
+def _asymmetric_viscous(
+    v: dict[str, float], c: list[float], x: JointMotion, m: Any
+) -> tuple[Any, Any]:
+    return c[0] * m.fabs(x.dq), 0.0
+
+
+def _stribeck(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    if "width" not in v:
+        return 0.0, c[0] * weakening(x.dq, v, m)
+    sign, usual = m.tanh(x.dq / v["width"]), m.tanh(x.dq / v["usual"])
+    return c[0] * sign * weakening(x.dq, v, m) + c[1] * (sign - usual), 0.0
+
+
+def _nonlinear_viscous(
+    v: dict[str, float], c: list[float], x: JointMotion, m: Any
+) -> tuple[Any, Any]:
+    return 0.0, c[0] * m.fabs(x.dq) ** v["exponent"]
+
+
+def _drag(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    return c[0] * x.dq * m.fabs(x.dq), 0.0
+
+
+def _load_friction(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    load = x.driven if "driven" in v else x.load
+    size = v["scale"] * (m.fabs(load) / v["scale"]) ** v["power"]
+    factor = c[0] + c[1] * weakening(x.dq, v, m) if "velocity" in v else c[0]
+    return 0.0, factor * size
+
+
+def _position_friction(
+    v: dict[str, float], c: list[float], x: JointMotion, m: Any
+) -> tuple[Any, Any]:
+    positions, total = np.linspace(v["low"], v["high"], CURVE_POINTS), 0.0
+    for k in range(int(v["waves"])):
+        order = (k + 1) * v["order"]
+        total = total + c[2 * k] * (m.cos(order * x.q) - float(np.cos(order * positions).mean()))
+        total = total + c[2 * k + 1] * (
+            m.sin(order * x.q) - float(np.sin(order * positions).mean())
+        )
+    return 0.0, total
+
+
+def _friction(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    return c[1] * x.dq, c[0]
+
+
+def _torque_offset(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    return c[0], 0.0
+
+
+def _spring(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    q = x.q
+    if "bend" in v:
+        distance = q - v["bend"]
+        return c[0] * m.fmin(distance, 0.0) + c[1] * m.fmax(distance, 0.0), 0.0
+    if "order" in v:
+        distance, order = q - v["about"], v["order"]
+        wave = c[1] * (m.cos(order * distance) - 1.0) + c[2] * m.sin(order * distance)
+        return c[0] * distance + wave, 0.0
+    columns = (
+        (q,),
+        (m.cos(q), m.sin(q)),
+        (q, q**2),
+        (q, q**2, q**3),
+        (m.cos(q), m.sin(q), m.cos(2 * q), m.sin(2 * q)),
+    )[int(v["form"])]
+    return sum(a * column for a, column in zip(c, columns, strict=True)), 0.0
+
+
+def _torque_ripple(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    multiples = [1, *(k for k, key in ((2, "twice"), (3, "thrice")) if key in v)]
+    total = 0.0
+    for i, k in enumerate(multiples):
+        angle = k * v["order"] * x.q
+        total = total + c[2 * i] * m.cos(angle) + c[2 * i + 1] * m.sin(angle)
+    return total, 0.0
+
+
+def _coupling(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+    speed = x.dq + v["ratio"] * x.other_dq
+    total = c[0] * speed + c[1] * m.tanh(speed / x.width)
+    return (total if "light" in v else total + c[2] * v["ratio"] * x.other_ddq), 0.0
+
+
+_FUNCTIONS = {
+    "base": _base,
+    "base_offset": _torque_offset,
+    "asymmetric_viscous": _asymmetric_viscous,
+    "stribeck": _stribeck,
+    "nonlinear_viscous": _nonlinear_viscous,
+    "drag": _drag,
+    "load_friction": _load_friction,
+    "position_friction": _position_friction,
+    "friction": _friction,
+    "torque_offset": _torque_offset,
+    "spring": _spring,
+    "torque_ripple": _torque_ripple,
+    "coupling": _coupling,
+}
+"""Smooth part and factor of the sign of each effect without memory; "base" has the coefficients
+viscous and Coulomb friction of the base model, "base_offset" its offset."""
+WITH_MEMORY = ("hysteresis",)
+"""Effects whose torque depends on the past of the position."""
+BASE = ("base", "base_offset")
+"""Terms of the base model: with links and rotors, the torque of the motor."""
+KNOWN = (*_FUNCTIONS, *WITH_MEMORY)
+"""Effects that this module computes."""
+
+
+class MaxwellSlipBank:
+    """Presliding hysteresis of one joint: Maxwell-slip elements, or Dahl's model.
+
+    Each Maxwell-slip element is a spring that slips at its reach, so that its force is
+    rate-independent and passive: z advances by dq/reach and stays within -1 and 1. Dahl's model
+    approaches the sign exponentially, dz = (sign - z) |dq|/reach.
+    """
+
+    def __init__(self, term: Term) -> None:
+        reach = term.values["reach"]
+        self.is_dahl = "springs" not in term.values
+        count = 1 if self.is_dahl else int(term.values["springs"])
+        ratios = np.array([1.0]) if self.is_dahl else REACH_RATIO ** (np.arange(count) - count // 2)
+        self.reaches, self.strengths = reach * ratios, np.array(term.coefficients, float)
+        self.last: Any = None
+        self.z: Any = None
+
+    def advance(self, q: Any) -> Any:
+        """Move to a position, shape (...); return the force [N m or N]."""
+        q = np.asarray(q, float)
+        if self.z is None or self.z.shape[:-1] != q.shape:
+            self.last, self.z = q.copy(), np.zeros((*q.shape, len(self.reaches)))
+        step = (q - self.last)[..., None] / self.reaches
+        if self.is_dahl:
+            limit = np.sign(step)
+            self.z = np.where(step == 0.0, self.z, limit + (self.z - limit) * np.exp(-np.abs(step)))
+        else:
+            self.z = np.clip(self.z + step, -1.0, 1.0)
+        self.last = q.copy()
+        return self.z @ self.strengths
+
+
+class Friction:
+    """Friction and other joint torques of a robot.
+
+    Attributes:
+        joints: Names of the joints.
+        widths: Widths of the sign function of friction, shape (n,) [rad/s or m/s].
+    """
+
+    def __init__(self, table: dict[str, Any]) -> None:
+        """Build the terms from a table as this module states it."""
+        self.joints = list(table["joints"])
+        self.widths = np.array(table["widths"], float)
+        self.rotor_inertia = np.array(table["rotor_inertia"], float)
+        self.terms = [Term(**term) for term in table["terms"]]
+        self.banks: dict[int, MaxwellSlipBank] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: presliding springs are relaxed at the next position."""
+        self.banks = {
+            k: MaxwellSlipBank(term)
+            for k, term in enumerate(self.terms)
+            if term.effect in WITH_MEMORY
+        }
+
+    def parts(
+        self, q: Any, dq: Any, load: Any = None, ddq: Any = None, beyond: str | None = None
+    ) -> tuple[Any, Any]:
+        """Return the smooth torque and the factor of the sign; see `torque`, which adds both."""
+        q, dq = np.asarray(q, float), np.asarray(dq, float)
+        load = np.zeros_like(q) if load is None else np.asarray(load, float)
+        ddq = np.zeros_like(q) if ddq is None else np.asarray(ddq, float)
+        driven = load + self.rotor_inertia * ddq
+        for term in self.terms:
+            if term.effect in BASE:
+                s, d = stateless(term, self._motion(term, q, dq, ddq, load, driven))
+                driven[..., term.joint] += s + d * np.tanh(
+                    dq[..., term.joint] / self.widths[term.joint]
+                )
+        smooth, dry = np.zeros_like(q), np.zeros_like(q)
+        for k, term in enumerate(self.terms):
+            if k in self.banks:
+                force = self.banks[k].advance(q[..., term.joint])
+                if beyond not in term.held_by:
+                    smooth[..., term.joint] += force
+                    dry[..., term.joint] -= self.banks[k].strengths.sum()
+            elif beyond not in term.held_by:
+                s, d = stateless(term, self._motion(term, q, dq, ddq, load, driven))
+                smooth[..., term.joint] += s
+                dry[..., term.joint] += d
+        return smooth, dry
+
+    def torque(
+        self, q: Any, dq: Any, load: Any = None, ddq: Any = None, beyond: str | None = None
+    ) -> Any:
+        """Return the torque that the motors need on top of links and rotors.
+
+        Args:
+            q: Positions, shape (..., n) [rad or m].
+            dq: Velocities.
+            load: Torque of the rigid links [N m or N]; None: 0.
+            ddq: Accelerations; None: 0. Only couplings with inertia and friction that grows with
+                the motor's torque depend on them.
+            beyond: Simulator whose exported file is in use ("mjcf", "isaaclab"): only what it does
+                not hold. None: all terms.
+
+        Returns:
+            Torque, shape (..., n) [N m or N].
+        """
+        smooth, dry = self.parts(q, dq, load, ddq, beyond)
+        return smooth + dry * np.tanh(np.asarray(dq, float) / self.widths)
+
+    def _motion(self, term: Term, q: Any, dq: Any, ddq: Any, load: Any, driven: Any) -> JointMotion:
+        j, other = term.joint, max(term.other, 0)
+        return JointMotion(
+            q[..., j],
+            dq[..., j],
+            ddq[..., j],
+            load[..., j],
+            driven[..., j],
+            dq[..., other],
+            ddq[..., other],
+            float(self.widths[j]),
+        )
+
+
+def install(mujoco: Any, model: Any, friction: Friction, beyond: str | None = "mjcf") -> None:
+    """Let MuJoCo subtract the friction from its passive forces, until mjcb_passive is set to None.
+
+    Passive forces are integrated explicitly: the sign function is widened where a step would
+    reverse the joint, to timestep times friction over inertia.
+
+    Args:
+        mujoco: The module mujoco.
+        model: The compiled model; joints are matched by name.
+        friction: The friction.
+        beyond: See `Friction.torque`.
+    """
+    joints = [model.joint(name) for name in friction.joints]
+    position = np.array([int(joint.qposadr[0]) for joint in joints])
+    degree = np.array([int(joint.dofadr[0]) for joint in joints])
+    step = model.opt.timestep * model.dof_invweight0[degree]
+    load = np.zeros(model.nv)
+
+    def passive(m: Any, data: Any) -> None:
+        if m.nv != model.nv:
+            return
+        mujoco.mj_rne(m, data, 1, load)
+        smooth, dry = friction.parts(
+            data.qpos[position], data.qvel[degree], load[degree], data.qacc[degree], beyond
+        )
+        widths = np.maximum(friction.widths, step * np.abs(dry))
+        data.qfrc_passive[degree] -= smooth + dry * np.tanh(data.qvel[degree] / widths)
+
+    mujoco.set_mjcb_passive(passive)

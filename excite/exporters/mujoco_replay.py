@@ -1,0 +1,379 @@
+"""Replay of recorded commands in MuJoCo with an exported robot.
+
+The command is the recorded torque, or the commanded position through a position loop
+u = a τ_rigid(q_ref) + K_p e + K_d ė + K_i ∫e + c, e = q_ref − q, whose gains are stated or fitted
+to the recorded torque, joint by joint, with K_p, K_d, K_i ≥ 0.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .._types import FloatArray
+from ..errors import UnusableInput
+from ..identification.identified_model import IdentifiedModel
+from ..recordings import Recording
+from ..robot.samples import Samples
+from . import friction_runtime, mjcf_file
+from .python_friction import friction_table
+from .simulator_model import SimulatorModel
+
+HORIZONS = (0.1, 0.3, 1.0)
+"""Lengths of the windows that start from the recorded state [s]."""
+MAX_WINDOWS = 20
+"""Largest number of windows of each length, evenly spread over the recording."""
+LOST_DISTANCE = 1.0
+"""Distance from the recording at which a simulation counts as lost, and as which it then counts
+[rad or m]."""
+SATURATION_SHARE = 0.98
+"""Share of its limit from which torque counts as saturated."""
+MIN_SEGMENT_ROWS = 50
+"""Smallest number of rows of a recording that is replayed."""
+
+
+@dataclass(frozen=True)
+class PositionLoop:
+    """Position loop of each joint.
+
+    Attributes:
+        forward: Factor a of the rigid torque of the commanded motion. Shape (n,).
+        gains: K_p, K_d, K_i. Shape (3, n) [N m/rad, N m s/rad, N m/(rad s)].
+        constant: Constant c. Shape (n,) [N m].
+        explained: Share of the variance of the recorded torque that the loop explains, shape (n,);
+            None for stated gains.
+    """
+
+    forward: FloatArray
+    gains: FloatArray
+    constant: FloatArray
+    explained: FloatArray | None = None
+
+    def document(self, joints: Sequence[str]) -> dict[str, Any]:
+        """Content for JSON."""
+        keys = ("proportional", "derivative", "integral")
+        return {
+            joint: {
+                "forward": float(self.forward[j]),
+                **{key: float(self.gains[k, j]) for k, key in enumerate(keys)},
+                "constant": float(self.constant[j]),
+                "explained": None if self.explained is None else float(self.explained[j]),
+            }
+            for j, joint in enumerate(joints)
+        }
+
+
+@dataclass(frozen=True)
+class ReplayInput:
+    """A gap-free stretch of a recording, filtered, with its command.
+
+    Attributes:
+        t: Times from 0. Shape (N,) [s].
+        motion: Recorded motion.
+        reference: Commanded motion; None: the command is the torque.
+        torque: Recorded torque; None: not recorded. Shape (N, n) [N m].
+        rigid: Torque of links and rotors of the commanded motion. Shape (N, n) [N m].
+    """
+
+    t: FloatArray
+    motion: Samples
+    reference: Samples | None
+    torque: FloatArray | None
+    rigid: FloatArray
+
+
+@dataclass(frozen=True)
+class ReplayRun:
+    """A simulation from one recorded state.
+
+    Attributes:
+        q: Positions at the rows of the recording. Shape (N, n) [rad or m].
+        torque: Torque of the motors. Shape (N, n) [N m].
+    """
+
+    q: FloatArray
+    torque: FloatArray
+
+
+def replay_input(model: IdentifiedModel, recording: Recording, use_torque: bool) -> ReplayInput:
+    """Prepare the longest gap-free stretch of a recording.
+
+    Args:
+        model: The identified robot.
+        recording: The recording.
+        use_torque: Whether the command is the recorded torque.
+
+    Raises:
+        UnusableInput: The recording is too short or lacks the command.
+    """
+    part = max(recording.segments(), key=len, default=None)
+    if part is None or len(part) < MIN_SEGMENT_ROWS:
+        raise UnusableInput(f"{recording.source}: has no gap-free stretch to replay; record again")
+    if part.qref is None and not use_torque:
+        raise UnusableInput(
+            f"{recording.source}: has no qref.<joint> columns to replay; record the commanded "
+            "positions, or replay the torque with --command torque"
+        )
+    torque = part.tau
+    if use_torque and torque is None:
+        raise UnusableInput(
+            f"{recording.source}: has no torque to replay; record tau.<joint>, or replay qref"
+        )
+    motion, reference = part.samples(), None
+    if not use_torque and part.qref is not None:
+        if not np.isfinite(part.qref).all():
+            joint = part.joints[int(np.argmin(np.isfinite(part.qref).all(axis=0)))]
+            raise UnusableInput(
+                f"{recording.source}: joint '{joint}' has no qref; record the commanded positions "
+                "of all joints, or replay the torque with --command torque"
+            )
+        reference = dataclasses.replace(part, q=part.qref).samples()
+    rigid = np.zeros_like(motion.q) if reference is None else rigid_torque(model, reference)
+    return ReplayInput(part.t - part.t[0], motion, reference, torque, rigid)
+
+
+def rigid_torque(model: IdentifiedModel, motion: Samples) -> FloatArray:
+    """Return the torque of links and rotors along a motion. Shape (N, n) [N m]."""
+    psi = model.psi.copy()
+    for kind in ("viscous", "coulomb", "offset"):
+        if kind in model.drive:
+            psi[model.layout.block(kind)] = 0.0
+    return dataclasses.replace(model, psi=psi).torque(motion, motion.dq)
+
+
+def fit_position_loop(data: ReplayInput, limit: FloatArray, source: str) -> PositionLoop:
+    """Fit the position loop of each joint to the recorded torque below its limit.
+
+    At its torque limit the controller is not linear; its integrator is taken to be held there.
+
+    Args:
+        data: The recording with commanded positions.
+        limit: Torque limits, infinite without. Shape (n,) [N m].
+        source: Name of the recording, for messages.
+
+    Raises:
+        UnusableInput: No torque was recorded.
+    """
+    from scipy import optimize  # slow to import
+
+    if data.torque is None or data.reference is None:
+        raise UnusableInput(
+            f"{source}: has no torque to fit the position loop to; state it with --gains KP,KD"
+        )
+    error = data.reference.q - data.motion.q
+    rate = data.reference.dq - data.motion.dq
+    free = np.abs(data.torque) < SATURATION_SHARE * limit
+    integral = _integral(error * free, data.t)
+    n = error.shape[1]
+    forward, gains, constant, explained = np.zeros(n), np.zeros((3, n)), np.zeros(n), np.zeros(n)
+    low = np.array([-np.inf, 0.0, 0.0, 0.0, -np.inf])
+    for j in range(n):
+        columns = [data.rigid[:, j], error[:, j], rate[:, j], integral[:, j], np.ones(len(data.t))]
+        A, b = np.column_stack(columns)[free[:, j]], data.torque[free[:, j], j]
+        size = np.maximum(np.linalg.norm(A, axis=0), 1e-12)
+        x = optimize.lsq_linear(A / size, b, (low, np.full(5, np.inf))).x / size
+        forward[j], gains[:, j], constant[j] = x[0], x[1:4], x[4]
+        left = np.sum((b - A @ x) ** 2)
+        explained[j] = 1.0 - float(left / max(float(np.sum((b - b.mean()) ** 2)), 1e-300))
+    return PositionLoop(forward, gains, constant, explained)
+
+
+def stated_loop(proportional: FloatArray, derivative: FloatArray) -> PositionLoop:
+    """Return a PD loop with stated gains, shapes (n,)."""
+    zero = np.zeros_like(proportional)
+    return PositionLoop(zero, np.array([proportional, derivative, zero]), zero)
+
+
+def _integral(error: FloatArray, t: FloatArray) -> FloatArray:
+    """Integral of the position error from the start. Shape (N, n) [rad s]."""
+    return np.asarray(np.cumsum(error, axis=0) * float(np.median(np.diff(t))))
+
+
+def torque_limits(model: SimulatorModel) -> FloatArray:
+    """Return the torque limits of a robot, infinite without. Shape (n,) [N m or N]."""
+    limits = [model.torque_limit(j) for j in range(len(model.joints))]
+    return np.array([np.inf if limit is None else limit for limit in limits])
+
+
+class Replay:
+    """MuJoCo with an exported robot, driven by the commands of a recording.
+
+    Args:
+        model: The robot.
+        data: The recording.
+        loop: The position loop; None: the command is the torque.
+        with_friction: Whether the friction module adds what MJCF does not hold.
+    """
+
+    def __init__(
+        self,
+        model: SimulatorModel,
+        data: ReplayInput,
+        loop: PositionLoop | None,
+        with_friction: bool = False,
+    ) -> None:
+        import mujoco
+
+        self._mujoco, self._data, self._loop = mujoco, data, loop
+        self._robot = model.model.robot
+        compiled = mujoco.MjModel.from_xml_string(mjcf_file.mjcf_text(model))
+        compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self._model, self._state = compiled, mujoco.MjData(compiled)
+        joints = [compiled.joint(name) for name in self._robot.joints]
+        self._position = np.array([int(joint.qposadr[0]) for joint in joints])
+        self._degree = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._limit = torque_limits(model)
+        self._friction = friction_runtime.Friction(friction_table(model)) if with_friction else None
+
+    def run(self, start: int, end: int) -> ReplayRun:
+        """Simulate from the recorded state of a row to another row.
+
+        Args:
+            start: First row.
+            end: Row after the last one.
+        """
+        if self._friction is None:
+            return self._simulated(start, end)
+        self._friction.reset()
+        friction_runtime.install(self._mujoco, self._model, self._friction)
+        try:
+            return self._simulated(start, end)
+        finally:
+            self._mujoco.set_mjcb_passive(None)
+
+    def _simulated(self, start: int, end: int) -> ReplayRun:
+        """The simulation of `run`."""
+        mujoco, model, state, data = self._mujoco, self._model, self._state, self._data
+        mujoco.mj_resetData(model, state)
+        names = [model.joint(str(name)) for name in list(self._robot.model.names)[1:]]
+        q, v = data.motion.q[start], data.motion.dq[start]
+        for joint, value, speed in zip(
+            names, self._robot.expand(q), self._robot.spread @ v, strict=True
+        ):
+            state.qpos[int(joint.qposadr[0])] = value
+            state.qvel[int(joint.dofadr[0])] = speed
+        rows, step = end - start, float(model.opt.timestep)
+        times = data.t[start:end] - data.t[start]
+        count = int(np.ceil(times[-1] / step)) + 1
+        grid: FloatArray = step * np.arange(count, dtype=float)
+        command = self._command(start, end, grid)
+        positions, torques = np.empty((count, len(q))), np.empty((count, len(q)))
+        for k in range(count):
+            positions[k] = state.qpos[self._position]
+            torque = command(k, positions[k], state.qvel[self._degree])
+            torques[k] = np.clip(torque, -self._limit, self._limit)
+            if not np.abs(positions[k]).max() < 1e3:
+                positions[k:], torques[k:] = np.inf, np.nan
+                break
+            state.ctrl[:] = torques[k]
+            mujoco.mj_step(model, state)
+        index = np.minimum(np.rint(times / step).astype(int), count - 1)
+        assert len(index) == rows
+        return ReplayRun(positions[index], torques[index])
+
+    def _command(
+        self, start: int, end: int, grid: FloatArray
+    ) -> Callable[[int, FloatArray, FloatArray], FloatArray]:
+        """Torque of the motors by step, position and velocity."""
+        data, loop = self._data, self._loop
+        times = data.t[start:end] - data.t[start]
+
+        def at_steps(values: FloatArray) -> FloatArray:
+            return np.column_stack([np.interp(grid, times, x) for x in values[start:end].T])
+
+        if loop is None or data.reference is None:
+            assert data.torque is not None  # checked by replay_input
+            recorded = at_steps(data.torque)
+            return lambda k, q, v: recorded[k]
+        q_ref, v_ref = at_steps(data.reference.q), at_steps(data.reference.dq)
+        feedforward = loop.forward * at_steps(data.rigid) + loop.constant
+        proportional, derivative, integral_gain = loop.gains
+        step = grid[1] - grid[0]
+        error = data.reference.q - data.motion.q
+        if data.torque is not None:
+            error = error * (np.abs(data.torque) < SATURATION_SHARE * self._limit)
+        integral, limit = _integral(error, data.t)[start].copy(), self._limit
+
+        def command(k: int, q: FloatArray, v: FloatArray) -> FloatArray:
+            e = q_ref[k] - q
+            torque = feedforward[k] + proportional * e + derivative * (v_ref[k] - v)
+            torque = torque + integral_gain * integral
+            integral[:] += step * e * (np.abs(torque) < limit)
+            return np.asarray(torque)
+
+        return command
+
+
+@dataclass(frozen=True)
+class ReplayErrors:
+    """Errors of a replayed robot.
+
+    Attributes:
+        name: Which robot: "before", "after", …
+        free: The simulation of the complete stretch.
+        position: RMS position error of the free run. Shape (n,) [rad or m].
+        torque: RMS torque error of the free run, of a position loop; NaN for replayed torque or
+            where no torque was recorded. Shape (n,) [N m].
+        lost: Time at which the free run is lost [s]; None: it is not.
+        horizons: RMS position error over windows of each length of `HORIZONS` that fits. Shape
+            (horizons, n) [rad or m].
+    """
+
+    name: str
+    free: ReplayRun
+    position: FloatArray
+    torque: FloatArray
+    lost: float | None
+    horizons: FloatArray
+
+
+def fitting_horizons(data: ReplayInput) -> list[float]:
+    """Return the lengths of windows that fit into a recording [s]."""
+    return [horizon for horizon in HORIZONS if horizon < 0.5 * data.t[-1]]
+
+
+def replay_errors(name: str, replay: Replay, data: ReplayInput) -> ReplayErrors:
+    """Simulate the complete stretch and short windows of it.
+
+    Args:
+        name: Which robot.
+        replay: The simulation.
+        data: The recording.
+    """
+    free = replay.run(0, len(data.t))
+    deviation = np.clip(
+        np.nan_to_num(free.q, posinf=1e9) - data.motion.q, -LOST_DISTANCE, LOST_DISTANCE
+    )
+    is_lost = np.abs(deviation).max(axis=1) >= LOST_DISTANCE
+    lost = float(data.t[int(np.argmax(is_lost))]) if is_lost.any() else None
+    torque = np.full(data.motion.q.shape[1], np.nan)
+    if data.torque is not None and data.reference is not None:
+        torque = np.sqrt(np.mean((free.torque - data.torque) ** 2, axis=0))
+    rows = [_window_error(replay, data, horizon) for horizon in fitting_horizons(data)]
+    return ReplayErrors(
+        name,
+        free,
+        np.sqrt(np.mean(deviation**2, axis=0)),
+        torque,
+        lost,
+        np.array(rows).reshape(-1, data.motion.q.shape[1]),
+    )
+
+
+def _window_error(replay: Replay, data: ReplayInput, horizon: float) -> FloatArray:
+    """RMS position error over windows of a length. Shape (n,)."""
+    size = max(2, round(horizon / float(np.median(np.diff(data.t)))))
+    starts = np.arange(0, len(data.t) - size, size)
+    chosen = starts[
+        np.unique(np.linspace(0, len(starts) - 1, min(MAX_WINDOWS, len(starts))).astype(int))
+    ]
+    square = np.zeros(data.motion.q.shape[1])
+    for start in chosen:
+        run = replay.run(int(start), int(start) + size)
+        deviation = np.nan_to_num(run.q, posinf=1e9) - data.motion.q[start : start + size]
+        square += np.mean(np.clip(deviation, -LOST_DISTANCE, LOST_DISTANCE) ** 2, axis=0)
+    return np.asarray(np.sqrt(square / len(chosen)))

@@ -1,0 +1,323 @@
+"""Torque equations of recordings with and without a payload.
+
+τ = Γ θ + f + Y_L A φ: base parameters of the robot, friction, and the ten parameters φ of the
+payload, through the columns Y_L of the link that carries it and the change A of the frame. Friction
+that grows with the load is a column of its own per joint, sgn(q̇) |τ_L|, τ_L the torque of the
+links with the payload (Hamon, Gautier & Garrec 2010): left out, it is taken for mass, as it is
+largest where the load is. τ_L depends on the estimate, so that the columns are computed again with
+it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from .._types import FloatArray, IntArray
+from ..errors import UnusableInput
+from ..identification.friction_width import fit_widths
+from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
+from ..identification.regression import (
+    IdentificationModel,
+    TorqueEquations,
+    build_equations,
+    kept_rows,
+)
+from ..identification.segments import RecordingSegment
+from ..robot.dynamics import regressor
+from ..robot.inertial_parameters import pseudo_inertia
+from ..robot.robot import Robot
+from ..robot.samples import Samples
+
+LINK_PARAMETERS = 10
+"""Inertial parameters of a body."""
+SPEED_SHAPES = 2
+"""Columns of friction over the speed beyond Coulomb and viscous friction, of each joint."""
+STRIBECK_SHARE = 0.1
+"""Speed of the falling one of these, over the largest speed of the joint."""
+
+
+@dataclass(frozen=True)
+class PayloadPlace:
+    """Where a payload is attached.
+
+    Attributes:
+        link: Name of the link.
+        body: Index of the body of the model that the link belongs to.
+        frame: Map A from parameters in the link's frame to those at the body's joint. Shape
+            (10, 10).
+    """
+
+    link: str
+    body: int
+    frame: FloatArray
+
+
+def payload_place(robot: Robot, link: str) -> PayloadPlace:
+    """Return where a payload of a link acts.
+
+    Args:
+        robot: The robot.
+        link: Name of a link or of a frame that is fixed to one.
+
+    Raises:
+        UnusableInput: There is no such link, or it does not move.
+    """
+    frame = robot.model.frames[robot.frame(link)]
+    if int(frame.parentJoint) == 0:
+        raise UnusableInput(f"--link {link}: does not move; name a moving link of {robot.source}")
+    return PayloadPlace(link, int(frame.parentJoint) - 1, frame_map(frame.placement))
+
+
+def frame_map(placement: pin.SE3) -> FloatArray:
+    """Return the map of inertial parameters from a frame to its parent, by P' = T P Tᵀ.
+
+    Args:
+        placement: Pose of the frame in its parent.
+
+    Returns:
+        Shape (10, 10).
+    """
+    T = placement.homogeneous
+    columns = []
+    for unit in np.eye(LINK_PARAMETERS):
+        P = T @ pseudo_inertia(unit) @ T.T
+        second = P[:3, :3]
+        tensor = np.trace(second) * np.eye(3) - second
+        moments = [tensor[k] for k in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
+        columns.append([P[3, 3], *P[:3, 3], *moments])
+    return np.array(columns).T
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """A chunk of a segment.
+
+    Attributes:
+        band: Its filter.
+        kept: Its rows on the kept grid.
+        loads: Columns of the torque of the links on the coarse grid. Shape (C, n, k).
+        speed: Speed in friction at every sample. Shape (M, n).
+        carries: Whether the payload was attached.
+    """
+
+    band: LowPassFilter
+    kept: slice
+    loads: FloatArray
+    speed: FloatArray
+    carries: bool
+
+
+@dataclass(frozen=True)
+class PayloadEquations:
+    """The equations, and what the columns of friction are made of.
+
+    Attributes:
+        equations: Torque and the columns of θ and of the carrying link, at all rows.
+        base_count: Number of columns of θ, which come first.
+        link_columns: Indices of the ten columns of the carrying link.
+        load_columns: Indices of the columns of link inertial parameters.
+        model: Model whose base lists these columns.
+        place: Where the payload is attached.
+        recording: Index of the recording with payload of each row; -1 without. Shape (N,).
+        chunks: Chunks of the segments, in the order of the rows.
+    """
+
+    equations: TorqueEquations
+    base_count: int
+    link_columns: IntArray
+    load_columns: IntArray
+    model: IdentificationModel
+    place: PayloadPlace
+    recording: IntArray
+    chunks: tuple[_Chunk, ...]
+
+    def payload_columns(self, recording: int | None = None) -> FloatArray:
+        """Return the torque per unit of φ, zero without payload.
+
+        Args:
+            recording: Only in this recording; None: in all with payload.
+
+        Returns:
+            Shape (N, n, 10).
+        """
+        columns = self.equations.regressor[:, :, self.link_columns] @ self.place.frame
+        inside = self.recording >= 0 if recording is None else self.recording == recording
+        return np.where(inside[:, None, None], columns, 0.0)
+
+    def robot_columns(self) -> FloatArray:
+        """Return the columns of the robot: θ, other friction and offset with payload, widths.
+
+        Shape (N, n, k).
+        """
+        base = self.equations.regressor[:, :, : self.base_count]
+        columns = [base]
+        if (self.recording < 0).any():
+            # friction and offset may differ between the sessions
+            joint_columns = self._joint_parameters()
+            columns.append(
+                np.where((self.recording >= 0)[:, None, None], base[:, :, joint_columns], 0.0)
+            )
+        return np.concatenate([*columns, self._diagonal(self.equations.slopes)], axis=2)
+
+    def _joint_parameters(self) -> IntArray:
+        """Indices of the columns of viscous and Coulomb friction and offset."""
+        parameters, independent = self.model.parameters, self.model.base.independent
+        out = []
+        for kind in ("viscous", "coulomb", "offset"):
+            if kind in parameters.drive:
+                block = parameters.block(kind)
+                inside = (independent[: self.base_count] >= block.start) & (
+                    independent[: self.base_count] < block.stop
+                )
+                out.append(np.flatnonzero(inside))
+        return np.concatenate([*out, np.zeros(0, int)]).astype(int)
+
+    def _diagonal(self, columns: FloatArray) -> FloatArray:
+        """A column of each joint that acts on it alone. Shape (N, n) -> (N, n, n)."""
+        out = np.zeros((*columns.shape, columns.shape[1]))
+        joints = np.arange(columns.shape[1])
+        out[:, joints, joints] = columns
+        return out
+
+    def friction_columns(self, theta: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return friction that grows with the load, and two shapes of friction over the speed.
+
+        Args:
+            theta: Parameters of the robot's columns, of which the first are θ.
+            phi: Parameters of the payload in the link's frame. Shape (10,).
+
+        Returns:
+            Shape (N, n, 3 n).
+        """
+        weights = np.zeros(self.equations.regressor.shape[2])
+        weights[: self.base_count] = theta[: self.base_count]
+        carried = self.place.frame @ phi
+        fastest = np.max([np.abs(chunk.speed).max(axis=0) for chunk in self.chunks], axis=0)
+        fastest = np.maximum(fastest, 1e-9)
+        rows = []
+        for chunk in self.chunks:
+            parameters = weights.copy()
+            if chunk.carries:
+                parameters[self.link_columns] += carried
+            load = chunk.loads @ parameters[self.load_columns]
+            rows.append(self._chunk_columns(chunk, load, fastest))
+        return np.concatenate(rows)
+
+    def _chunk_columns(self, chunk: _Chunk, load: FloatArray, fastest: FloatArray) -> FloatArray:
+        """Columns of a chunk; see `friction_columns`."""
+        samples = len(chunk.speed)
+        coarse = np.arange(len(load)) / chunk.band.rate_of(Grid.COARSE)
+        fine = np.arange(samples) / chunk.band.rate
+        sign, share = np.tanh(chunk.speed / self.model.widths), np.abs(chunk.speed) / fastest
+        carried = np.column_stack([np.interp(fine, coarse, column) for column in load.T])
+        parts = [
+            sign * np.abs(carried),
+            sign * np.exp(-share / STRIBECK_SHARE),
+            sign * np.sqrt(share),
+        ]
+        low = chunk.band.filter(np.hstack(parts), Grid.KEPT)[chunk.kept]
+        return np.concatenate(
+            [self._diagonal(part) for part in np.split(low, 1 + SPEED_SHAPES, axis=1)], axis=2
+        )
+
+
+def build_payload_equations(
+    model: IdentificationModel,
+    place: PayloadPlace,
+    carrying: Sequence[Sequence[RecordingSegment]],
+    empty: Sequence[RecordingSegment],
+    hertz: float,
+) -> PayloadEquations:
+    """Build the equations of all recordings.
+
+    Args:
+        model: Model of the robot.
+        place: Where the payload is attached.
+        carrying: Segments of each recording with payload.
+        empty: Segments without.
+        hertz: Cutoff frequency [Hz].
+
+    Raises:
+        UnusableInput: All segments are shorter than the margins that the filter discards.
+    """
+    together = [*(segment for group in carrying for segment in group), *empty]
+    plain = build_equations(model, together, hertz)
+    model = fit_widths(model, plain, together)
+    link = np.arange(LINK_PARAMETERS) + LINK_PARAMETERS * place.body
+    independent = np.asarray(model.base.independent)
+    added = [column for column in link.tolist() if column not in set(independent.tolist())]
+    columns = np.concatenate([independent, added]).astype(int)
+    wide = dataclasses.replace(model, base=dataclasses.replace(model.base, independent=columns))
+    order = {int(column): k for k, column in enumerate(columns)}
+    edge = LINK_PARAMETERS * model.parameters.bodies
+    loads = np.flatnonzero(columns < edge)
+    groups = [*((i, segment) for i, group in enumerate(carrying) for segment in group)]
+    groups += [(-1, segment) for segment in empty]
+    chunks, owners = list[_Chunk](), list[int]()
+    parts = list[TorqueEquations]()
+    for owner, segment in groups:
+        if not any(True for _ in kept_rows(segment, segment.band(hertz))):
+            continue
+        rows = build_equations(wide, [segment], hertz)
+        parts.append(rows)
+        owners += [owner] * len(rows)
+        chunks += _chunks(wide, segment, hertz, columns[loads], owner >= 0)
+    return PayloadEquations(
+        _joined(parts),
+        len(independent),
+        np.array([order[int(column)] for column in link]),
+        loads,
+        wide,
+        place,
+        np.array(owners),
+        tuple(chunks),
+    )
+
+
+def _chunks(
+    model: IdentificationModel,
+    segment: RecordingSegment,
+    hertz: float,
+    columns: IntArray,
+    carries: bool,
+) -> list[_Chunk]:
+    """Chunks of a segment with the regressor of its links on the coarse grid."""
+    band, out = segment.band(hertz), list[_Chunk]()
+    for samples, kept in kept_rows(segment, band):
+        part = dataclasses.replace(band, count=samples.stop - samples.start)
+        q = segment.q[samples]
+        position = part.transform(q)
+        motion = Samples(
+            *(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3))
+        )
+        loads = regressor(model.robot, model.parameters, motion)[:, :, columns]
+        out.append(_Chunk(part, kept, loads, friction_speed(q, part, position), carries))
+    return out
+
+
+def _joined(parts: Sequence[TorqueEquations]) -> TorqueEquations:
+    """Equations of several segments as one."""
+    starts = np.cumsum([0, *(len(part) for part in parts)])[:-1]
+    motion = Samples(
+        *(
+            np.concatenate([getattr(part.motion, name) for part in parts])
+            for name in ("q", "dq", "ddq")
+        )
+    )
+    return dataclasses.replace(
+        parts[-1],
+        torque=np.concatenate([part.torque for part in parts]),
+        regressor=np.concatenate([part.regressor for part in parts]),
+        slopes=np.concatenate([part.slopes for part in parts]),
+        time=np.concatenate([part.time for part in parts]),
+        motion=motion,
+        starts=tuple(int(start) for start in starts),
+        sources=tuple(name for part in parts for name in part.sources),
+        periods=tuple(count for part in parts for count in part.periods),
+        repeats=tuple(repeat for part in parts for repeat in part.repeats),
+    )

@@ -1,0 +1,270 @@
+"""Error and coverage of `excite payload` on simulated payloads, compared with usual estimates.
+
+    python scripts/bench_payload.py [--count 30] [--robots ur5e fr3 iiwa14] [--dense]
+
+Each robot carries payloads of 0.02 to 0.5 of its rating, eccentric, with load friction hidden at
+every joint (with --dense, all frictions of a dense robot). The robot is recorded once without a
+payload and once with each, along a motion of 20 s by `excite design --for-payload`. The static
+estimate uses the torque of four poses at rest, each with any friction that rest allows; the plain
+difference subtracts the torque without payload from that with it, without a model of friction.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from excite import _json, design
+from excite._types import FloatArray
+from excite.api.robots import resolve_limits
+from excite.identification import segments
+from excite.identification.regression import IdentificationModel
+from excite.payload.equations import (
+    PayloadEquations,
+    build_payload_equations,
+    payload_place,
+)
+from excite.payload.estimate import PayloadEstimate, estimate_payload
+from excite.recordings import Recording, Sidecar
+from excite.robot import base_parameters, inertial_parameters
+from excite.robot.dynamics import regressor
+from excite.robot.inertial_parameters import COULOMB_WIDTH
+from excite.robot.robot import Payload, load, locate
+from excite.robot.samples import Samples
+from excite.simulator.dense_robot import dense_effects
+from excite.simulator.effect_instance import EffectInstance, with_effects
+from excite.simulator.effects.load import AttachedBody
+from excite.simulator.experiment import ExperimentSettings, build_robot, measurement_chain
+from excite.simulator.recording_file import measure
+from excite.simulator.reference_trajectory import ReferenceTrajectory, read_reference
+from excite.simulator.simulated_robot import SimulatedRobot
+
+RATINGS = {"ur5e": 5.0, "fr3": 3.0, "iiwa14": 14.0, "ur10e": 12.5, "panda": 3.0, "tx40": 2.3}
+"""Rated payload of each robot [kg]."""
+SHARES = (0.02, 0.5)
+"""Smallest and largest payload over the rating."""
+LARGEST_OFFSET = 0.1
+"""Largest coordinate of the centre of mass [m]."""
+RADII = (0.02, 0.06)
+"""Smallest and largest radius of gyration along each axis [m]."""
+LOAD_FRICTION = (0.03, 0.15)
+"""Smallest and largest coefficient of load friction."""
+STATIC_POSES = 4
+"""Poses of the static estimate."""
+MOTION_SECONDS = 20.0
+"""Robot time of each recording [s]."""
+
+
+@dataclass(frozen=True)
+class CaseScore:
+    """Errors of one payload.
+
+    Attributes:
+        mass: True mass [kg].
+        errors: Relative mass error of this tool, the static estimate and the plain difference.
+        centres: Error of the centre of mass of the three [m].
+        covered: Whether each 95 % interval of mass and centre covers the truth. Shape (4,).
+        shown: Whether mass and centre were shown. Shape (4,).
+        seconds: Time of the estimate [s].
+    """
+
+    mass: float
+    errors: tuple[float, float, float]
+    centres: tuple[float, float, float]
+    covered: tuple[bool, ...]
+    shown: tuple[bool, ...]
+    seconds: float
+
+
+class Laboratory:
+    """A simulated robot that is recorded with and without payloads."""
+
+    def __init__(self, name: str, is_dense: bool) -> None:
+        self.name = name
+        self.reference: ReferenceTrajectory = payload_motion(name)
+        self.settings = ExperimentSettings(seed=3)
+        robot = build_robot(locate(name), self.reference, self.settings)
+        rng = np.random.default_rng(11)
+        effects = (
+            dense_effects(robot, self.reference, 1.0, 5)
+            if is_dense
+            else tuple(
+                EffectInstance("load_friction", j, "tuning", {"mu": rng.uniform(*LOAD_FRICTION)})
+                for j in robot.joints
+            )
+        )
+        self.robot: SimulatedRobot = with_effects(robot, effects)
+        self.machine = load(name)
+        table = resolve_limits(self.machine, None)
+        standard = inertial_parameters.standard_parameters(self.machine, table)
+        base = base_parameters.find(self.machine, standard, table)
+        widths = np.full(self.machine.n, COULOMB_WIDTH)
+        self.model = IdentificationModel(self.machine, standard, base, widths)
+        self.link = self.machine.links[-1]
+        self.place = payload_place(self.machine, self.link)
+        self.empty = self.record(None, 0)
+
+    def record(self, body: AttachedBody | None, seed: int) -> Recording:
+        """Record the robot, with a payload where one is given."""
+        effects = (*self.robot.effects, *([] if body is None else [body]))
+        robot = dataclasses.replace(self.robot, effects=tuple(effects))
+        chain = measurement_chain(robot, self.settings)
+        signals = measure(
+            robot.follow(self.reference), self.reference, chain, np.random.default_rng([7, seed])
+        )
+        sidecar = Sidecar(period=signals.period, periodic=signals.periodic)
+        return Recording(
+            f"{seed}.csv",
+            self.machine.joints,
+            signals.t,
+            signals.q,
+            tau=signals.tau,
+            sidecar=sidecar,
+            row_times=signals.t,
+        )
+
+    def equations(self, carrying: Recording) -> PayloadEquations:
+        """Build the equations of a recording with payload and the one without."""
+        groups = [list(segments.extract_segments([carrying]))]
+        empty = list(segments.extract_segments([self.empty]))
+        hertz = segments.torque_spectra(groups[0]).hertz
+        return build_payload_equations(self.model, self.place, groups, empty, hertz)
+
+
+def payload_motion(name: str) -> ReferenceTrajectory:
+    """Design a motion for payloads up to the largest one, with `excite design --for-payload`."""
+    mass = SHARES[1] * RATINGS[name]
+    link = load(name).links[-1]
+    centre = (0.8 * LARGEST_OFFSET,) * 3
+    carrying = load(name, payload=Payload(link, mass, centre, (0.01, 0, 0.01, 0, 0, 0.01)))
+    result = design(carrying, time=MOTION_SECONDS, payload_link=link, starts=2, jobs=1)
+    document = result.trajectory.document()
+    document["robot"]["payload"] = None  # the simulated robot gets one in each case
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trajectory.json"
+        path.write_text(_json.dumps(document), encoding="utf-8")
+        return read_reference(path)
+
+
+def draw_payload(lab: Laboratory, rng: np.random.Generator, share: float) -> AttachedBody:
+    """Draw an eccentric payload."""
+    x, y, z = rng.uniform(-LARGEST_OFFSET, LARGEST_OFFSET, 3).tolist()
+    radii = tuple(rng.uniform(*RADII, 3).tolist())
+    mass = share * RATINGS[lab.name]
+    return AttachedBody(lab.link, mass, (x, y, z), radii)  # type: ignore[arg-type]
+
+
+def plain_difference(equations: PayloadEquations) -> FloatArray:
+    """Return mass and first moments by the difference of the mean torques, without friction."""
+    inside = equations.recording >= 0
+    count = min(int(inside.sum()), int((~inside).sum()))
+    torque = equations.equations.torque
+    difference = torque[inside][:count] - torque[~inside][:count]
+    columns = equations.payload_columns()[inside][:count]
+    solution = np.linalg.lstsq(columns.reshape(-1, 10), difference.ravel(), rcond=None)[0]
+    return np.asarray(solution[:4])
+
+
+def static_estimate(lab: Laboratory, body: AttachedBody, rng: np.random.Generator) -> FloatArray:
+    """Return mass and first moments by the torque of four poses at rest.
+
+    Friction at rest is anything up to Coulomb friction, drawn evenly.
+    """
+    t = np.linspace(0.0, lab.reference.duration, STATIC_POSES + 2)[1:-1]
+    q = lab.reference.at(t)[0]
+    still = np.zeros_like(q)
+    Y = regressor(lab.machine, lab.model.parameters, Samples(q, still, still))
+    start = 10 * lab.place.body
+    columns = Y[:, :, start : start + 10] @ lab.place.frame
+    point = np.array(body.centre)
+    truth = np.array([body.mass, *(body.mass * point), *np.zeros(6)])
+    friction = lab.robot.actuators.coulomb * rng.uniform(-1.0, 1.0, (2, *q.shape))
+    torque = columns @ truth + friction[1] - friction[0]
+    flat = columns[:, :, :4].reshape(-1, 4)
+    return np.asarray(np.linalg.lstsq(flat, torque.ravel(), rcond=None)[0])
+
+
+def score_case(lab: Laboratory, number: int, share: float) -> CaseScore:
+    """Record a payload and compare the three estimates with it."""
+    rng = np.random.default_rng([17, number])
+    body = draw_payload(lab, rng, share)
+    recording = lab.record(body, 100 + number)
+    start = time.perf_counter()
+    equations = lab.equations(recording)
+    result: PayloadEstimate = estimate_payload(equations)
+    seconds = time.perf_counter() - start
+    truth = np.array([body.mass, *body.centre])
+    rough = [static_estimate(lab, body, rng), plain_difference(equations)]
+    estimates = [
+        np.array([result[name].value for name in NAMES]),
+        *(np.array([x[0], *(x[1:] / x[0])]) for x in rough),
+    ]
+    distances = [np.linalg.norm(x[1:] - truth[1:]) for x in estimates]
+    quantities = [result[name] for name in NAMES]
+    return CaseScore(
+        body.mass,
+        tuple(abs(x[0] / truth[0] - 1.0) for x in estimates),  # type: ignore[arg-type]
+        tuple(float(v) for v in distances),  # type: ignore[arg-type]
+        tuple(
+            q.interval[0] <= value <= q.interval[1]
+            for q, value in zip(quantities, truth, strict=True)
+        ),
+        tuple(q.shown for q in quantities),
+        seconds,
+    )
+
+
+NAMES = ("mass", "centre_x", "centre_y", "centre_z")
+"""Quantities that are compared."""
+
+
+def report(name: str, scores: Sequence[CaseScore]) -> str:
+    """Return a row of the table."""
+    errors = 100.0 * np.median([score.errors for score in scores], axis=0)
+    centres = 1e3 * np.median([score.centres for score in scores], axis=0)
+    covered = [c for s in scores for c, shown in zip(s.covered, s.shown, strict=True) if shown]
+    shown = np.mean([score.shown for score in scores])
+    cells = [
+        f"{errors[0]:.2f} / {errors[1]:.1f} / {errors[2]:.1f} %",
+        f"{centres[0]:.2f} / {centres[1]:.1f} / {centres[2]:.1f} mm",
+        f"{100.0 * np.mean(covered):.1f} % of {len(covered)}",
+        f"{100.0 * shown:.0f} %",
+        f"{np.median([score.seconds for score in scores]):.1f}",
+    ]
+    return f"| {name} | {len(scores)} | {' | '.join(cells)} |"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the script; return its exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--count", type=int, default=30, help="payloads of each robot (default 30)")
+    parser.add_argument("--robots", nargs="+", default=["ur5e", "fr3", "iiwa14"], choices=RATINGS)
+    parser.add_argument("--dense", action="store_true", help="all frictions of a dense robot")
+    arguments = parser.parse_args(argv)
+    print(
+        "| robot | payloads | median mass error: this / static / difference | centre | covered by "
+        "95 % intervals | shown | s |\n|---|---|---|---|---|---|---|"
+    )
+    together = list[CaseScore]()
+    for name in arguments.robots:
+        lab = Laboratory(name, arguments.dense)
+        shares = np.linspace(*SHARES, arguments.count)
+        scores = [score_case(lab, k, float(share)) for k, share in enumerate(shares)]
+        together += scores
+        print(report(name, scores), flush=True)
+    print(report("all", together))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,277 @@
+"""Payload identification: mass, centre and inertia of a known body, with load friction hidden."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from synthetic_recordings import perturbed_parameters, random_fourier, write_recording
+
+import excite
+from excite.cli.main import main
+from excite.designer.payload_weighting import payload_deviation
+from excite.errors import UnusableInput
+from excite.payload.equations import frame_map
+from excite.payload.shape import parse_shape
+from excite.payload.snippets import snippets
+from excite.recordings import Recording, Sidecar
+from excite.robot import dynamics, inertial_parameters, limits, robot
+from excite.robot.samples import Samples
+
+WIDTH = 0.005
+"""Width of friction of the recordings [rad/s]."""
+PERIOD, RATE, PERIODS = 5.0, 250.0, 3
+LOAD_FRICTION = 0.1
+NOISE = 0.05
+"""Standard deviation of the white torque noise [N m]."""
+BODY = pin.Inertia(
+    1.2,
+    np.array([0.03, -0.05, 0.06]),
+    np.diag([0.004, 0.003, 0.002]) + 2e-4 * (np.ones((3, 3)) - np.eye(3)),
+)
+"""The payload, in the frame of the last link."""
+ROBOT = "ur5e"
+
+
+def recording_with(body: pin.Inertia | None, seed: int, motion: int = 3) -> Recording:
+    """Return a recording of a robot with a payload, load friction and noise."""
+    machine = robot.load(ROBOT)
+    table = limits.resolve(machine)
+    standard = inertial_parameters.standard_parameters(machine, table)
+    psi = perturbed_parameters(standard, np.random.default_rng(4))
+    if body is not None:
+        psi[10 * (standard.bodies - 1) : 10 * standard.bodies] += body.toDynamicParameters()
+    t = np.arange(round(PERIODS * PERIOD * RATE) + 1) / RATE
+    s = random_fourier(machine.n, motion, period=PERIOD).samples(t)
+    copy = machine.model.copy()
+    for i in range(standard.bodies):
+        copy.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    data = copy.createData()
+    rigid = np.array([pin.rnea(copy, data, *x) for x in zip(s.q, s.dq, s.ddq, strict=True)])
+    sign = np.tanh(s.dq / WIDTH)
+    drive = {kind: psi[standard.block(kind)] for kind in standard.drive}
+    torque = rigid + drive["rotor_inertia"] * s.ddq + drive["viscous"] * s.dq
+    torque += drive["coulomb"] * sign + drive["offset"] + LOAD_FRICTION * sign * np.abs(rigid)
+    torque += NOISE * np.random.default_rng(seed).normal(size=torque.shape)
+    sidecar = Sidecar(period=PERIOD, periodic=(0.0, float(t[-1])))
+    return Recording(
+        f"{seed}.csv", machine.joints, t, s.q, tau=torque, sidecar=sidecar, row_times=t
+    )
+
+
+@pytest.fixture(name="empty", scope="module")
+def empty_recording():
+    return recording_with(None, 1)
+
+
+@pytest.fixture(name="result", scope="module")
+def payload_result(empty):
+    return excite.identify_payload(ROBOT, [recording_with(BODY, 2)], empty=[empty])
+
+
+def test_mass_centre_and_inertia_are_within_their_intervals(result):
+    tensor = BODY.inertia
+    truth = {
+        "mass": BODY.mass,
+        **dict(zip(("centre_x", "centre_y", "centre_z"), BODY.lever, strict=True)),
+        "ixx": tensor[0, 0],
+        "iyy": tensor[1, 1],
+        "izz": tensor[2, 2],
+    }
+    for name, value in truth.items():
+        quantity = result.estimate[name]
+        assert abs(quantity.value - value) < 4.0 * quantity.std, name
+    assert result.estimate["mass"].value == pytest.approx(BODY.mass, rel=0.01)
+    assert result.estimate["mass"].shown and result.estimate["centre_z"].shown
+    assert np.linalg.norm(result.estimate.body.lever - BODY.lever) < 3e-3
+    # the wrist joints carry little: only the loaded joints show their friction
+    np.testing.assert_allclose(result.estimate.load_friction[1:3], LOAD_FRICTION, atol=0.02)
+
+
+def test_values_are_in_the_frame_of_the_link(empty):
+    there = excite.identify_payload(ROBOT, [recording_with(BODY, 2)], empty=[empty], link="tool0")
+    machine = robot.load(ROBOT)
+    placement = machine.model.frames[machine.frame("tool0")].placement
+    expected = placement.actInv(BODY)
+    assert np.linalg.norm(there.estimate.body.lever - expected.lever) < 3e-3
+
+
+def test_a_frame_change_is_that_of_a_rigid_body():
+    placement = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.8, 1.1), np.array([0.2, -0.1, 0.4]))
+    np.testing.assert_allclose(
+        frame_map(placement) @ BODY.toDynamicParameters(),
+        placement.act(BODY).toDynamicParameters(),
+        atol=1e-12,
+    )
+
+
+def test_moments_of_inertia_of_a_light_payload_are_not_shown(empty):
+    small = pin.Inertia(0.02, np.zeros(3), 1e-6 * np.eye(3))
+    result = excite.identify_payload(ROBOT, [recording_with(small, 5)], empty=[empty])
+    assert not result.estimate["ixx"].shown
+    assert "ixx" in result.document()["not_shown"]
+
+
+def test_a_payload_that_was_mounted_differently_is_reported(empty):
+    turned = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi), np.zeros(3)).act(BODY)
+    first = recording_with(BODY, 2)
+    again = excite.identify_payload(ROBOT, [first, recording_with(BODY, 6, 4)], empty=[empty])
+    other = excite.identify_payload(ROBOT, [first, recording_with(turned, 6, 4)], empty=[empty])
+    assert again.mounting == "same" and other.mounting == "different"
+    assert excite.identify_payload(ROBOT, [first], empty=[empty]).mounting is None
+
+
+def test_a_stated_mass_and_shape_are_used(empty):
+    carrying = recording_with(BODY, 2)
+    free = excite.identify_payload(ROBOT, [carrying], empty=[empty])
+    stated = excite.identify_payload(
+        ROBOT, [carrying], empty=[empty], mass=1.2, shape="box:0.12,0.15,0.18"
+    )
+    assert stated.estimate["mass"].std < free.estimate["mass"].std
+    assert stated.estimate["ixx"].std < free.estimate["ixx"].std
+    assert stated.document()["shape"] == "box:0.12,0.15,0.18"
+
+
+def test_shapes_have_the_moments_of_uniform_bodies(tmp_path):
+    box, cylinder = parse_shape("box:0.1,0.2,0.3"), parse_shape("cylinder:0.1,0.4@0,0,0.2")
+    np.testing.assert_allclose(np.diag(box.second), np.array([0.1, 0.2, 0.3]) ** 2 / 12.0)
+    np.testing.assert_allclose(np.diag(cylinder.second), [0.0025, 0.0025, 0.16 / 12.0])
+    np.testing.assert_allclose(cylinder.centre, [0.0, 0.0, 0.2])
+    corners = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.2) for z in (0, 0.3)])
+    faces = [
+        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
+        *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
+    ]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+    mesh = tmp_path / "box.obj"
+    mesh.write_text("\n".join(lines), encoding="utf-8")
+    shape = parse_shape(f"mesh:{mesh}")
+    np.testing.assert_allclose(shape.second, box.second, atol=1e-9)
+    np.testing.assert_allclose(shape.centre, [0.05, 0.1, 0.15], atol=1e-7)
+
+
+@pytest.mark.parametrize("text", ["box:1,2", "cone:1", "box:1,2,-3", "sphere:x", "box:1,1,1@0,0"])
+def test_a_shape_that_is_none_is_refused(text):
+    with pytest.raises(UnusableInput, match=r"--shape .*: should be box:X,Y,Z"):
+        parse_shape(text)
+
+
+def test_snippets_hold_the_payload_in_the_units_of_each_controller():
+    texts = snippets(BODY, "tool0")
+    ur = re.search(r"set_target_payload\((.*)\)", texts["UR: set_target_payload"])
+    numbers = [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", ur[1])]
+    np.testing.assert_allclose(numbers[:4], [1.2, 0.03, -0.05, 0.06])
+    np.testing.assert_allclose(numbers[4:7], [0.004, 0.003, 0.002], rtol=1e-5)
+    kuka = texts["KUKA: load data"]
+    assert "X 30," in kuka and "Y -50," in kuka and "Z 60," in kuka
+    axes = {k: float(re.search(rf"[ ,{{]{k} (-?[\d.e-]+)", kuka)[1]) for k in "ABC"}
+    R = pin.rpy.rpyToMatrix(*np.deg2rad([axes["C"], axes["B"], axes["A"]]))
+    moments = [float(x) for x in re.search(r"J \{X (.*),Y (.*),Z (.*)\}\}", kuka).groups()]
+    np.testing.assert_allclose(R @ np.diag(moments) @ R.T, BODY.inertia, atol=1e-8)
+    desk = json.loads(texts["Franka: setLoad and Desk"].splitlines()[-1])
+    assert desk["mass"] == 1.2 and desk["centerOfMass"] == [0.03, -0.05, 0.06]
+    link = ElementTree.fromstring(texts["URDF"].splitlines()[0])
+    assert float(link.find("inertial/mass").get("value")) == 1.2
+    body = ElementTree.fromstring(texts["MJCF"].splitlines()[1])
+    assert body.find("inertial").get("pos") == "0.03 -0.05 0.06"
+
+
+def test_the_command_writes_payload_json_and_a_report(empty, tmp_path, capsys):
+    files = [
+        str(write_recording(recording, tmp_path / name))
+        for recording, name in ((recording_with(BODY, 2), "with.csv"), (empty, "without.csv"))
+    ]
+    out = tmp_path / "out"
+    arguments = ["payload", ROBOT, "--with", files[0], "--without", files[1], "-o", str(out)]
+    assert main([*arguments, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["payload"]["mass"]["value"] == pytest.approx(1.2, rel=0.01)
+    stored = json.loads((out / "payload.json").read_text(encoding="utf-8"))
+    assert stored["schema"] == "excite.payload/1"
+    assert "set_target_payload" in (out / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ([], "--without: needs a recording without the payload"),
+        (["--without", "gone.csv"], "gone.csv"),
+        (["--without", "gone.csv", "--link", "nowhere"], "no frame 'nowhere'"),
+        (["--without", "gone.csv", "--shape", "egg:1"], "--shape egg:1"),
+        (["--model", "gone.json"], "gone.json"),
+    ],
+)
+def test_options_that_cannot_be_used_are_refused_in_one_line(options, problem, tmp_path, capsys):
+    arguments = ["payload", ROBOT, "--with", "also_gone.csv", *options]
+    assert main([*arguments, "-o", str(tmp_path / "out"), "-q"]) == 2
+    error = capsys.readouterr().err
+    assert problem in error and error.count("\n") == 1
+
+
+# -- design ----------------------------------------------------------------------------------------
+
+
+def test_a_motion_for_a_payload_beats_a_wrist_wiggle():
+    machine = robot.load(ROBOT)
+    table = limits.resolve(machine)
+    standard = inertial_parameters.standard_parameters(machine, table)
+    noise = 0.01 * table.torque
+    result = excite.design(
+        ROBOT, payload_link="tool0", period=5.0, harmonics=3, starts=1, jobs=1, iterations=60
+    )
+    designed = result.payload
+    assert designed is not None and result.document()["payload"]["mass"] == designed.mass
+    t = np.arange(0.0, result.trajectory.motion.duration, 0.01)
+    amplitude = np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
+    rate = 2.0 * np.pi * np.array([0.0, 0.0, 0.0, 0.4, 0.6, 0.8])
+    q = np.outer(np.ones_like(t), [0.0, -1.2, 1.2, -1.5, -1.5, 0.0]) + amplitude * np.sin(
+        np.outer(t, rate)
+    )
+    wiggle = Samples(
+        q,
+        amplitude * rate * np.cos(np.outer(t, rate)),
+        -amplitude * rate**2 * np.sin(np.outer(t, rate)),
+    )
+    other = payload_deviation(machine, standard, wiggle, noise, "tool0")
+    assert designed.mass < other.mass / 3.0
+    assert np.all(designed.centre < other.centre / 3.0)
+
+
+def test_predicted_deviations_are_those_of_least_squares():
+    """The deviation of a coefficient is the noise over the length of its column without the part
+    that the other columns explain (Frisch & Waugh 1933)."""
+    machine = robot.load(ROBOT)
+    table = limits.resolve(machine)
+    standard = inertial_parameters.standard_parameters(machine, table)
+    motion = random_fourier(machine.n, 3).samples(np.arange(0.0, 5.0, 0.02))
+    noise = 0.01 * table.torque
+    link = machine.links[-1]
+    predicted = payload_deviation(machine, standard, motion, noise, link)
+    Y = dynamics.regressor(machine, standard, motion) / noise[:, None]
+    edge = 10 * standard.bodies
+    shown = [*range(edge - 10, edge), *range(edge + machine.n, standard.count)]
+    columns = Y.reshape(-1, standard.count)[:, shown]
+    std = np.empty(10)
+    for k in range(10):
+        others = np.delete(columns, k, axis=1)
+        others = others / np.linalg.norm(others, axis=0)
+        fit = np.linalg.lstsq(others, columns[:, k], rcond=None)[0]
+        std[k] = 1.0 / np.linalg.norm(columns[:, k] - others @ fit)
+    assert predicted.mass == pytest.approx(std[0], rel=1e-3)
+    np.testing.assert_allclose(predicted.inertia, std[4:], rtol=1e-3)
+
+
+def test_options_of_a_design_for_a_payload_are_checked(tmp_path, capsys):
+    for options, problem in (
+        (["--for-payload", "nowhere"], "no frame 'nowhere'"),
+        (["--for-payload", "tool0", "--criterion", "d"], "--for-payload: has the A-criterion"),
+        (["--for-payload", "base_link"], "does not move"),
+    ):
+        assert main(["design", ROBOT, *options, "-o", str(tmp_path / "out"), "-q"]) == 2
+        error = capsys.readouterr().err
+        assert problem in error and error.count("\n") == 1

@@ -1,0 +1,206 @@
+"""The generated friction module: its torque is that of the model, alone and in MuJoCo."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnosis_cases import effect_entry
+from identified_models import model_torque, random_states, read_model, write_model
+from synthetic_recordings import random_fourier
+
+import excite
+from excite._types import FloatArray
+from excite.diagnosis import fitted_effects
+from excite.identification.identified_model import IdentifiedModel
+from excite.recordings import Recording
+from excite.robot.samples import Samples
+
+FRICTION_EFFECTS = {
+    "asymmetric_viscous": effect_entry("asymmetric_viscous", "joint_2", {}, 0.3),
+    "stribeck": effect_entry("stribeck", "joint_1", {"velocity": 0.3, "exponent": 1.3}, 0.8),
+    "stribeck, rational": effect_entry(
+        "stribeck", "joint_1", {"velocity": 0.3, "exponent": 2.0, "rational": 1.0}, 0.8
+    ),
+    "stribeck, width": effect_entry(
+        "stribeck",
+        "joint_1",
+        {"velocity": 0.3, "exponent": 2.0, "width": 0.2, "usual": 0.1},
+        0.8,
+        0.4,
+    ),
+    "nonlinear_viscous": effect_entry("nonlinear_viscous", "joint_2", {"exponent": 0.6}, 0.5),
+    "drag": effect_entry("drag", "joint_1", {}, 0.4),
+    "load_friction": effect_entry("load_friction", "joint_1", {"power": 1.5, "scale": 9.0}, 0.1),
+    "load_friction, driven": effect_entry(
+        "load_friction", "joint_1", {"power": 1.0, "scale": 9.0, "driven": 1.0}, 0.1
+    ),
+    "load_friction, weakening": effect_entry(
+        "load_friction",
+        "joint_1",
+        {"power": 1.0, "scale": 9.0, "velocity": 0.5, "exponent": 2.0},
+        0.1,
+        0.05,
+    ),
+    "position_friction": effect_entry(
+        "position_friction",
+        "joint_1",
+        {"order": 2.0, "waves": 2.0, "low": -1.0, "high": 1.5},
+        *(0.5, 0.2, 0.1, -0.3),
+    ),
+    "friction": effect_entry("friction", "joint_2", {}, 0.4, 0.2),
+    "torque_offset": effect_entry("torque_offset", "joint_2", {}, 0.4),
+    "spring": effect_entry("spring", "joint_2", {"form": 3.0}, 0.4, 0.2, 0.1),
+    "spring, wave": effect_entry("spring", "joint_2", {"form": 1.0}, 0.4, 0.2),
+    "spring, waves": effect_entry("spring", "joint_2", {"form": 4.0}, 0.4, 0.2, 0.3, 0.1),
+    "spring, slow wave": effect_entry("spring", "joint_2", {"order": 1.4, "about": 0.2}, 1, 2, 3),
+    "spring, bend": effect_entry("spring", "joint_2", {"bend": 0.3}, 1.0, 2.0),
+    "torque_ripple": effect_entry(
+        "torque_ripple", "joint_2", {"order": 5.0, "thrice": 1.0}, 0.3, 0.2, 0.1, 0.4
+    ),
+    "coupling": effect_entry("coupling", "joint_1", {"ratio": -0.7}, 0.2, 0.5, 0.1)
+    | {"from": "joint_2"},
+    "coupling, light": effect_entry("coupling", "joint_1", {"ratio": 0.7, "light": 1.0}, 0.2, 0.5)
+    | {"from": "joint_2"},
+    "hysteresis": effect_entry("hysteresis", "joint_1", {"reach": 0.05}, 0.8),
+    "hysteresis, springs": effect_entry(
+        "hysteresis", "joint_1", {"reach": 0.02, "springs": 3.0}, 0.8, 0.3, 0.2
+    ),
+}
+"""Effects of every form that is a torque of one joint."""
+WIDTH = 0.1
+"""Width of friction at which its steps are resolved by the samples [rad/s]."""
+
+
+def module(text: str) -> dict[str, Any]:
+    """Return the names of a generated module."""
+    scope: dict[str, Any] = {"__name__": "friction"}
+    exec(compile(text, "friction.py", "exec"), scope)
+    return scope
+
+
+def unfiltered(model: IdentifiedModel) -> tuple[FloatArray, Samples, FloatArray, FloatArray]:
+    """Torque of the effects of a model by its own prediction, where its filter changes nothing.
+
+    Returns:
+        Torque, shape (N, n), and the motion, the load, and a mask of the samples inside.
+    """
+    fourier, rate = random_fourier(2, 3, period=2.0), 1000.0
+    t = np.arange(round(2.0 * fourier.period * rate) + 1) / rate
+    recording = Recording("a.csv", model.robot.joints, t, fourier.samples(t).q, row_times=t)
+    wide = dataclasses.replace(model, hertz=0.4 * rate)
+    without = dataclasses.replace(wide, effects=())
+    torque = fitted_effects.predict(wide, recording)[1]
+    torque -= fitted_effects.predict(without, recording)[1]
+    motion = fourier.samples(t)
+    rigid = model.psi.copy()
+    rigid[10 * len(model.robot.links) :] = 0.0
+    bare = dataclasses.replace(model, psi=rigid)
+    return torque, motion, bare.torque(motion, motion.dq), (t > 0.5) & (t < t[-1] - 0.5)
+
+
+@pytest.mark.parametrize("name", FRICTION_EFFECTS)
+def test_the_module_gives_the_torque_that_the_model_predicts(name, tmp_path):
+    path = write_model(tmp_path, "two_link", (FRICTION_EFFECTS[name],))
+    model = dataclasses.replace(read_model(path), widths=np.full(2, WIDTH))
+    exported = excite.export_model(path, "python-friction")
+    assert not exported.remainders
+    scope = module(exported.text)
+    friction = scope["Friction"](scope["TABLE"] | {"widths": [WIDTH, WIDTH]})
+    expected, motion, load, inside = unfiltered(model)
+    base = scope["Friction"](
+        scope["TABLE"]
+        | {"widths": [WIDTH, WIDTH]}
+        | {"terms": [t for t in scope["TABLE"]["terms"] if t["effect"].startswith("base")]}
+    )
+    torque = np.empty_like(expected)
+    for k in range(len(motion)):
+        state = (motion.q[k], motion.dq[k], load[k], motion.ddq[k])
+        torque[k] = friction.torque(*state) - base.torque(*state)
+    size = np.sqrt(np.mean(expected**2))
+    error = np.sqrt(np.mean((torque - expected)[inside] ** 2))
+    assert size > 0.01 and error < 0.01 * size
+
+
+def test_with_links_and_rotors_it_is_the_inverse_dynamics_of_the_model(tmp_path):
+    path = write_model(tmp_path, "ur5e")
+    model = read_model(path)
+    friction = module(excite.export_model(path, "python-friction").text)["FRICTION"]
+    motion = random_states(model, 100)
+    psi = model.psi.copy()
+    for kind in ("viscous", "coulomb", "offset"):
+        psi[model.layout.block(kind)] = 0.0
+    rigid = dataclasses.replace(model, psi=psi).torque(motion, motion.dq)
+    torque = friction.torque(motion.q, motion.dq)  # many robots at once
+    np.testing.assert_allclose(rigid + torque, model_torque(model, motion), atol=1e-9)
+
+
+def test_hysteresis_is_passive_and_independent_of_rate_and_of_repeated_calls(tmp_path):
+    effect = FRICTION_EFFECTS["hysteresis, springs"]
+    path = write_model(tmp_path, "two_link", (effect,))
+    friction = module(excite.export_model(path, "python-friction").text)["FRICTION"]
+    q = 0.2 * np.sin(np.linspace(0.0, 4.0 * np.pi, 801))
+    states = np.column_stack([q, np.zeros_like(q)])
+    force = np.array([friction.torque(x, 0 * x)[0] for x in states])
+    friction.reset()
+    twice = np.array([(friction.torque(x, 0 * x), friction.torque(x, 0 * x))[1][0] for x in states])
+    np.testing.assert_array_equal(force, twice)
+    work = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(q))
+    assert work > 0.0  # over whole cycles it only takes energy
+
+
+def test_the_module_needs_numpy_only(tmp_path):
+    path = write_model(tmp_path, "two_link", (FRICTION_EFFECTS["hysteresis"],))
+    file = excite.export_model(path, "python-friction").save(tmp_path / "friction.py")
+    names = {
+        (node.module if isinstance(node, ast.ImportFrom) else node.names[0].name)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    }
+    assert names == {"__future__", "typing", "numpy"}
+    code = "import friction; print(friction.FRICTION.torque([0.1, 0.2], [1.0, -1.0], [2.0, 1.0]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_mujoco_with_the_module_has_the_torque_of_the_model(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    effects = tuple(FRICTION_EFFECTS[name] for name in ("load_friction", "drag", "torque_ripple"))
+    path = write_model(tmp_path, "two_link", effects)
+    model, motion = read_model(path), random_states(read_model(path), 50)
+    scope = module(excite.export_model(path, "python-friction").text)
+    compiled = mujoco.MjModel.from_xml_string(excite.export_model(path, "mjcf").text)
+    compiled.dof_frictionloss[:] = 0.0
+    data, torque = mujoco.MjData(compiled), np.empty_like(motion.q)
+    scope["install"](mujoco, compiled, scope["FRICTION"])
+    try:
+        for k in range(len(motion)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.dq[k], motion.ddq[k]
+            mujoco.mj_inverse(compiled, data)
+            torque[k] = data.qfrc_inverse
+    finally:
+        mujoco.set_mjcb_passive(None)
+    psi = model.psi.copy()
+    psi[10 * len(model.robot.links) :] = 0.0
+    load = dataclasses.replace(model, psi=psi).torque(motion, motion.dq)
+    beyond = scope["FRICTION"].torque(motion.q, motion.dq, load)
+    friction = model.psi[model.layout.block("coulomb")]
+    rotors = model.psi[model.layout.block("rotor_inertia")] * motion.ddq
+    fast = np.abs(motion.dq) > 0.1  # below, the explicit integration widens the sign
+    expected = load + rotors + beyond - friction * np.tanh(motion.dq / model.widths)
+    np.testing.assert_allclose(torque[fast], expected[fast], atol=1e-6)
+
+
+def test_effects_that_are_no_friction_are_named(tmp_path):
+    effects = (effect_entry("delay", None, {"measured": 1.0}, 0.004),)
+    path = write_model(tmp_path, "two_link", effects)
+    exported = excite.export_model(path, "python-friction")
+    assert [part.name for part in exported.remainders] == ["delay"]
+    assert "delay: torque unknown" in exported.text

@@ -21,7 +21,7 @@ from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
 from ..payload.shape import PayloadShape, parse_shape
 from ..payload.snippets import snippets
 from ..recordings import Recording
-from ..recordings.periodicity import with_own_period
+from ..recordings.periodicity import with_detected_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import COULOMB_WIDTH
 from ..robot.limits import Limits
@@ -181,7 +181,7 @@ def identify_payload(
     def read(paths: Sequence[RecordingSource]) -> list[Recording]:
         recordings = [read_recording(p, loaded, limits=table, columns=columns) for p in paths]
         return [
-            with_own_period(with_trajectory(recording, trajectory, required=False))
+            with_detected_period(with_trajectory(recording, trajectory, required=False))
             for recording in recordings
         ]
 

@@ -33,6 +33,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
+from . import session_changes
 from .regression import RIDGE, Columns, JointRegression, Solution, independent_share, rms
 
 ROUNDS = 4
@@ -41,6 +42,8 @@ RIPPLE_ROUNDS = (1, 2)
 """Rounds that are followed by a search for ripple: not before the first fit of the frictions."""
 MAX_DELAY_STEP = 0.01
 """Prior standard deviation of the delay [s]."""
+MIN_DELAY = 1e-5
+"""Delay of the clock below which there is none [s]."""
 MIN_LEVEL_SHARE = 0.3
 """Least friction level of a joint, over the median of all joints."""
 MAX_WIDTH_STEP = 0.7
@@ -74,6 +77,8 @@ class JointModel:
         delays: Time by which the torque of each joint is recorded late, shape (n,) [s].
         level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
         psi: Standard parameters, shape (P,).
+        free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
+        known: Torque of the others, which is not part of the regression, shape (N, n) [N m].
     """
 
     motions: tuple[RecordedMotion, ...]
@@ -82,6 +87,8 @@ class JointModel:
     delays: FloatArray
     level: FloatArray
     psi: FloatArray
+    free: IntArray
+    known: FloatArray
 
     @property
     def n(self) -> int:
@@ -152,7 +159,7 @@ def fit(
         rare: Further effects.
     """
     coulomb = _coulomb_columns(identified)
-    psi, widths = identified.psi, identified.model.widths
+    psi, widths = initial_parameters(identified), identified.model.widths
     recorded = [motion.segment.torque for motion in motions]
     delays = np.zeros(motions[0].n)
     waves: list[CandidateModel] = []
@@ -172,7 +179,7 @@ def fit(
                 motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
             break
         x = fitted.solution.coefficients
-        p, n = identified.model.base.count, fitted.n
+        p, n = len(fitted.free), fitted.n
         delays = delays + x[p + n]
         widths = widths * np.exp(np.clip(x[p : p + n], -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
         psi = consistent_parameters(identified, fitted)
@@ -188,7 +195,7 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
 
     Effects of measured torque are computed from it: measured noise would be correlated with itself.
     """
-    total = model.regression.torque - model.regression.residual()
+    total = model.known + model.regression.torque - model.regression.residual()
     parts = recorded_motion.split_by_motion(total, model.motions)
     return [
         np.column_stack([np.interp(m.times, m.time, x) for x in part.T])
@@ -213,14 +220,20 @@ def _fit_round(
     weights: tuple[FloatArray, float] | None,
 ) -> JointModel:
     """Fit the coefficients of given models, and the weights of the rows."""
-    torque = np.concatenate([motion.torque for motion in motions])
+    free = free_parameters(identified)
+    known = np.concatenate([known_torque(motion, free) for motion in motions])
+    torque = np.concatenate([motion.torque for motion in motions]) - known
     moving = np.concatenate([motion.moving for motion in motions])
     if weights is None:
         residual = np.concatenate([motion.residual for motion in motions])
         weights = rms(residual, moving), independent_share(residual, moving)
     level = friction_level(motions)
     regression = JointRegression.of_base(
-        torque, moving, _base_columns(motions, level), _base_prior(identified, len(level)), *weights
+        torque,
+        moving,
+        _base_columns(motions, level, free),
+        _base_prior(identified, motions, free),
+        *weights,
     )
     kept = []
     for model in models:
@@ -229,7 +242,7 @@ def _fit_round(
             regression.add(columns)
             kept.append(model)
     reweight(regression)
-    return JointModel(tuple(motions), tuple(kept), regression, delays, level, psi)
+    return JointModel(tuple(motions), tuple(kept), regression, delays, level, psi, free, known)
 
 
 def reweight(regression: JointRegression) -> None:
@@ -241,34 +254,6 @@ def reweight(regression: JointRegression) -> None:
         )
 
 
-def held_out_residuals(
-    identified: Identification, model: JointModel, motions: Sequence[RecordedMotion]
-) -> tuple[FloatArray, FloatArray]:
-    """Predict the torque of motions that the model was not fitted to.
-
-    Args:
-        identified: The base model.
-        model: The joint model.
-        motions: The motions, with the base model.
-
-    Returns:
-        Residual of the base model and of the joint model, shapes (N, n) [N m]; zero at standstill.
-    """
-    moved = [m.with_torque(_moved(m, m.segment.torque, model.delays)) for m in motions]
-    present = renewed(identified, moved, model.psi, model.motions[0].widths)
-    moving = np.concatenate([motion.moving for motion in motions])
-    p = identified.model.base.count
-    coefficients = model.solution.coefficients[: p + model.n + 1].copy()
-    coefficients[-1] = 0.0  # the delay is in the time stamps
-    predicted = _base_columns(present, model.level) @ coefficients
-    for effect, shape in enumerate(model.models):
-        columns = np.concatenate([shape.columns(motion) for motion in present])
-        predicted += columns @ model.coefficients(effect)
-    torque = np.concatenate([motion.torque for motion in present])
-    base = np.concatenate([motion.residual for motion in motions])
-    return np.where(moving, base, 0.0), np.where(moving, torque - predicted, 0.0)
-
-
 def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
     """Return the Coulomb friction of each joint, or a share of the others' where it is small."""
     coulomb = np.abs(motions[0].fitted_robot.actuator_parameter("coulomb"))
@@ -278,27 +263,73 @@ def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
     )
 
 
-def _base_columns(motions: Sequence[RecordedMotion], level: FloatArray) -> FloatArray:
-    """Γ, then the change of Coulomb friction by its width, then −dτ/dt, shape (N, n, p + n + 1)."""
+def free_parameters(identified: Identification) -> IntArray:
+    """Return the base parameters that are refit, shape (p,): all that no trusted prior states."""
+    base, trusted = identified.model.base, identified.options.trusted
+    if not trusted:
+        return np.arange(base.count)
+    joint_parameters = 10 * identified.model.parameters.bodies
+    return np.array(
+        [
+            k
+            for k, place in enumerate(base.independent)
+            if place >= joint_parameters and int(place) not in trusted
+        ],
+        int,
+    )
+
+
+def initial_parameters(identified: Identification) -> FloatArray:
+    """Return the identified standard parameters, those of a trusted prior as stated, shape (P,)."""
+    psi = identified.psi.copy()
+    for place, value in identified.options.trusted.items():
+        psi[place] = value
+    return psi
+
+
+def known_torque(motion: RecordedMotion, free: IntArray) -> FloatArray:
+    """Return the torque of the base parameters that are not refit, shape (N, n) [N m]."""
+    fixed = np.delete(np.arange(motion.gamma.shape[2]), free)
+    return np.asarray(motion.gamma[:, :, fixed] @ motion.theta[fixed])
+
+
+def _base_columns(
+    motions: Sequence[RecordedMotion], level: FloatArray, free: IntArray
+) -> FloatArray:
+    """Columns of the base model, shape (N, n, p + n + 1 + s).
+
+    Γ, the change of Coulomb friction by its width, −dτ/dt, and the changes between recordings.
+    """
     parts = []
     for motion in motions:
         slopes = np.zeros((len(motion), motion.n, motion.n))
         slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
         slope = -motion.band.transform(motion.segment.torque).filter(Grid.KEPT, 1)[motion.kept]
-        parts.append(np.concatenate([motion.gamma, slopes, slope[:, :, None]], axis=2))
+        changes = session_changes.columns(motion, motions)
+        parts.append(
+            np.concatenate([motion.gamma[:, :, free], slopes, slope[:, :, None], changes], axis=2)
+        )
     return np.concatenate(parts)
 
 
-def _base_prior(identified: Identification, n: int) -> tuple[FloatArray, FloatArray]:
-    """Mean and information of the base parameters, the widths and the delay."""
+def _base_prior(
+    identified: Identification, motions: Sequence[RecordedMotion], free: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and information of the base parameters, widths, delay and session changes."""
     base, prior = identified.model.base, identified.prior
-    information = consistency.base_prior_information(identified.model.parameters, base, prior)
-    p = base.count
-    out = np.zeros((p + n + 1, p + n + 1))
-    out[:p, :p] = information
+    p, n = len(free), motions[0].n
+    changes = session_changes.prior_std(motions)
+    mean, out = np.zeros(p + n + 1 + len(changes)), np.zeros((p + n + 1 + len(changes),) * 2)
+    if not identified.options.trusted:
+        out[:p, :p] = consistency.base_prior_information(
+            identified.model.parameters, base, prior
+        )
+        mean[:p] = base.matrix @ prior.nominal
     out[range(p, p + n), range(p, p + n)] = 1.0
-    out[-1, -1] = 1.0 / MAX_DELAY_STEP**2
-    return np.concatenate([base.matrix @ prior.nominal, np.zeros(n + 1)]), out
+    out[p + n, p + n] = 1.0 / MAX_DELAY_STEP**2
+    places = np.arange(p + n + 1, len(mean))
+    out[places, places] = 1.0 / changes**2
+    return mean, out
 
 
 def _coulomb_columns(identified: Identification) -> IntArray:
@@ -342,8 +373,18 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
     The information of the base parameters is what the data hold after elimination of all effects.
     """
     model = identified.model
-    p = model.base.count
+    p = len(fitted.free)
     solution = fitted.solution
+    if identified.options.trusted:
+        psi, base = fitted.psi.copy(), model.base
+        change = solution.coefficients[:p] - (base.matrix @ psi)[fitted.free]
+        places = np.asarray(base.independent)[fitted.free]
+        psi[places] += change
+        for kind in ("rotor_inertia", "viscous", "coulomb"):
+            if kind in model.parameters.drive:
+                block = model.parameters.block(kind)
+                psi[block] = np.maximum(psi[block], 0.0)
+        return psi
     others = solution.active.copy()
     others[:p] = False
     eliminated = np.flatnonzero(others)
@@ -352,7 +393,7 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
     block = a[eliminated][:, eliminated] * scale[:, None] * scale
     cross = scale[:, None] * a[eliminated][:, :p]
     schur = a[:p, :p] - cross.T @ np.linalg.solve(block + RIDGE * np.eye(len(scale)), cross)
-    mean, prior = _base_prior(identified, fitted.n)
+    mean, prior = _base_prior(identified, fitted.motions, fitted.free)
     information = 0.5 * (schur + schur.T) - prior[:p, :p]
     score = schur @ solution.coefficients[:p] - prior[:p, :p] @ mean[:p]
     values, vectors = np.linalg.eigh(information)

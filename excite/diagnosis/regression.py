@@ -12,7 +12,7 @@ eliminated by a Schur complement, the others follow from nonnegative least squar
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -178,6 +178,25 @@ class JointRegression:
         """Weight ρ/σ² of the rows of each joint, shape (n,)."""
         return self.independent_share / self.sigma**2
 
+    def base_only(self) -> JointRegression:
+        """Return a regression on the base model alone, with the same rows and weights."""
+        p = self.base_count
+        out = JointRegression(self.torque, self.moving, p, self.sigma, self.independent_share)
+        out.prior_matrix, out._prior_score = self.prior_matrix[:p, :p], self._prior_score[:p]
+        out._prior_power, out.nonnegative = self._prior_power, np.zeros(p, bool)
+        for gram in self._grams:
+            base = gram.places < p
+            out._grams.append(
+                _JointGram(
+                    gram.columns[:, base],
+                    gram.places[base],
+                    gram.matrix[np.ix_(base, base)],
+                    gram.score[base],
+                    gram.power,
+                )
+            )
+        return out
+
     def add(self, columns: Columns) -> int:
         """Append the columns of an effect; return its number."""
         start = len(self.nonnegative)
@@ -256,6 +275,37 @@ class JointRegression:
         """Return the torque residual, shape (N, n) [N m]; rows at standstill have the torque."""
         x = (solution or self.solution).coefficients
         return self.torque - np.column_stack([g.columns @ x[g.places] for g in self._grams])
+
+    def torque_along(self, coefficients: FloatArray) -> FloatArray:
+        """Return the torque of given coefficients, shape (N, n) [N m]; zero at standstill."""
+        return np.column_stack([g.columns @ coefficients[g.places] for g in self._grams])
+
+    def sensitivity(
+        self, joints: Sequence[int], values: Sequence[FloatArray], solution: Solution
+    ) -> tuple[FloatArray, float]:
+        """Return how the active coefficients follow one more column, and its information.
+
+        Args:
+            joints: Joints on which the column acts.
+            values: The column on each, shapes (N, 1).
+            solution: A solution of the regression.
+
+        Returns:
+            Change of the active coefficients per unit of the column's coefficient, shape (a,), and
+            the information of that coefficient after their elimination.
+        """
+        active = np.flatnonzero(solution.active)
+        position = np.full(len(solution.active), -1)
+        position[active] = np.arange(len(active))
+        cross, square = np.zeros((len(active), 1)), 0.0
+        for j, column in zip(joints, values, strict=True):
+            gram, weight = self._grams[j], float(self.weights[j])
+            x = column * self.moving[:, j, None]
+            on = position[gram.places]
+            cross[on[on >= 0]] += weight * (gram.columns.T @ x)[on >= 0]
+            square += weight * float(np.sum(x * x))
+        change = -solution.solve(cross)
+        return change[:, 0], float(square + (cross.T @ change)[0, 0])
 
     def torque_of(self, effect: int, joint: int, solution: Solution | None = None) -> FloatArray:
         """Return the torque of an effect on a joint, shape (N,) [N m]."""

@@ -17,7 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from .residual_curves import MIN_BIN_ROWS, MotionRows
+from . import probability
+from .joint_model import JointModel
+from .motion_rows import MIN_BIN_ROWS, MotionRows, motion_rows
+from .selection import MIN_SEVERITY
 
 HARMONICS = 40
 """Largest harmonic of a turn, or of a prismatic joint's range."""
@@ -29,11 +32,6 @@ MEMORY = 4.0
 """Length of the impulse response of a resonance [s]."""
 MAX_LAGS = 250
 """Largest number of values of the impulse response."""
-MIN_SHARE = 0.05
-"""Predicted share of the residual power from which it counts. The largest share in 90 simulated
-robots without any effect is 0.036; 0.009 by bumps over position, in 60."""
-MIN_STANDARD_ERRORS = 1.5
-"""Predicted share over its standard error from which it counts."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Ridge parameters over the mean square of the features."""
 RESPONSE_BINS = 100
@@ -79,10 +77,20 @@ class ResidualPrediction:
     sure: float
     response: ResidualResponse
 
-    @property
-    def counts(self) -> bool:
-        """True if the prediction is better than noise allows."""
-        return self.share > MIN_SHARE and self.sure > MIN_STANDARD_ERRORS
+
+@dataclass(frozen=True)
+class UnmodelledTorque:
+    """Torque of a joint that no effect explains.
+
+    Attributes:
+        joint: Index of the joint.
+        prediction: Its prediction by a flexible model.
+        probability: That it is physics and not noise.
+    """
+
+    joint: int
+    prediction: ResidualPrediction
+    probability: float
 
 
 def _position_waves(rows: MotionRows, joint: int) -> FloatArray:
@@ -223,6 +231,38 @@ BASES: Mapping[str, FeatureBasis] = {
 """Bases of features by regime."""
 
 
+def find(model: JointModel, residual: FloatArray, floor: FloatArray) -> list[UnmodelledTorque]:
+    """Find torque that no effect of a joint model explains.
+
+    A flexible model is fitted to one half of the training recordings and predicts the other. The
+    evidence for physics is ½ z² − ln K, with z the predicted power over its standard error, and K
+    kinds of features.
+
+    Args:
+        model: The joint model.
+        residual: Its residual, shape (N, n) [N m].
+        floor: Noise floor of each joint, shape (n,) [N m].
+    """
+    rows = motion_rows(model.motions)
+    middle = np.concatenate(
+        [np.arange(len(motion)) < len(motion) // 2 for motion in model.motions]
+    )
+    out = []
+    for j in range(model.n):
+        moving = model.regression.moving[:, j]
+        prediction = predict_residual(
+            rows, (moving & middle, moving & ~middle), residual[:, j], j
+        )
+        size = np.sqrt(max(prediction.share, 0.0) * np.mean(residual[moving, j] ** 2))
+        if size < MIN_SEVERITY * floor[j]:
+            continue
+        evidence = 0.5 * max(prediction.sure, 0.0) ** 2 - np.log(len(BASES))
+        chance = float(probability.probability(evidence, probability.RARE_LOG_ODDS))
+        if chance >= 0.5:
+            out.append(UnmodelledTorque(j, prediction, chance))
+    return out
+
+
 def predict_residual(
     rows: MotionRows, halves: Sequence[BoolArray], residual: FloatArray, joint: int
 ) -> ResidualPrediction:
@@ -234,14 +274,14 @@ def predict_residual(
         residual: Torque residual [N m], shape (N,).
         joint: Index of the joint.
     """
-    predictions = list[tuple[bool, float, float, float, str]]()
+    predictions = list[tuple[float, float, float, str]]()
     for regime, basis in BASES.items():
         x = _standardised(basis.features(rows, joint))[0]
         share, errors, ridge = _cross_validate(
             [x[half] for half in halves], [residual[half] for half in halves]
         )
-        predictions.append((errors > MIN_STANDARD_ERRORS, share, errors, ridge, regime))
-    _, share, errors, ridge, regime = max(predictions)
+        predictions.append((errors, share, ridge, regime))
+    errors, share, ridge, regime = max(predictions)
     moves = np.logical_or(*halves)
     return ResidualPrediction(
         regime, share, errors, _response(rows, moves, residual, joint, regime, ridge)

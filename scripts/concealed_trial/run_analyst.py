@@ -43,9 +43,9 @@ class Analyst:
 def ask(analyst: Analyst, case: Path, answers: Path) -> float | None:
     """Let an analyst answer a case, unless it has already.
 
-    The answer is `<answers>/<analyst>/<case>.json` with `seconds` of processor time, the
-    `diagnosis`, and `predicted`: the held-out RMSE [N m] per joint of the model that it wrote,
-    which is kept as `<case>.model.json`. That of a process that fails or writes nothing is
+    The answer is `<answers>/<analyst>/<case>.json` with `seconds` of processor time, the `answer`,
+    and `predicted`: the held-out RMSE [N m] per joint of the model that the analyst wrote, which is
+    kept in `<answers>/<analyst>/models`. That of a process that fails or writes nothing is
     `{"error": …}`, which counts as no answer.
 
     Args:
@@ -82,7 +82,9 @@ def ask(analyst: Analyst, case: Path, answers: Path) -> float | None:
             document = json.loads(written.read_text(encoding="utf-8"))
         predicted = None
         if model.exists():
-            shutil.copyfile(model, target.with_suffix(".model.json"))
+            kept = target.parent / "models" / target.name
+            kept.parent.mkdir(exist_ok=True)
+            shutil.copyfile(model, kept)
             predicted = predicted_rmse(model, case / "validate.csv", Path(work) / "predicted.csv")
         staged = target.with_suffix(".part")
         entry = {"seconds": seconds, "answer": document, "predicted": predicted}

@@ -123,6 +123,9 @@ def estimate_effects(
             share, names = rivals.share(probability.TEMPERATURE)
             present *= share
             equivalents = tuple(dict.fromkeys((*equivalents, *names)))
+        equivalents = tuple(
+            dict.fromkeys((*equivalents, *_same_by_definition(entry.name, parameters)))
+        )
         models = tuple(model.models[i] for i in entry.effects)
         coefficients = tuple(
             np.asarray(posterior_of.solution.coefficients[model.regression.slices[i]])
@@ -145,6 +148,17 @@ def estimate_effects(
             )
         )
     return sorted([*out, *clock], key=lambda e: (-e.probability, -e.log_bayes_factor))
+
+
+def _same_by_definition(
+    name: str, parameters: Mapping[str, tuple[float, float]]
+) -> tuple[str, ...]:
+    """Convex nonlinear viscous friction and drag are one thing at a joint (the contract)."""
+    if name == "drag":
+        return ("nonlinear_viscous",)
+    if name == "nonlinear_viscous" and parameters.get("exponent", (0.0, 0.0))[0] > 1.0:
+        return ("drag",)
+    return ()
 
 
 def _is_large(severity: float, model: JointModel) -> float:

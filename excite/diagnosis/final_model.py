@@ -115,7 +115,7 @@ def fit(
         identified.model.base,
         cleaned,
         (),
-        identified.options,
+        dataclasses.replace(identified.options, dissipation=False),
         progress,
     )
     psi = joint_model.initial_parameters(refitted)

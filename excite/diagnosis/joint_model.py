@@ -12,6 +12,7 @@ at once. All of it is fitted jointly with the base model, before anything is jud
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -47,6 +48,8 @@ MIN_DELAY = 1e-5
 """Delay of the clock below which there is none [s]."""
 MIN_LEVEL_SHARE = 0.3
 """Least friction level of a joint, over the median of all joints."""
+MIN_TORQUE_SHARE = 0.1
+"""Least friction level of a joint, over the standard deviation of its torque."""
 MAX_WIDTH_STEP = 0.7
 """Largest change of the logarithm of a Coulomb width in a round."""
 MIN_RIPPLE_EVIDENCE = 5.0
@@ -54,13 +57,23 @@ MIN_RIPPLE_EVIDENCE = 5.0
 MAX_RIPPLE_ORDER = 300.0
 """Largest spatial frequency that is searched [1/rad]."""
 ORDER_STEPS = 4.0
-"""Grid points over the width of a peak in the order spectrum."""
+"""Length of the Fourier transform over the range of the angle."""
+NEAR_ORDERS = 9
+"""Orders around a peak of the spectrum from the best of which the refinement starts."""
 GAUSS_NEWTON_STEPS = 6
 """Steps of the refinement of an order."""
+MAX_WAVES = 12
+"""Waves of a joint at most."""
 MAX_ORDER_STEP = 0.3
 """Largest step of an order, over the width of a peak in the order spectrum."""
 ORDER_TOLERANCE = 1e-4
 """Step at which the refinement of an order ends, in the same unit."""
+ANGLE_BIN = np.pi / 2400.0
+"""Width of the bins of angle in the order spectrum [rad], an eighth of the shortest wave."""
+SPEED_CLASSES = 8
+"""Classes of speed in the order spectrum."""
+MIN_WAVE_ROWS = 0.05
+"""Smallest share of rows in which a wave lies below the cutoff frequency."""
 MIN_WAVES = 3.0
 """Periods over the range of a joint from which a torque counts as periodic."""
 DENSE_EFFECTS = (stribeck, nonlinear_viscous, hysteresis, load_friction)
@@ -286,12 +299,14 @@ def reweight(regression: JointRegression) -> None:
 
 
 def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
-    """Return the Coulomb friction of each joint, or a share of the others' where it is small."""
+    """Return the Coulomb friction of each joint, or more where it is small, shape (n,) [N m].
+
+    It is at least a share of the other joints' and of the variation of the joint's torque.
+    """
     coulomb = np.abs(motions[0].fitted_robot.actuator_parameter("coulomb"))
-    torque = np.sqrt(np.mean(np.concatenate([m.torque for m in motions]) ** 2, axis=0))
-    return np.maximum(
-        coulomb, MIN_LEVEL_SHARE * max(float(np.median(coulomb)), 1e-3 * float(torque.max()))
-    )
+    variation = np.concatenate([motion.torque for motion in motions]).std(axis=0)
+    least = max(MIN_LEVEL_SHARE * float(np.median(coulomb)), 1e-12)
+    return np.maximum(coulomb, np.maximum(least, MIN_TORQUE_SHARE * variation))
 
 
 def free_parameters(identified: Identification) -> IntArray:
@@ -442,10 +457,10 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
     """Find torque ripple in the residual, at each joint until no wave has evidence.
 
     The order of each wave is that of the highest peak of the order spectrum, refined by
-    Gauss-Newton steps.
+    Gauss-Newton steps jointly with all other coefficients. The waves are added to the regression.
     """
-    regression = fitted.regression
-    residual, weights = regression.residual(), regression.weights
+    regression, share = fitted.regression, fitted.regression.independent_share
+    hertz = fitted.motions[0].band.hertz
     out = []
     for j in range(fitted.n):
         moving = regression.moving[:, j]
@@ -453,26 +468,26 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         known = [
             m.values["order"] for m in fitted.models if m.effect == "torque_ripple" and m.joint == j
         ]
-        r = residual[:, j].copy()
         span = float(np.ptp(angle))
         if span <= 0.0:
             continue
         width = 2.0 * np.pi / span
-        grid = np.arange(max(3.0, MIN_WAVES * width), MAX_RIPPLE_ORDER, width / ORDER_STEPS)
-        while len(grid) and len(known) < 12:
-            order, gain = _spectrum_peak(
-                r, angle, speed, moving, grid, fitted.motions[0].band.hertz
-            )
-            sigma2 = float(np.mean(r[moving] ** 2))
-            evidence = weights[j] * gain - np.log(len(grid)) - np.log(max(weights[j] * gain, 1.0))
+        low = max(3.0, MIN_WAVES * width)
+        while len(known) < MAX_WAVES:
+            residual = regression.residual()[:, j]
+            order, gain, count = _spectrum_peak(residual, angle, speed, moving, low, hertz)
+            gain *= share / float(np.mean(residual[moving] ** 2))
+            evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
             if evidence < MIN_RIPPLE_EVIDENCE or any(abs(order - k) < 0.5 * width for k in known):
                 break
-            order, wave = _refined_order(fitted.motions, j, order, r, moving, width)
-            r = r - wave
+            order = _refined_order(fitted, j, order, width)
+            wave = torque_ripple.wave_model(fitted.motions, j, order)
+            columns = model_columns(wave, fitted.motions, fitted.level)
             known.append(order)
-            out.append(torque_ripple.wave_model(fitted.motions, j, order))
-            weights = weights.copy()
-            weights[j] *= sigma2 / float(np.mean(r[moving] ** 2))
+            if columns is None:
+                break
+            regression.add(columns)
+            out.append(wave)
     return out
 
 
@@ -490,63 +505,82 @@ def _spectrum_peak(
     angle: FloatArray,
     speed: FloatArray,
     moving: BoolArray,
-    grid: FloatArray,
+    low: float,
     hertz: float,
-) -> tuple[float, float]:
-    """Return the order of the wave that fits a residual best, and half its power [(N m)²].
+) -> tuple[float, float, int]:
+    """Return the order of the wave that fits a residual best, half its power, and their number.
 
-    A least-squares periodogram over the angle (Lomb 1976). Rows where the wave lies above the
-    cutoff frequency do not count.
+    A least-squares periodogram over the angle (Lomb 1976), by Fourier transforms of sums in narrow
+    bins of the angle. Rows where the wave lies above the cutoff frequency do not count; the speeds
+    are divided into classes for that.
+
+    Args:
+        residual: Torque residual, shape (N,) [N m].
+        angle: Joint angle, shape (N,) [rad].
+        speed: Joint speed, shape (N,) [rad/s].
+        moving: Rows that count, shape (N,).
+        low: Smallest order [1/rad].
+        hertz: Cutoff frequency [Hz].
+
+    Returns:
+        Order [1/rad], half the power of its wave [(N m)²], and number of independent orders.
     """
-    best = (0.0, -np.inf)
     rows = np.flatnonzero(moving)
-    angle, speed, residual = angle[rows], np.abs(speed[rows]), residual[rows]
-    blocks = max(1, len(grid) * len(rows) // 2_000_000)
-    for orders in np.array_split(grid, blocks):
-        below = np.outer(speed, orders) < 2.0 * np.pi * hertz
-        phase = np.outer(angle, orders)
-        c, s = np.cos(phase) * below, np.sin(phase) * below
-        cc, ss, cs = (c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)
-        yc, ys = residual @ c, residual @ s
-        determinant = cc * ss - cs**2
-        usable = determinant > 1e-3 * (cc + ss) ** 2
-        power = np.where(
-            usable,
-            (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / np.where(usable, determinant, 1.0),
-            0.0,
-        )
-        k = int(np.argmax(power))
-        if power[k] > best[1]:
-            best = float(orders[k]), float(power[k])
-    return best[0], 0.5 * best[1]
+    place = np.rint((angle[rows] - angle[rows].min()) / ANGLE_BIN).astype(int)
+    length = int(2 ** np.ceil(np.log2(ORDER_STEPS * (int(place.max()) + 1))))
+    orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN)
+    wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER))
+    twice = np.minimum(2 * wanted, length // 2)
+    highest = 2.0 * np.pi * hertz / np.maximum(np.abs(speed[rows]), 1e-9)
+    edges = np.append(np.quantile(highest, np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[:-1]), np.inf)
+    wave, square, count = (np.zeros(len(wanted), t) for t in (complex, complex, float))
+    for first, last in itertools.pairwise(edges.tolist()):
+        members = (highest >= first) & (highest < last)
+        if not members.any():
+            continue
+        below = orders[wanted] <= float(np.median(highest[members]))
+        sums = np.bincount(place[members], residual[rows][members], length)
+        numbers = np.bincount(place[members], minlength=length)
+        wave += np.where(below, np.fft.rfft(sums)[wanted], 0.0)
+        square += np.where(below, np.fft.rfft(numbers)[twice], 0.0)
+        count += below * float(members.sum())
+    cc, ss, cs = 0.5 * (count + square.real), 0.5 * (count - square.real), -0.5 * square.imag
+    yc, ys = wave.real, -wave.imag
+    determinant = cc * ss - cs**2
+    usable = (determinant > 1e-3 * (cc + ss) ** 2) & (count > MIN_WAVE_ROWS * len(rows))
+    power = np.where(
+        usable,
+        (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / np.where(usable, determinant, 1.0),
+        0.0,
+    )
+    if not len(power):
+        return 0.0, 0.0, 0
+    k = int(np.argmax(power))
+    return float(orders[wanted][k]), 0.5 * float(power[k]), len(wanted)
 
 
-def _refined_order(
-    motions: Sequence[RecordedMotion],
-    joint: int,
-    order: float,
-    residual: FloatArray,
-    moving: BoolArray,
-    width: float,
-) -> tuple[float, FloatArray]:
-    """Refine an order by Gauss-Newton steps; return it and the torque of its wave, shape (N,)."""
+def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -> float:
+    """Refine an order by Gauss-Newton steps, jointly with all coefficients of a joint model."""
+
+    def columns(torque: FloatArray) -> Columns:
+        k = torque.shape[1]
+        return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
 
     def waves(k: float) -> FloatArray:
-        return _filtered(motions, joint, lambda q: [np.cos(k * q), np.sin(k * q)])
+        return _filtered(fitted.motions, joint, lambda q: [np.cos(k * q), np.sin(k * q)])
 
+    near = order + width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
+    order = max(near.tolist(), key=lambda k: fitted.regression.candidate(columns(waves(k))).gain)
     for _ in range(GAUSS_NEWTON_STEPS):
-        columns = waves(order)
-        c = np.linalg.lstsq(columns[moving], residual[moving], rcond=None)[0]
-        slope = _order_slope(motions, joint, order, np.asarray(c, float))
-        joined = np.hstack([columns, slope])[moving]
-        step = float(np.linalg.lstsq(joined, residual[moving], rcond=None)[0][2])
-        step = float(np.clip(step, -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
+        pair = waves(order)
+        c = fitted.regression.candidate(columns(pair)).coefficients
+        slope = _order_slope(fitted.motions, joint, order, c)
+        fit = fitted.regression.candidate(columns(np.hstack([pair, slope])))
+        step = float(np.clip(fit.coefficients[2], -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
         order += step
         if abs(step) < ORDER_TOLERANCE * width:
             break
-    columns = waves(order)
-    c = np.linalg.lstsq(columns[moving], residual[moving], rcond=None)[0]
-    return order, columns @ c
+    return order
 
 
 def _order_slope(

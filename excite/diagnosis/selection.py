@@ -105,6 +105,8 @@ class CandidateColumns:
 
     def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
         self.shapes: dict[tuple[str, int | None], list[tuple[CandidateModel, Columns]]] = {}
+        torque = np.concatenate([motion.torque for motion in model.motions])
+        noise_ratio = model.regression.sigma / np.maximum(torque.std(axis=0), 1e-300)
         for effect in EFFECTS:
             if effect.name in DENSE_NAMES or (effect.prior_only and not trusted):
                 continue
@@ -113,6 +115,8 @@ class CandidateColumns:
             for shape in effect.candidates(model.motions):
                 if effect.name == "delay" and shape.joint is None:
                     continue  # part of the joint model
+                if shape.joint is not None and noise_ratio[shape.joint] > shape.max_noise_ratio:
+                    continue
                 columns = model.columns(shape)
                 if columns is not None:
                     self.shapes.setdefault((effect.name, shape.joint), []).append((shape, columns))
@@ -227,8 +231,10 @@ def find_rare_effects(
                     f"{key[0]}, joint {key[1]}: log Bayes factor {result.log_bayes_factor:.1f}, "
                     f"severity {severity:.2f}"
                 )
-                if posterior.is_needed(extended, result) and cross_validation.pays(
-                    extended, groups[key]
+                if (
+                    posterior.is_needed(extended, result)
+                    and _is_plausible(extended, groups[key])
+                    and cross_validation.pays(extended, groups[key])
                 ):
                     accepted = key
                     break
@@ -239,6 +245,16 @@ def find_rare_effects(
         others = {key: score for key, score in scores.items() if key != accepted}
         found.append(RareEffect(accepted, scores[accepted], others, {}))
     return model, tuple(found)
+
+
+def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:
+    """Tell whether fitted coefficients are physically possible."""
+    plain = [
+        (shape, model.coefficients(e)[: len(model.coefficients(e)) - shape.form_columns])
+        for e in effects
+        for shape in (model.models[e],)
+    ]
+    return all(shape.is_plausible(c) for shape, c in plain)
 
 
 def _is_probable(log_bayes_factor: float) -> bool:

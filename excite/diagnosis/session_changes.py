@@ -148,9 +148,8 @@ def changes(
                 x = actuator_columns(motion)[rows, j, 3 * j : 3 * j + 3]
                 y = residual[start : start + len(motion), j][rows]
                 count = max(1, int((motion.time[-1] - motion.time[0]) / BLOCK_SECONDS))
-                for part in np.array_split(np.arange(len(y)), count):
-                    if len(part):
-                        blocks.append((x[part], y[part]))
+                parts = np.array_split(np.arange(len(y)), count)
+                blocks += [(x[part], y[part]) for part in parts if len(part)]
                 power += float(y @ y)
             if len(blocks) <= 2 * len(KINDS):
                 continue

@@ -22,10 +22,10 @@ from .diagnosis_evidence import (
 )
 from .figures import diagnosis as diagnosis_figures
 from .figures.trajectory import torque_units
-from .formatting import capitalized, number, plural, value_with_error
+from .formatting import capitalized, number, plural, significant, value_with_error
 from .remarks import count_remarks, list_remarks
 from .render import render
-from .torque_budget import JointBudget, effect_words, joint_budgets
+from .torque_budget import JointBudget, effect_words, joint_budgets, sorted_findings
 
 Document = Mapping[str, Any]
 """The diagnosis as in `diagnosis.json`, or a part of it."""
@@ -47,9 +47,7 @@ _NOISE_FLOORS = {
 }
 
 
-def diagnosis_page(
-    diagnosis: Diagnosis, document: Document, remarks: Sequence[Remark] = ()
-) -> str:
+def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[Remark] = ()) -> str:
     """Render the report of `excite diagnose` as HTML.
 
     Args:
@@ -92,7 +90,7 @@ def _banners(document: Document) -> list[Banner]:
     if doubts:
         text = (
             "Findings are withheld: a recording may not hold what its columns say, and then a "
-            "torque error says nothing about a joint. Resolve this first and run the diagnosis again."
+            "torque error says nothing about a joint. Resolve this first, then diagnose again."
         )
         return [
             Banner(text, "bad"),
@@ -115,7 +113,7 @@ def _budget_section(document: Document, budgets: Sequence[JointBudget]) -> Secti
         answer = (
             f"On recordings that it has not seen, the model with effects reduces the error at "
             f"{len(improved)} of {plural(len(budgets), 'joint')}, most at {best.joint}: "
-            f"{number(best.before, 2)} → {number(best.after, 2)} {best.unit}."
+            f"{significant(best.before)} → {significant(best.after)} {best.unit}."
         )
         tone = ""
     data = {
@@ -131,12 +129,8 @@ def _budget_section(document: Document, budgets: Sequence[JointBudget]) -> Secti
 
 
 def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
-    """What is asserted, how sure, how large, and what it may be confused with."""
-    joints = [None, *document["joints"]]
-    findings = sorted(
-        document["findings"],
-        key=lambda f: (joints.index(f["joint"]), -f["evidence"]["severity"]),
-    )
+    """The findings: how sure, how large, and with what they may be confused."""
+    findings = sorted_findings(document)
     rows = [
         (
             finding["joint"] or "whole robot",
@@ -199,7 +193,7 @@ def _origin(finding: Document) -> str:
 def _size(evidence: Document) -> str:
     """Severity with its 90 % interval."""
     low, high = evidence["severity_interval"]
-    return f"{number(evidence['severity'], 2)} ({number(low, 2)} … {number(high, 2)})"
+    return f"{significant(evidence['severity'])} ({significant(low)} … {significant(high)})"
 
 
 def _parameters(finding: Document) -> str:
@@ -231,8 +225,10 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     for (effect, equivalents), joints in sorted(groups.items(), key=lambda g: not g[0][1]):
         experiments = [EFFECTS_BY_NAME[name].experiment for name in (effect, *equivalents)]
         names = [effect_words(name) for name in equivalents]
-        purpose = f"To tell {effect_words(effect)} from {listed(names)}" if names else (
-            f"To confirm {effect_words(effect)}"
+        purpose = (
+            f"To tell {effect_words(effect)} from {listed(names)}"
+            if names
+            else (f"To confirm {effect_words(effect)}")
         )
         lines.append(f"{purpose} ({some(joints, 2)}): {'; '.join(dict.fromkeys(experiments))}.")
     lines += [
@@ -302,8 +298,9 @@ def _provenance_section(diagnosis: Diagnosis, remarks: Sequence[Remark]) -> Sect
     rows = [sum(map(len, group)) for group in groups]
     trusted = diagnosis.options.trusted
     answer = (
-        f"All effects and the base model were fitted jointly to {plural(len(fitted), 'recording')}; "
-        f"{plural(len(held_out), 'other recording')} served only to measure the error; "
+        f"All effects and the base model were fitted jointly to "
+        f"{plural(len(fitted), 'recording')}; {plural(len(held_out), 'other recording')} served "
+        f"only to measure the error; "
         f"{count_remarks(remarks)}."
     )
     refit = f"{plural(len(trusted), 'value')} fixed by --prior" if trusted else "all refitted"

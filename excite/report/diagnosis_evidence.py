@@ -19,8 +19,8 @@ from .figures import torque_fit
 from .figures import unmodelled as unmodelled_figure
 from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
-from .formatting import number, plural, value_with_error
-from .torque_budget import MIN_SHARE, NOISE_RATIO, JointBudget
+from .formatting import number, plural, significant, value_with_error
+from .torque_budget import NOISE_RATIO, JointBudget
 
 UNFOLDED_RECORDINGS = 2
 """Recordings whose prediction is shown without a click."""
@@ -76,20 +76,20 @@ def prediction_section(
 
 def _floors(budget: JointBudget) -> str:
     """Error of the saved model in noise floors."""
-    return f"error {number(budget.after / max(budget.floor, 1e-300), 2)} × noise"
+    return f"error {significant(budget.noise_ratio)} × noise"
 
 
 def _prediction_answer(budgets: Sequence[JointBudget]) -> tuple[str, str]:
     """How near the held-out error is to noise, and its tone."""
-    above = [b for b in budgets if b.after > NOISE_RATIO * b.floor]
-    worse = [b.joint for b in budgets if b.after > (1.0 + MIN_SHARE) * b.before]
+    above = [b for b in budgets if b.noise_ratio > NOISE_RATIO]
+    worse = [b.joint for b in budgets if b.is_worse]
     if not above:
         answer, tone = "Yes, down to the noise at every joint", "good"
     else:
-        worst = max(above, key=lambda b: b.after / max(b.floor, 1e-300))
+        worst = max(above, key=lambda b: b.noise_ratio)
         answer = (
             f"Not down to the noise at {some([b.joint for b in above])}; the largest error is "
-            f"{number(worst.after / max(worst.floor, 1e-300), 2)} noise floors, at {worst.joint}"
+            f"{significant(worst.noise_ratio)} noise floors, at {worst.joint}"
         )
         tone = "warn"
     if worse:
@@ -105,17 +105,15 @@ def _error_table(diagnosis: Diagnosis, budgets: Sequence[JointBudget]) -> Table:
     rows = []
     for k, budget in enumerate(budgets):
         torque = max(float(size[k]), 1e-300)
-        tone = "bad" if budget.after > (1.0 + MIN_SHARE) * budget.before else ""
+        tone = "bad" if budget.is_worse else "good" if budget.is_improved else ""
         rows.append(
             (
                 budget.joint,
                 budget.unit,
-                number(budget.before, 3),
-                TableCell(number(budget.after, 3), tone=tone or "good", bold=True)
-                if budget.is_improved or tone
-                else number(budget.after, 3),
-                number(budget.floor, 3),
-                number(budget.after / max(budget.floor, 1e-300), 3),
+                significant(budget.before, 3),
+                TableCell(significant(budget.after, 3), tone=tone, bold=bool(tone)),
+                significant(budget.floor, 3),
+                significant(budget.noise_ratio),
                 percent(budget.before / torque),
                 percent(budget.after / torque),
                 percent(float(moving[k])),
@@ -222,7 +220,10 @@ def encoders_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Itera
         )
         for joint, gear in gears.items()
     ]
-    head = ("joint", "stiffness", "lost motion", "reading delay", "RMS difference", "unexplained", "unit")
+    head = (
+        *("joint", "stiffness", "lost motion", "reading delay"),
+        *("RMS difference", "unexplained", "unit"),
+    )
     yield Section(
         "gears",
         "What do the two encoders say?",

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..robot.robot import Robot
-from .formatting import number
+from .formatting import significant
 
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
 falls by less counts as unchanged."""
 NOISE_RATIO = 1.2
 """Noise floors up to which an error counts as noise, as in the verdict of a diagnosis."""
+NAMED_OTHERS = 0.01
+"""Share of all small effects together from which they are mentioned."""
 MAIN_SHARE = 0.6
 """Share of the removed error from which it is mostly due to one effect."""
 _WORDS = {
@@ -78,17 +80,26 @@ class JointBudget:
         return bool(self.parts) and self.before - self.after > MIN_SHARE * self.before
 
     @property
+    def is_worse(self) -> bool:
+        """True if the saved model predicts notably worse than the base model."""
+        return self.after > (1.0 + MIN_SHARE) * self.before
+
+    @property
+    def noise_ratio(self) -> float:
+        """RMSE of the saved model in noise floors."""
+        return self.after / max(self.floor, 1e-300)
+
+    @property
     def error(self) -> str:
-        """The error in words: '3.2 → 0.2 N m, 1.3 times the noise'."""
-        values = [number(self.after, 2)]
-        if self.is_improved or self.after > (1.0 + MIN_SHARE) * self.before:
-            values.insert(0, number(self.before, 2))
-        ratio = number(self.after / max(self.floor, 1e-300), 2)
-        return f"{' → '.join(values)} {self.unit}, {ratio} times the noise"
+        """The error in words: '3.2 → 0.20 N m (1.3 × noise)'."""
+        values = [significant(self.after)]
+        if self.is_improved or self.is_worse:
+            values.insert(0, significant(self.before))
+        return f"{' → '.join(values)} {self.unit} ({significant(self.noise_ratio)} × noise)"
 
     @property
     def contributions(self) -> str:
-        """What the effects remove: 'mostly load friction (95 %), also delay (5 %)'."""
+        """Effects that remove the error: 'mostly load friction (95 %), some delay (5 %)'."""
         if not self.is_improved:
             return ""
         texts = [
@@ -96,22 +107,33 @@ class JointBudget:
             f"({100.0 * part.share:.0f} %)"
             for part in self.parts
         ]
-        if self.others > 0.0:
+        if self.others >= NAMED_OTHERS:
             texts.append(f"others ({100.0 * self.others:.0f} %)")
-        if self.parts[0].share >= MAIN_SHARE and len(texts) > 1:
-            return f"mostly {texts[0]}, also {', '.join(texts[1:])}"
+        if self.parts[0].share < MAIN_SHARE:
+            return ", ".join(texts)
+        texts[0] = f"mostly {texts[0]}" if len(texts) > 1 else texts[0]
+        texts[1:2] = [f"some {texts[1]}"] if len(self.parts) > 1 else texts[1:2]
         return ", ".join(texts)
 
     @property
     def sentence(self) -> str:
         """The budget in a sentence without the joint."""
         if self.is_improved:
-            return f"error {self.error}; removed by {self.contributions}"
-        if self.after <= NOISE_RATIO * self.floor:
-            return f"error {self.error}: nothing notable is missing"
-        if self.after > (1.0 + MIN_SHARE) * self.before:
-            return f"error {self.error}: the effects found in other recordings do not hold here"
+            return f"error {self.error}; {self.contributions}"
+        if self.is_worse:
+            return f"error {self.error}; the effects of the model do not hold here"
+        if self.noise_ratio <= NOISE_RATIO:
+            return f"error {self.error}; nothing notable is missing"
         return f"error {self.error}; no effect of the model reduces it"
+
+
+def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the findings of `diagnosis.json` by joint, the largest of each joint first."""
+    joints = [None, *document["joints"]]
+    return sorted(
+        document["findings"],
+        key=lambda f: (joints.index(f["joint"]), -f["evidence"]["severity"]),
+    )
 
 
 def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget]:

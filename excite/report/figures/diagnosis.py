@@ -12,7 +12,18 @@ from ...diagnosis.diagnosis import Diagnosis
 from ...effects.recorded_motion import split_by_motion
 from ...identification.identification import Prediction
 from ..torque_budget import JointBudget, effect_words
-from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT, limit_ticks, render_panels, render_svg
+from .drawing import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SOFT,
+    limit_ticks,
+    render_panels,
+    render_svg,
+)
 from .trajectory import short
 
 _EFFECT_COLORS = (BLUE, ORANGE, GREEN, "#8e5ea2", "#c9a227", "#4aa8a4", "#b5651d", "#d16ba5")
@@ -21,6 +32,10 @@ _OTHERS_COLOR = "#cfd6dd"
 _REMAINING_COLOR = "#5b6775"
 _BAR_HEIGHT = 0.3
 """Height of a joint in the torque budget [in]."""
+_LETTER_WIDTH = 0.075
+"""Mean width of a letter of a joint's name [in]."""
+_TEXT_WIDTH = 2.2
+"""Width of the text at the end of a bar [in]."""
 _LABELLED_WIDTH = 0.07
 """Width of a part over the base model's error from which its share is written on it."""
 _INTERVAL = 1.645
@@ -46,26 +61,31 @@ def draw_budget(budgets: Sequence[JointBudget]) -> str:
             totals[part.effect] = totals.get(part.effect, 0.0) + part.share
     ranked = sorted(totals, key=lambda effect: -totals[effect])
     colors = dict(zip(ranked, _EFFECT_COLORS, strict=False))
+    names = [short(budget.joint, 24) for budget in budgets]
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
         bottom, top = 0.42, 0.62
+        left = 0.3 + _LETTER_WIDTH * max(len(name) for name in names)
         axes = figure.add_axes(
-            (2.0 / width, bottom / height, (width - 4.3) / width, (height - bottom - top) / height)
+            (
+                left / width,
+                bottom / height,
+                (width - left - _TEXT_WIDTH) / width,
+                (height - bottom - top) / height,
+            )
         )
         for y, budget in enumerate(budgets):
             _draw_bar(axes, y, budget, colors)
         axes.set_xlim(0.0, _END)
         axes.set_ylim(len(budgets) - 0.5, -0.5)
-        axes.set_yticks(range(len(budgets)), [short(b.joint, 24) for b in budgets])
+        axes.set_yticks(range(len(budgets)), names)
         axes.set_xticks(np.arange(0.0, 1.01, 0.2), [f"{20 * k} %" for k in range(6)])
         axes.tick_params(axis="y", length=0, labelsize=8, labelcolor=INK)
         axes.set_xlabel("held-out torque error (RMS), over that of the base model")
         _budget_legend(figure, colors, budgets)
 
-    return render_svg(
-        "Torque budget of every joint", 1.1 + _BAR_HEIGHT * len(budgets), draw
-    )
+    return render_svg("Torque budget of every joint", 1.1 + _BAR_HEIGHT * len(budgets), draw)
 
 
 def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str]) -> None:
@@ -76,7 +96,7 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
     if remaining > 1.0:
         axes.barh(y, min(remaining, _END) - 1.0, left=1.0, height=0.62, color=RED)
     at, removed = remaining, max(1.0 - remaining, 0.0)
-    for part in budget.parts if removed else ():
+    for k, part in enumerate(budget.parts if removed else ()):
         size = part.share * removed
         axes.barh(
             y,
@@ -92,7 +112,7 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
         at += size
         axes.errorbar(
             at,
-            y + 0.19,
+            y + (0.08, 0.16, 0.24)[k % 3],
             xerr=min(_INTERVAL * part.std * removed, 1.0),
             color=INK,
             elinewidth=0.7,
@@ -103,7 +123,7 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
     if floor <= _END:
         axes.plot([floor, floor], [y - 0.42, y + 0.42], color=RED, linewidth=1.4)
     axes.annotate(
-        budget.error.replace(" times the noise", " × noise"),
+        budget.error,
         (1.0, y),
         (6.0, 0.0),
         xycoords=axes.get_yaxis_transform(),
@@ -119,13 +139,15 @@ def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[Joi
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    entries: list[tuple[Any, str]] = [(Patch(color=_REMAINING_COLOR), "error that remains")]
+    entries: list[tuple[Any, str]] = [
+        (Line2D([], [], color=RED), "noise floor"),
+        (Patch(color=_REMAINING_COLOR), "error that remains"),
+    ]
     entries += [(Patch(color=color), effect_words(effect)) for effect, color in colors.items()]
     if any(b.is_improved and b.others > 0.0 for b in budgets):
         entries.append((Patch(color=_OTHERS_COLOR), "other effects"))
     if any(b.after > b.before for b in budgets):
         entries.append((Patch(color=RED), "worse than the base model"))
-    entries.append((Line2D([], [], color=RED), "noise floor"))
     handles, labels = zip(*entries, strict=True)
     figure.legend(
         handles,
@@ -152,7 +174,12 @@ def draw_effect_curves(findings: Sequence[Mapping[str, Any]], units: Mapping[str
         x, torque, std = (np.array(curve[key], float) for key in ("x", "torque", "std"))
         axes.axhline(0.0, color=GREY, linewidth=0.5)
         axes.fill_between(
-            x, torque - _INTERVAL * std, torque + _INTERVAL * std, color=BLUE, alpha=0.22, linewidth=0
+            x,
+            torque - _INTERVAL * std,
+            torque + _INTERVAL * std,
+            color=BLUE,
+            alpha=0.22,
+            linewidth=0,
         )
         axes.plot(x, torque, color=BLUE, linewidth=1.1)
         title = f"{short(finding['joint'], 20)} [{units[finding['joint']]}]"

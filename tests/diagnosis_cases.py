@@ -216,12 +216,11 @@ def simulate_elastic_gear(
     return deflection[:, 0], torque
 
 
-def force_along_x(q: FloatArray) -> FloatArray:
+def force_along_x(q: FloatArray, model: pin.Model = SUBJECT.robot.model) -> FloatArray:
     """Return the torque of a unit force along x on the centre of mass of the second link.
 
     By Pinocchio's Jacobian.
     """
-    model = SUBJECT.robot.model
     data = model.createData()
     out = np.empty((len(q), 2))
     for k, pose in enumerate(q):

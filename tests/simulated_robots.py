@@ -46,6 +46,12 @@ def quick_motion(seconds: float = 2.0, seed: int = 0, n: int = 2) -> ReferenceTr
     )
 
 
+DrawEffects = Callable[
+    [SimulatedRobot, ReferenceTrajectory, np.random.Generator], list[EffectInstance]
+]
+"""Returns the hidden effects, from the robot, its first motion and a generator."""
+
+
 @dataclass(frozen=True)
 class RecordedRobot:
     """Recordings of a simulated robot along random motions.
@@ -67,7 +73,9 @@ class RecordedRobot:
 
 def record_robot(
     name: str,
-    draw: Callable[[SimulatedRobot, ReferenceTrajectory, np.random.Generator], list[EffectInstance]],
+    draw: Callable[
+        [SimulatedRobot, ReferenceTrajectory, np.random.Generator], list[EffectInstance]
+    ],
     folder: Path,
     seed: int,
     settings: ExperimentSettings,
@@ -78,7 +86,7 @@ def record_robot(
 
     Args:
         name: Name of a built-in model.
-        draw: Returns the hidden effects, from the robot, its first motion and a generator.
+        draw: Draws the hidden effects.
         folder: Folder of the files.
         seed: Seed of motions and effects.
         settings: Measurement and model error.

@@ -90,7 +90,7 @@ def test_log_evidence_is_the_marginal_likelihood(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_log_evidence_with_signs_agrees_with_numerical_integration(seed):
-    """Laplace's approximation over coefficients ≥ 0, whose prior density is twice the normal one."""
+    """Laplace's approximation for coefficients ≥ 0, whose prior density is twice the normal."""
     regression = small_regression(seed, (True, True))
     assert (regression.solution.coefficients[1:] > 0.3).all()  # away from zero
     x, y = regression._grams[0].columns, regression.torque[:, 0]

@@ -1,4 +1,4 @@
-"""The model that a diagnosis saves: prediction, held-out errors, torque budget, withheld findings."""
+"""The model that a diagnosis saves: prediction, held-out errors, budget, withheld findings."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ def test_findings_of_doubted_recordings_are_withheld_from_document_and_model():
         assert entry["rmse_after"] == entry["rmse_before"] == stated["model_check"][joint]
         assert entry["unexplained_share"] == entry["systematic_share"]
         assert stated["budget"][joint] == {"residual": {"share": 1.0, "std": 0.0}}
-    parameters = dict(model["without_effects"])
-    assert model["parameters"] == pytest.approx(parameters)
+    fitted = {row["name"]: row["value"] for row in model["standard_parameters"]}
+    assert fitted == pytest.approx(model["without_effects"])
     trusted = DiagnosisResult(diagnosed("coupling"), (train,), (held_out,), with_report=False)
     assert trusted.model()["effects"] and trusted.document()["findings"]
 

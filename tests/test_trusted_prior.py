@@ -79,9 +79,7 @@ def test_a_payload_is_found_and_trusted_parameters_are_kept():
     result = diagnose(changed(dict(zip(range(10, 14), load, strict=True))), trusted=TRUSTED)
     assert found(result) == [("payload", 1)]
     assert parameters(result, "payload", 1)["mass"][0] == pytest.approx(0.4, rel=0.1)
-    np.testing.assert_allclose(
-        result.final.motions[0].theta, SUBJECT.base.matrix @ PSI, atol=1e-12
-    )
+    np.testing.assert_allclose(result.final.motions[0].theta, SUBJECT.base.matrix @ PSI, atol=1e-12)
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.004, -0.006), (-0.3, 0.2)])

@@ -102,10 +102,10 @@ def noise_ratios(result: Diagnosis) -> tuple[FloatArray, FloatArray]:
     return held_out.rmse_before / noise, held_out.rmse_after / noise
 
 
-@cache
 def motions() -> tuple[RecordedMotion, ...]:
-    """Return recorded motions of the robot without effects."""
-    return diagnosed(None).model.motions
+    """Return recorded motions of the robot without effects, with one base model."""
+    result = diagnosed(None)
+    return (*result.final.motions, *result.held_out.motions)
 
 
 # -- effects, independent of the formulas of `excite.effects` -------------------------------------

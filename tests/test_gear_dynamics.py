@@ -8,7 +8,7 @@ from itertools import accumulate
 
 import numpy as np
 import pytest
-from diagnosis_cases import diagnosed, motions, simulate_elastic_gear
+from diagnosis_cases import motions, simulate_elastic_gear
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import integrate
@@ -112,7 +112,7 @@ def test_a_stiffness_with_a_resonance_above_the_cutoff_is_corrected_by_its_coeff
 
 @pytest.mark.parametrize("rests", [False, True])
 def test_the_initial_state_of_an_elastic_gear(rests):
-    motion = diagnosed(None).held_out.motions[0]
+    motion = motions()[-1]
     assert gear_dynamics.starts_in_motion(motion, 1)  # slowly: the link may be at rest or move
     t, K, ratio = (
         np.arange(len(motion.coarse_samples)) / motion.band.rate_of(Grid.COARSE),

@@ -106,5 +106,5 @@ def test_gears_are_reported_in_document_text_and_report(subject):
         name == subject.robot.joints[0]
         and stated["encoders"][name]["stiffness"]["unit"] == "N m/rad"
     )
-    assert f"two encoders at {name}: stiffness" in _text(stated, [])
+    assert f"two encoders at {name}: stiffness" in _text(stated, subject.robot, [])
     assert "two encoders" in diagnosis_page(result, stated)

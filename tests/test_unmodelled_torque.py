@@ -12,9 +12,9 @@ from excite.diagnosis.motion_rows import MotionRows, block_starts, travel_since_
 
 RATE, SECONDS = 50.0, 40.0
 COUNT = int(RATE * SECONDS)
-MIN_SHARE = 0.02
+MIN_SHARE = 0.05
 """Share of a residual that noise alone does not predict."""
-MIN_STANDARD_ERRORS = 4.0
+MIN_STANDARD_ERRORS = 1.5
 """Share over its standard error of what is predicted for sure."""
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from excite.report.figures.residual_atlas import p_value
 from synthetic_recordings import (
     FRICTION_WIDTH,
     perturbed_parameters,
@@ -25,7 +26,6 @@ from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.recordings import Recording, Remark, RemarkKind
 from excite.report import diagnosis_page
-from excite.report.figures.residual_atlas import p_value
 from excite.report.formatting import number
 
 QUESTIONS = {

@@ -12,7 +12,13 @@ from .._system.output_files import output_folder
 from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
 from ..report.formatting import significant, value_with_error
-from ..report.torque_budget import effect_words, joint_budgets, sorted_findings
+from ..report.torque_budget import (
+    effect_words,
+    joint_budgets,
+    parameter_words,
+    probability_words,
+    sorted_findings,
+)
 from ..robot.robot import Robot
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
@@ -48,7 +54,7 @@ def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
         lines += [f"  {Path(doubt['recording']).name}: {doubt['text']}" for doubt in doubts]
     budgets = joint_budgets(document, robot)
     lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
-    lines += _aligned([(b.joint, b.error, b.contributions) for b in budgets])
+    lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
     if document["findings"]:
         lines += ["", "findings, with probability, size and standard errors:"]
         lines += _aligned([_finding(finding) for finding in sorted_findings(document)])
@@ -60,7 +66,7 @@ def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
                     u["joint"],
                     f"{100 * u['share']:.0f} % of the remaining squared error, by "
                     f"{u['where']['regime']}",
-                    f"probability {u['probability']:.2f}",
+                    f"probability {probability_words(u['probability'])}",
                 )
                 for u in document["unknown"]
             ]
@@ -94,17 +100,12 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def _finding(finding: Mapping[str, Any]) -> tuple[str, ...]:
     """Joint, effect with its alternatives, probability, size and parameters."""
-    name = " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"]))
-    values = ", ".join(
-        f"{key.replace('_', ' ')} {value_with_error(v['value'], v['std'], v['unit'])}"
-        for key, v in finding["parameters"].items()
-    )
     return (
         finding["joint"] or "whole robot",
-        name,
-        f"{finding['probability']:.2f}",
+        " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"])),
+        probability_words(finding["probability"]),
         f"{significant(finding['evidence']['severity'])} × noise",
-        values,
+        parameter_words(finding),
     )
 
 

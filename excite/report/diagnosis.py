@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
 from ..diagnosis.diagnosis import Diagnosis
@@ -13,7 +14,7 @@ from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed, some
 from ..trajectory.trajectory_file import package_versions
-from .content import Banner, ReportContent, Section, Table
+from .content import Banner, ReportContent, Section, Table, TableCell
 from .diagnosis_evidence import (
     encoders_section,
     prediction_section,
@@ -22,10 +23,18 @@ from .diagnosis_evidence import (
 )
 from .figures import diagnosis as diagnosis_figures
 from .figures.trajectory import torque_units
-from .formatting import capitalized, number, plural, significant, value_with_error
+from .formatting import capitalized, number, plural, significant
 from .remarks import count_remarks, list_remarks
 from .render import render
-from .torque_budget import JointBudget, effect_words, joint_budgets, sorted_findings
+from .torque_budget import (
+    NOISE_RATIO,
+    JointBudget,
+    effect_words,
+    joint_budgets,
+    parameter_words,
+    probability_words,
+    sorted_findings,
+)
 
 Document = Mapping[str, Any]
 """The diagnosis as in `diagnosis.json`, or a part of it."""
@@ -34,11 +43,17 @@ DRAWN_CURVES = 12
 """Curves of effects that are shown without a click."""
 SHOWN_SENTENCES = 10
 """Joints whose sentence is shown without a click."""
+CURVE_LEVEL = 0.1
+"""Part of the largest torque of a curve above which it is not near zero."""
+CURVE_POINTS = 3
+"""Bins not near zero that a curve needs to be drawn."""
+SURE_PROBABILITY = 0.9
+"""Probability from which no experiment to confirm a finding is proposed."""
 _VERDICTS = {
-    "no-mismatch": ("The base model lacks nothing that these recordings show.", "good"),
-    "explained": ("The effects below explain all that the base model lacks.", "good"),
-    "partly-explained": ("The effects below explain a part of what the base model lacks.", "warn"),
-    "unexplained": ("The base model lacks something that no known effect explains.", "bad"),
+    "no-mismatch": ("the base model lacks nothing that these recordings show.", "good"),
+    "explained": ("the effects below explain what the base model lacks.", "good"),
+    "partly-explained": ("the effects below explain a part of what the base model lacks.", "warn"),
+    "unexplained": ("the base model lacks something that no known effect explains.", "bad"),
 }
 _NOISE_FLOORS = {
     "periods": "the difference between repeated periods",
@@ -63,7 +78,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
         title=f"Diagnosis of {robot.name}",
         subtitle="What the base model (rigid links, rotor inertia, viscous and Coulomb friction, "
         "offset) lacks, found in the torque that it does not predict.",
-        banners=_banners(document),
+        banners=_banners(document, budgets),
         cards=(),
         sections=[
             _budget_section(document, budgets),
@@ -84,7 +99,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
 # -- first screen ----------------------------------------------------------------------------------
 
 
-def _banners(document: Document) -> list[Banner]:
+def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]:
     """Doubts about the recordings, or else the verdict."""
     doubts = document.get("doubts", [])
     if doubts:
@@ -97,7 +112,10 @@ def _banners(document: Document) -> list[Banner]:
             *(Banner(f"{Path(d['recording']).name}: {d['text']}", "warn") for d in doubts),
         ]
     text, tone = _VERDICTS[document["verdict"]]
-    return [Banner(f"{capitalized(document['verdict'])}. {text}", tone)]
+    above = [b.joint for b in budgets if b.noise_ratio > NOISE_RATIO]
+    if document["findings"] and above:
+        text += f" The error is still more than {NOISE_RATIO:g} times the noise at {some(above)}."
+    return [Banner(f"{capitalized(document['verdict'].replace('-', ' '))}: {text}", tone)]
 
 
 def _budget_section(document: Document, budgets: Sequence[JointBudget]) -> Section:
@@ -111,14 +129,14 @@ def _budget_section(document: Document, budgets: Sequence[JointBudget]) -> Secti
     else:
         best = max(improved, key=lambda b: 1.0 - b.after / b.before)
         answer = (
-            f"On recordings that it has not seen, the model with effects reduces the error at "
+            f"With the effects found, the error on recordings that the model has not seen falls at "
             f"{len(improved)} of {plural(len(budgets), 'joint')}, most at {best.joint}: "
             f"{significant(best.before)} → {significant(best.after)} {best.unit}."
         )
         tone = ""
     data = {
         "figure": Markup(diagnosis_figures.draw_budget(budgets)),
-        "sentences": [f"{b.joint}: {b.sentence}." for b in budgets],
+        "sentences": [f"{b.joint}: error {b.error}; {b.causes}." for b in budgets],
         "shown": SHOWN_SENTENCES,
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),
     }
@@ -130,23 +148,24 @@ def _budget_section(document: Document, budgets: Sequence[JointBudget]) -> Secti
 
 def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
     """The findings: how sure, how large, and with what they may be confused."""
-    findings = sorted_findings(document)
-    rows = [
-        (
-            finding["joint"] or "whole robot",
-            effect_words(finding["effect"]) + _origin(finding),
-            number(finding["probability"], 2),
-            _size(finding["evidence"]),
-            _parameters(finding),
-            listed([effect_words(name) for name in finding["equivalents"]])
-            if finding["equivalents"]
-            else "–",
+    findings, rows = sorted_findings(document), []
+    for k, finding in enumerate(findings):
+        is_first = k == 0 or findings[k - 1]["joint"] != finding["joint"]
+        alternatives = [effect_words(name) for name in finding["equivalents"]]
+        rows.append(
+            (
+                (finding["joint"] or "whole robot") if is_first else "",
+                TableCell(
+                    effect_words(finding["effect"]) + _origin(finding),
+                    note=f"or {' or '.join(alternatives)}" if alternatives else "",
+                ),
+                probability_words(finding["probability"]),
+                _size(finding["evidence"]),
+                parameter_words(finding) or "see the curve",
+            )
         )
-        for finding in findings
-    ]
-    head = ("joint", "effect", "probability", "size [noise]", "parameters", "or instead")
-    # a curve over the angle is too coarse for a ripple of many periods a turn
-    curves = [f for f in findings if f["curve"] and f["where"]["regime"] != "order"]
+    head = ("joint", "effect", "probability", "size [× noise]", "parameters")
+    curves = [finding for finding in findings if _is_drawn(finding)]
     data = {
         "table": Table(head, rows, (2, 3)) if rows else None,
         "effects": _descriptions(findings),
@@ -196,13 +215,13 @@ def _size(evidence: Document) -> str:
     return f"{significant(evidence['severity'])} ({significant(low)} … {significant(high)})"
 
 
-def _parameters(finding: Document) -> str:
-    """Parameters with standard errors."""
-    texts = [
-        f"{key.replace('_', ' ')} {value_with_error(v['value'], v['std'], v['unit'])}"
-        for key, v in finding["parameters"].items()
-    ]
-    return ", ".join(texts).replace(" ± ", "\u00a0±\u00a0") or "–"
+def _is_drawn(finding: Document) -> bool:
+    """Tell whether a finding has a curve whose bins are fine enough to show its form."""
+    # the period of a ripple is shorter than a bin of the angle
+    if not finding["curve"] or finding["where"]["regime"] == "order":
+        return False
+    torque = np.abs(finding["curve"]["torque"])
+    return int(np.sum(torque > CURVE_LEVEL * torque.max(initial=0.0))) >= CURVE_POINTS
 
 
 def _descriptions(findings: Sequence[Document]) -> Table | None:
@@ -217,20 +236,26 @@ def _descriptions(findings: Sequence[Document]) -> Table | None:
 
 def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Experiments that separate or confirm effects."""
-    groups: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    pairs: dict[frozenset[str], list[str]] = {}
+    unsure: dict[str, list[str]] = {}
     for finding in document["findings"]:
-        key = finding["effect"], tuple(finding["equivalents"])
-        groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
-    lines = []
-    for (effect, equivalents), joints in sorted(groups.items(), key=lambda g: not g[0][1]):
-        experiments = [EFFECTS_BY_NAME[name].experiment for name in (effect, *equivalents)]
-        names = [effect_words(name) for name in equivalents]
-        purpose = (
-            f"To tell {effect_words(effect)} from {listed(names)}"
-            if names
-            else (f"To confirm {effect_words(effect)}")
-        )
-        lines.append(f"{purpose} ({some(joints, 2)}): {'; '.join(dict.fromkeys(experiments))}.")
+        place = finding["joint"] or "the whole robot"
+        if finding["equivalents"]:
+            names = frozenset((finding["effect"], *finding["equivalents"]))
+            pairs.setdefault(names, []).append(place)
+        elif finding["probability"] < SURE_PROBABILITY:
+            unsure.setdefault(finding["effect"], []).append(place)
+    lines = [
+        f"To tell apart {listed([effect_words(name) for name in sorted(names)])} "
+        f"({_places(joints)}): "
+        f"{'; '.join(EFFECTS_BY_NAME[name].experiment for name in sorted(names))}."
+        for names, joints in pairs.items()
+    ]
+    lines += [
+        f"To be surer of {effect_words(effect)} ({_places(joints)}): "
+        f"{EFFECTS_BY_NAME[effect].experiment}."
+        for effect, joints in unsure.items()
+    ]
     lines += [
         f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
         for entry in document["unknown"]
@@ -242,13 +267,18 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
         )
     if "doubts" in document:
         answer = "Resolve the doubts about the recordings named at the top of this page."
-    elif any(equivalents for _, equivalents in groups):
-        answer = "Record the motions that tell apart what these recordings cannot."
-    elif groups or document["unknown"]:
-        answer = "Nothing must be decided; these motions would show the effects most clearly."
+    elif pairs or unsure or document["unknown"]:
+        answer = "Motions that decide what these recordings leave open."
+    elif document["findings"]:
+        answer = "Nothing must be decided: every finding is sure, and no other effect resembles it."
     else:
         answer = "Nothing; other speeds, loads or temperatures may show more."
     return Section("next", "What to record next?", answer, {"lines": lines})
+
+
+def _places(joints: Sequence[str]) -> str:
+    """Joints, each of them once."""
+    return some(list(dict.fromkeys(joints)), 2)
 
 
 # -- considered, provenance ------------------------------------------------------------------------
@@ -261,7 +291,7 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
         (
             effect_words(entry["effect"]),
             entry["joint"] or "whole robot",
-            number(entry["probability"], 2),
+            probability_words(entry["probability"]),
             number(entry["evidence"]["log_bayes_factor"], 3),
             "yes" if entry["modelled"] else "no",
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..robot.robot import Robot
-from .formatting import significant
+from .formatting import significant, value_with_error
 
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
@@ -98,33 +98,43 @@ class JointBudget:
         return f"{' → '.join(values)} {self.unit} ({significant(self.noise_ratio)} × noise)"
 
     @property
-    def contributions(self) -> str:
+    def causes(self) -> str:
         """Effects that remove the error: 'mostly load friction (95 %), some delay (5 %)'."""
+        if self.is_worse:
+            return "the effects of the model do not hold here"
         if not self.is_improved:
-            return ""
+            is_noise = self.noise_ratio <= NOISE_RATIO
+            return "nothing notable is missing" if is_noise else "no effect of the model reduces it"
         texts = [
             f"{'' if part.is_certain else 'perhaps '}{effect_words(part.effect)} "
             f"({100.0 * part.share:.0f} %)"
             for part in self.parts
         ]
+        if self.parts[0].share >= MAIN_SHARE and len(texts) > 1:
+            texts[:2] = [f"mostly {texts[0]}", f"some {texts[1]}"]
         if self.others >= NAMED_OTHERS:
             texts.append(f"others ({100.0 * self.others:.0f} %)")
-        if self.parts[0].share < MAIN_SHARE:
-            return ", ".join(texts)
-        texts[0] = f"mostly {texts[0]}" if len(texts) > 1 else texts[0]
-        texts[1:2] = [f"some {texts[1]}"] if len(self.parts) > 1 else texts[1:2]
         return ", ".join(texts)
 
-    @property
-    def sentence(self) -> str:
-        """The budget in a sentence without the joint."""
-        if self.is_improved:
-            return f"error {self.error}; {self.contributions}"
-        if self.is_worse:
-            return f"error {self.error}; the effects of the model do not hold here"
-        if self.noise_ratio <= NOISE_RATIO:
-            return f"error {self.error}; nothing notable is missing"
-        return f"error {self.error}; no effect of the model reduces it"
+
+def probability_words(probability: float) -> str:
+    """Return a probability with two decimals; certainty is not claimed."""
+    return (
+        "> 0.99"
+        if probability > 0.99
+        else "< 0.01"
+        if probability < 0.01
+        else (f"{probability:.2f}")
+    )
+
+
+def parameter_words(finding: Mapping[str, Any]) -> str:
+    """Return the parameters of a finding of `diagnosis.json` with standard errors."""
+    texts = [
+        f"{key.replace('_', ' ')} {value_with_error(v['value'], v['std'], v['unit'])}"
+        for key, v in finding["parameters"].items()
+    ]
+    return ", ".join(texts)
 
 
 def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:

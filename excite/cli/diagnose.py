@@ -13,6 +13,7 @@ from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
 from ..report.formatting import significant, value_with_error
 from ..report.torque_budget import (
+    change_words,
     effect_words,
     joint_budgets,
     parameter_words,
@@ -56,7 +57,10 @@ def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
     lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
     if document["findings"]:
-        lines += ["", "findings, with probability, size and standard errors:"]
+        lines += [
+            "",
+            "findings: probability, size over the residual torque, parameters with standard errors",
+        ]
         lines += _aligned([_finding(finding) for finding in sorted_findings(document)])
     if document["unknown"]:
         lines += ["", "torque that repeats with the motion and that no effect explains:"]
@@ -78,7 +82,7 @@ def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
                 (
                     c["joint"],
                     Path(c["recording"]).name,
-                    ", ".join(f"{kind} {_change(c[kind])}" for kind in KINDS),
+                    ", ".join(f"{kind} {change_words(c[kind])}" for kind in KINDS),
                 )
                 for c in document["between_recordings"]
             ]
@@ -104,16 +108,8 @@ def _finding(finding: Mapping[str, Any]) -> tuple[str, ...]:
         finding["joint"] or "whole robot",
         " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"])),
         probability_words(finding["probability"]),
-        f"{significant(finding['evidence']['severity'])} × noise",
+        f"{significant(finding['evidence']['severity'])} × residual",
         parameter_words(finding),
-    )
-
-
-def _change(change: Mapping[str, Any]) -> str:
-    """A change between recordings with its standard error."""
-    share = change.get("relative")
-    return value_with_error(change["value"], change["std"], change["unit"]) + (
-        "" if share is None else f" ({100 * share:+.0f} %)"
     )
 
 

@@ -81,7 +81,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
         banners=_banners(document, budgets),
         cards=(),
         sections=[
-            _budget_section(document, budgets),
+            _budget_section(diagnosis, document, budgets),
             _findings_section(document, units),
             *unknown_section(document, units),
             *session_changes_section(document),
@@ -118,26 +118,32 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
     return [Banner(f"{capitalized(document['verdict'].replace('-', ' '))}: {text}", tone)]
 
 
-def _budget_section(document: Document, budgets: Sequence[JointBudget]) -> Section:
+def _budget_section(
+    diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
+) -> Section:
     """The torque budget of every joint, as a picture and in words."""
     improved = [b for b in budgets if b.is_improved]
+    tone = "warn"
     if "doubts" in document:
-        answer, tone = "Not known while findings are withheld: only the error is shown.", "warn"
-    elif not improved:
-        answer = "From nothing that the diagnosis knows: no effect reduces the error."
-        tone = _VERDICTS[document["verdict"]][1]
-    else:
+        answer = "Not known while findings are withheld: only the error is shown."
+    elif improved:
         best = max(improved, key=lambda b: 1.0 - b.after / b.before)
+        joints = plural(len(budgets), "joint")
+        where = f" at {len(improved)} of {joints}, most at {best.joint}" if budgets[1:] else ""
         answer = (
-            f"With the effects found, the error on recordings that the model has not seen falls at "
-            f"{len(improved)} of {plural(len(budgets), 'joint')}, most at {best.joint}: "
-            f"{significant(best.before)} → {significant(best.after)} {best.unit}."
+            f"With the effects found, the error on recordings that the model has not seen falls"
+            f"{where}: {significant(best.before)} → {significant(best.after)} {best.unit}."
         )
         tone = ""
+    elif all(b.noise_ratio <= NOISE_RATIO for b in budgets):
+        answer, tone = "From noise alone, at every joint.", "good"
+    else:
+        answer = "Not known: no effect found reduces the error."
     data = {
         "figure": Markup(diagnosis_figures.draw_budget(budgets)),
         "sentences": [f"{b.joint}: error {b.error}; {b.causes}." for b in budgets],
         "shown": SHOWN_SENTENCES,
+        "is_noise_known": diagnosis.method == "periods",
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),
     }
     return Section("budget", "Where does the torque error come from?", answer, data, tone)
@@ -164,7 +170,7 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
                 parameter_words(finding) or "see the curve",
             )
         )
-    head = ("joint", "effect", "probability", "size [× noise]", "parameters")
+    head = ("joint", "effect", "probability", "size [× residual]", "parameters")
     curves = [finding for finding in findings if _is_drawn(finding)]
     data = {
         "table": Table(head, rows, (2, 3)) if rows else None,

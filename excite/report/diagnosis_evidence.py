@@ -20,7 +20,7 @@ from .figures import unmodelled as unmodelled_figure
 from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
 from .formatting import number, plural, significant, value_with_error
-from .torque_budget import NOISE_RATIO, JointBudget
+from .torque_budget import NOISE_RATIO, JointBudget, change_words
 
 UNFOLDED_RECORDINGS = 2
 """Recordings whose prediction is shown without a click."""
@@ -70,7 +70,7 @@ def prediction_section(
         "excerpt": f"{EXCERPT_SECONDS:g}",
     }
     answer, tone = _prediction_answer(budgets)
-    question = "Does the saved model predict recordings that it has not seen?"
+    question = "Does the saved model predict unseen recordings?"
     return Section("better", question, answer, data, tone)
 
 
@@ -87,11 +87,12 @@ def _prediction_answer(budgets: Sequence[JointBudget]) -> tuple[str, str]:
         answer, tone = "Yes, down to the noise at every joint", "good"
     else:
         worst = max(above, key=lambda b: b.noise_ratio)
-        answer = (
-            f"Not down to the noise at {some([b.joint for b in above])}; the largest error is "
-            f"{significant(worst.noise_ratio)} noise floors, at {worst.joint}"
-        )
-        tone = "warn"
+        ratio = f"{significant(worst.noise_ratio)} times the noise"
+        answer, tone = f"Not down to the noise at {some([b.joint for b in above])}: {ratio}", "warn"
+        if above[1:]:
+            answer += f" at {worst.joint}, the worst"
+    if budgets[0].is_withheld:
+        return f"{answer}. While findings are withheld, the base model is saved.", "warn"
     if worse:
         return f"{answer}. It predicts {some(worse)} worse than the base model.", "bad"
     return f"{answer}. No joint is predicted worse than by the base model.", tone
@@ -157,7 +158,7 @@ def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
         (
             change["joint"],
             Path(change["recording"]).name,
-            *(_change(change[kind]) for kind in KIND_WORDS),
+            *(change_words(change[kind]).replace(" ", "\u00a0") for kind in KIND_WORDS),
         )
         for change in changes
     ]
@@ -171,15 +172,6 @@ def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
         },
         "warn",
     )
-
-
-def _change(value: Mapping[str, Any]) -> str:
-    """A change with its standard error, and relative to the value where that is known."""
-    text = value_with_error(value["value"], value["std"], value["unit"])
-    share = value.get("relative")
-    if share is not None:
-        text += f" ({'+' if share > 0.0 else '−'}{percent(abs(share))})"
-    return text.replace(" ", "\u00a0")
 
 
 # -- encoders --------------------------------------------------------------------------------------
@@ -245,7 +237,7 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
         return
     lines = [
         f"{entry['joint']}: {percent(entry['share'])} of the remaining squared error follows from "
-        f"{entry['where']['regime']}, predicted in recordings that this was not fitted to "
+        f"{'position' if entry['where']['regime'] == 'place' else entry['where']['regime']}, predicted in recordings that this was not fitted to "
         f"(probability {number(entry['probability'], 2)})."
         for entry in unknown
     ]

@@ -14,6 +14,8 @@ MIN_SHARE = 0.03
 falls by less counts as unchanged."""
 NOISE_RATIO = 1.2
 """Noise floors up to which an error counts as noise, as in the verdict of a diagnosis."""
+MAX_RELATIVE_CHANGE = 2.0
+"""Relative change between recordings up to which it is stated."""
 NAMED_OTHERS = 0.01
 """Share of all small effects together from which they are mentioned."""
 MAIN_SHARE = 0.6
@@ -64,6 +66,7 @@ class JointBudget:
         floor: Noise floor.
         parts: Effects that remove at least `MIN_SHARE` of before − after, the largest first.
         others: Share of all other effects together [1].
+        is_withheld: Whether findings are withheld, so that the saved model is the base model.
     """
 
     joint: str
@@ -73,6 +76,7 @@ class JointBudget:
     floor: float
     parts: tuple[BudgetPart, ...]
     others: float
+    is_withheld: bool
 
     @property
     def is_improved(self) -> bool:
@@ -100,18 +104,21 @@ class JointBudget:
     @property
     def causes(self) -> str:
         """Effects that remove the error: 'mostly load friction (95 %), some delay (5 %)'."""
+        if self.is_withheld:
+            return "findings are withheld"
         if self.is_worse:
             return "the effects of the model do not hold here"
         if not self.is_improved:
             is_noise = self.noise_ratio <= NOISE_RATIO
-            return "nothing notable is missing" if is_noise else "no effect of the model reduces it"
+            return "nothing notable is missing" if is_noise else "no effect found reduces it"
         texts = [
             f"{'' if part.is_certain else 'perhaps '}{effect_words(part.effect)} "
             f"({100.0 * part.share:.0f} %)"
             for part in self.parts
         ]
         if self.parts[0].share >= MAIN_SHARE and len(texts) > 1:
-            texts[:2] = [f"mostly {texts[0]}", f"some {texts[1]}"]
+            texts[0] = f"mostly {texts[0]}"
+            texts[1] = f"some {texts[1]}" if self.parts[1].is_certain else texts[1]
         if self.others >= NAMED_OTHERS:
             texts.append(f"others ({100.0 * self.others:.0f} %)")
         return ", ".join(texts)
@@ -126,6 +133,17 @@ def probability_words(probability: float) -> str:
         if probability < 0.01
         else (f"{probability:.2f}")
     )
+
+
+def change_words(change: Mapping[str, Any]) -> str:
+    """Return a change between recordings with its standard error, and relative to the value."""
+    text, share = (
+        value_with_error(change["value"], change["std"], change["unit"]),
+        change.get("relative"),
+    )
+    if share is None or abs(share) > MAX_RELATIVE_CHANGE:  # of a value that is practically zero
+        return text
+    return f"{text} ({100.0 * share:+.0f} %)".replace("-", "−")
 
 
 def parameter_words(finding: Mapping[str, Any]) -> str:
@@ -181,6 +199,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 errors["noise_floor"],
                 tuple(named),
                 sum(part.share for part in parts if part.share < MIN_SHARE),
+                "doubts" in document,
             )
         )
     return out

@@ -93,10 +93,10 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
     scale = max(budget.before, 1e-300)
     remaining, floor = budget.after / scale, budget.floor / scale
     axes.barh(y, min(remaining, _END), height=0.62, color=_REMAINING_COLOR)
-    if remaining > 1.0:
+    if budget.is_worse:
         axes.barh(y, min(remaining, _END) - 1.0, left=1.0, height=0.62, color=RED)
-    at, removed = remaining, max(1.0 - remaining, 0.0)
-    for k, part in enumerate(budget.parts if removed else ()):
+    at, removed = remaining, 1.0 - remaining
+    for k, part in enumerate(budget.parts if budget.is_improved else ()):
         size = part.share * removed
         axes.barh(
             y,
@@ -119,7 +119,8 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
             capsize=1.8,
             capthick=0.7,
         )
-    axes.barh(y, max(1.0 - at, 0.0), left=at, height=0.62, color=_OTHERS_COLOR)
+    if budget.is_improved:
+        axes.barh(y, max(1.0 - at, 0.0), left=at, height=0.62, color=_OTHERS_COLOR)
     if floor <= _END:
         axes.plot([floor, floor], [y - 0.42, y + 0.42], color=RED, linewidth=1.4)
     axes.annotate(
@@ -146,7 +147,7 @@ def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[Joi
     entries += [(Patch(color=color), effect_words(effect)) for effect, color in colors.items()]
     if any(b.is_improved and b.others > 0.0 for b in budgets):
         entries.append((Patch(color=_OTHERS_COLOR), "other effects"))
-    if any(b.after > b.before for b in budgets):
+    if any(b.is_worse for b in budgets):
         entries.append((Patch(color=RED), "worse than the base model"))
     handles, labels = zip(*entries, strict=True)
     figure.legend(

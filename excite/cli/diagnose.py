@@ -43,11 +43,17 @@ def run(arguments: argparse.Namespace) -> Outcome:
     written = output.replace(result.contents())
     document = result.document()
     robot_of_model = result.diagnosis.identified.model.robot
-    return 0, with_files(document, written), _text(document, robot_of_model, written)
+    return 0, with_files(document, written), diagnosis_text(document, robot_of_model, written)
 
 
-def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
-    """The diagnosis in lines of text."""
+def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
+    """Return a diagnosis in lines of text.
+
+    Args:
+        document: Content of `diagnosis.json`.
+        robot: The robot.
+        written: Files that were written.
+    """
     lines = [f"verdict: {document['verdict']}"]
     doubts = document.get("doubts", [])
     if doubts:

@@ -20,7 +20,7 @@ from .figures import unmodelled as unmodelled_figure
 from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
 from .formatting import number, plural, significant, value_with_error
-from .torque_budget import NOISE_RATIO, JointBudget, change_words
+from .torque_budget import NOISE_RATIO, JointBudget, change_words, probability_words
 
 UNFOLDED_RECORDINGS = 2
 """Recordings whose prediction is shown without a click."""
@@ -235,12 +235,15 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
     unknown = document["unknown"]
     if not unknown:
         return
-    lines = [
-        f"{entry['joint']}: {percent(entry['share'])} of the remaining squared error follows from "
-        f"{'position' if entry['where']['regime'] == 'place' else entry['where']['regime']}, predicted in recordings that this was not fitted to "
-        f"(probability {number(entry['probability'], 2)})."
-        for entry in unknown
-    ]
+    lines = []
+    for entry in unknown:
+        regime = entry["where"]["regime"]
+        cause = "position" if regime == "place" else regime
+        lines.append(
+            f"{entry['joint']}: {percent(entry['share'])} of the remaining squared error follows "
+            f"from {cause}, predicted in recordings that this was not fitted to (probability "
+            f"{probability_words(entry['probability'])})."
+        )
     figure = unmodelled_figure.draw_responses(unknown[:DRAWN_UNKNOWN], units)
     joints = some([entry["joint"] for entry in unknown])
     yield Section(

@@ -178,9 +178,11 @@ def test_text_of_the_command() -> None:
     result = diagnosis_of(2.0)
     lines = diagnosis_text(document(result), result.identified.model.robot, [Path("report.html")])
     assert lines.startswith("verdict: ")
-    (finding,) = (line for line in lines.splitlines() if "Stribeck" in line and "residual" in line)
-    assert finding.split()[0] == "joint_2" and "rad/s" in finding
-    assert sum(line.startswith("  joint_1 ") for line in lines.splitlines()) >= 1
+    joints, findings = (part.splitlines()[1:] for part in lines.split("\n\n")[1:3])
+    assert [line.split()[0] for line in joints] == ["joint_1", "joint_2"]
+    stated = {(f["joint"] or "whole") for f in document(result)["findings"]}
+    assert stated == {line.split()[0] for line in findings}
+    assert any("Stribeck" in line and "× residual" in line for line in findings)
 
 
 def test_remarks_are_listed_and_markup_is_escaped() -> None:

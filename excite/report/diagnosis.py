@@ -160,14 +160,14 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
         alternatives = [effect_words(name) for name in finding["equivalents"]]
         rows.append(
             (
-                (finding["joint"] or "whole robot") if is_first else "",
+                (finding["joint"] or "whole\u00a0robot") if is_first else "",
                 TableCell(
                     effect_words(finding["effect"]) + _origin(finding),
                     note=f"or {' or '.join(alternatives)}" if alternatives else "",
                 ),
                 probability_words(finding["probability"]),
                 _size(finding["evidence"]),
-                parameter_words(finding) or "see the curve",
+                parameter_words(finding).replace(" ", "\u00a0").replace(",\u00a0", ", "),
             )
         )
     head = ("joint", "effect", "probability", "size [× residual]", "parameters")

@@ -23,7 +23,7 @@ MAIN_SHARE = 0.6
 _WORDS = {
     "asymmetric_viscous": "viscous friction that differs by direction",
     "drag": "drag (square of speed)",
-    "friction": "friction",
+    "friction": "Coulomb and viscous friction",
     "hysteresis": "presliding hysteresis",
     "nonlinear_viscous": "nonlinear viscous friction",
     "position_friction": "friction that depends on position",
@@ -152,7 +152,7 @@ def parameter_words(finding: Mapping[str, Any]) -> str:
         f"{key.replace('_', ' ')} {value_with_error(v['value'], v['std'], v['unit'])}"
         for key, v in finding["parameters"].items()
     ]
-    return ", ".join(texts)
+    return ", ".join(texts) or "uncertain"
 
 
 def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -23,6 +23,7 @@ from .drawing import (
     limit_ticks,
     render_panels,
     render_svg,
+    set_decade_ticks,
 )
 from .trajectory import short
 
@@ -42,6 +43,8 @@ _INTERVAL = 1.645
 """Standard deviations of a 90 % interval on either side."""
 _END = 1.08
 """End of the axis of the torque budget; larger errors are cut off there."""
+LOGARITHMIC_QUANTITY = "travel since the reversal"
+"""Quantity of a curve that is drawn on a logarithmic axis."""
 _CURVE_HEIGHT = 1.35
 """Height of the axes of an effect's curve [in]."""
 
@@ -191,6 +194,9 @@ def draw_effect_curves(findings: Sequence[Mapping[str, Any]], units: Mapping[str
             + (", positive: against the motion" if curve["opposes_motion"] else "")
         )
         limit_ticks(axes, 5, 4)
+        if curve["over"] == LOGARITHMIC_QUANTITY:  # from a fraction of a milliradian to a turn
+            axes.set_xscale("log")
+            set_decade_ticks(axes)
 
     return render_panels("Torque of the effects", findings, draw, _CURVE_HEIGHT)
 

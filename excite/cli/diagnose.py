@@ -11,7 +11,7 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
-from ..report.formatting import significant, value_with_error
+from ..report.formatting import significant
 from ..report.torque_budget import (
     change_words,
     effect_words,
@@ -115,19 +115,11 @@ def _finding(finding: Mapping[str, Any]) -> tuple[str, ...]:
         " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"])),
         probability_words(finding["probability"]),
         f"{significant(finding['evidence']['severity'])} × residual",
-        parameter_words(finding),
+        parameter_words(finding["parameters"]),
     )
 
 
 def _gear(gear: Mapping[str, Any]) -> str:
     """Gear parameters with standard errors."""
-    names = {
-        "stiffness": "stiffness",
-        "lost_motion": "lost motion",
-        "read_apart": "difference of the readings",
-    }
-    return ", ".join(
-        f"{name} {value_with_error(gear[key]['value'], gear[key]['std'], gear[key]['unit'])}"
-        for key, name in names.items()
-        if gear[key] is not None
-    )
+    names = ("stiffness", "lost_motion", "read_apart")
+    return parameter_words({name: gear[name] for name in names if gear[name] is not None})

@@ -39,8 +39,8 @@ from .torque_budget import (
 Document = Mapping[str, Any]
 """The diagnosis as in `diagnosis.json`, or a part of it."""
 
-DRAWN_CURVES = 12
-"""Curves of effects that are shown without a click."""
+DRAWN_CURVES = 15
+"""Curves of effects that are drawn, those of the largest effects."""
 SHOWN_SENTENCES = 10
 """Joints whose sentence is shown without a click."""
 CURVE_LEVEL = 0.1
@@ -101,16 +101,13 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
 
 def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]:
     """Doubts about the recordings, or else the verdict."""
-    doubts = document.get("doubts", [])
-    if doubts:
+    if "doubts" in document:
         text = (
             "Findings are withheld: a recording may not hold what its columns say, and then a "
             "torque error says nothing about a joint. Resolve this first, then diagnose again."
         )
-        return [
-            Banner(text, "bad"),
-            *(Banner(f"{Path(d['recording']).name}: {d['text']}", "warn") for d in doubts),
-        ]
+        doubts = [f"{Path(d['recording']).name}: {d['text']}" for d in document["doubts"]]
+        return [Banner(text, "bad"), *(Banner(doubt, "warn") for doubt in doubts)]
     text, tone = _VERDICTS[document["verdict"]]
     above = [b.joint for b in budgets if b.noise_ratio > NOISE_RATIO]
     if document["findings"] and above:
@@ -122,23 +119,19 @@ def _budget_section(
     diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
 ) -> Section:
     """The torque budget of every joint, as a picture and in words."""
-    improved = [b for b in budgets if b.is_improved]
-    tone = "warn"
+    improved = sorted((b for b in budgets if b.is_improved), key=lambda b: b.after / b.before)
+    answer, tone = "Not known: no effect found reduces the error.", "warn"
     if "doubts" in document:
         answer = "Not known while findings are withheld: only the error is shown."
     elif improved:
-        best = max(improved, key=lambda b: 1.0 - b.after / b.before)
-        joints = plural(len(budgets), "joint")
-        where = f" at {len(improved)} of {joints}, most at {best.joint}" if budgets[1:] else ""
-        answer = (
-            f"With the effects found, the error on recordings that the model has not seen falls"
-            f"{where}: {significant(best.before)} → {significant(best.after)} {best.unit}."
+        count = f"{len(improved)} of {plural(len(budgets), 'joint')}"
+        answer, tone = (
+            f"The effects found reduce the error on unseen recordings at {count}, most at "
+            f"{improved[0].joint}: {improved[0].error}.",
+            "",
         )
-        tone = ""
     elif all(b.noise_ratio <= NOISE_RATIO for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"
-    else:
-        answer = "Not known: no effect found reduces the error."
     data = {
         "figure": Markup(diagnosis_figures.draw_budget(budgets)),
         "sentences": [f"{b.joint}: error {b.error}; {b.causes}." for b in budgets],
@@ -167,20 +160,21 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
                 ),
                 probability_words(finding["probability"]),
                 _size(finding["evidence"]),
-                parameter_words(finding).replace(" ", "\u00a0").replace(",\u00a0", ", "),
+                parameter_words(finding["parameters"])
+                .replace(" ", "\u00a0")
+                .replace(",\u00a0", ", "),
             )
         )
     head = ("joint", "effect", "probability", "size [× residual]", "parameters")
-    curves = [finding for finding in findings if _is_drawn(finding)]
+    effects = [EFFECTS_BY_NAME[name] for name in dict.fromkeys(f["effect"] for f in findings)]
+    signatures = [(effect_words(e.name), capitalized(e.signature), e.equation) for e in effects]
+    sizes = sorted(f["evidence"]["severity"] for f in findings if _is_drawn(f))
+    smallest = sizes[-DRAWN_CURVES:][0] if sizes else 0.0
+    curves = [f for f in findings if _is_drawn(f) and f["evidence"]["severity"] >= smallest]
     data = {
-        "table": Table(head, rows, (2, 3)) if rows else None,
-        "effects": _descriptions(findings),
-        "curves": Markup(diagnosis_figures.draw_effect_curves(curves[:DRAWN_CURVES], units))
-        if curves
-        else "",
-        "more_curves": Markup(diagnosis_figures.draw_effect_curves(curves[DRAWN_CURVES:], units))
-        if curves[DRAWN_CURVES:]
-        else "",
+        "table": Table(head, rows, (2, 3)),
+        "effects": Table(("effect", "how it shows", "equation"), signatures),
+        "curves": Markup(diagnosis_figures.draw_effect_curves(curves, units)) if curves else "",
     }
     answer, tone = _findings_answer(document)
     return Section("what", "Which effects are there, and how sure is that?", answer, data, tone)
@@ -230,61 +224,40 @@ def _is_drawn(finding: Document) -> bool:
     return int(np.sum(torque > CURVE_LEVEL * torque.max(initial=0.0))) >= CURVE_POINTS
 
 
-def _descriptions(findings: Sequence[Document]) -> Table | None:
-    """Signature and equation of every effect that was found."""
-    effects = [EFFECTS_BY_NAME[name] for name in dict.fromkeys(f["effect"] for f in findings)]
-    rows = [(effect_words(e.name), capitalized(e.signature), e.equation) for e in effects]
-    return Table(("effect", "how it shows", "equation"), rows) if rows else None
-
-
 # -- next experiment -------------------------------------------------------------------------------
 
 
 def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Experiments that separate or confirm effects."""
-    pairs: dict[frozenset[str], list[str]] = {}
-    unsure: dict[str, list[str]] = {}
+    groups: dict[tuple[str, ...], list[str]] = {}
     for finding in document["findings"]:
-        place = finding["joint"] or "the whole robot"
-        if finding["equivalents"]:
-            names = frozenset((finding["effect"], *finding["equivalents"]))
-            pairs.setdefault(names, []).append(place)
-        elif finding["probability"] < SURE_PROBABILITY:
-            unsure.setdefault(finding["effect"], []).append(place)
-    lines = [
-        f"To tell apart {listed([effect_words(name) for name in sorted(names)])} "
-        f"({_places(joints)}): "
-        f"{'; '.join(EFFECTS_BY_NAME[name].experiment for name in sorted(names))}."
-        for names, joints in pairs.items()
-    ]
-    lines += [
-        f"To be surer of {effect_words(effect)} ({_places(joints)}): "
-        f"{EFFECTS_BY_NAME[effect].experiment}."
-        for effect, joints in unsure.items()
-    ]
+        key = tuple(sorted({finding["effect"], *finding["equivalents"]}))
+        if key[1:] or finding["probability"] < SURE_PROBABILITY:
+            groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
+    lines = []
+    for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
+        purpose = "To tell apart" if names[1:] else "To be surer of"
+        effects = listed([effect_words(name) for name in names])
+        experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
+        place = some(list(dict.fromkeys(joints)), 2)
+        lines.append(f"{purpose} {effects} ({place}): {experiments}.")
     lines += [
         f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
         for entry in document["unknown"]
     ]
+    answer = "Nothing; other speeds, loads or temperatures may show more."
+    if "doubts" in document:
+        answer = "Resolve the doubts about the recordings named at the top of this page."
+    elif lines:
+        answer = "Motions that decide what these recordings leave open."
+    elif document["findings"]:
+        answer = "Nothing must be decided: every finding is sure, and no other effect resembles it."
     if diagnosis.method != "periods":
         lines.append(
             "Repeat the same period a few times in one recording: the difference between periods "
             "is noise, and the noise floor becomes known."
         )
-    if "doubts" in document:
-        answer = "Resolve the doubts about the recordings named at the top of this page."
-    elif pairs or unsure or document["unknown"]:
-        answer = "Motions that decide what these recordings leave open."
-    elif document["findings"]:
-        answer = "Nothing must be decided: every finding is sure, and no other effect resembles it."
-    else:
-        answer = "Nothing; other speeds, loads or temperatures may show more."
     return Section("next", "What to record next?", answer, {"lines": lines})
-
-
-def _places(joints: Sequence[str]) -> str:
-    """Joints, each of them once."""
-    return some(list(dict.fromkeys(joints)), 2)
 
 
 # -- considered, provenance ------------------------------------------------------------------------
@@ -292,7 +265,6 @@ def _places(joints: Sequence[str]) -> str:
 
 def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Effects that are not reported, and those that these recordings could not show."""
-    considered = document["considered"]
     rows = [
         (
             effect_words(entry["effect"]),
@@ -301,58 +273,46 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
             number(entry["evidence"]["log_bayes_factor"], 3),
             "yes" if entry["modelled"] else "no",
         )
-        for entry in considered
+        for entry in document["considered"]
     ]
-    absorbed = [
-        effect_words(effect.name)
-        for effect in EFFECTS
-        if effect.prior_only
-        and not diagnosis.options.trusted
-        and (not diagnosis.options.names or effect.name in diagnosis.options.names)
-    ]
-    head = ("effect", "joint", "probability", "log Bayes factor", "in the saved model")
-    answer = (
-        f"{plural(len(considered), 'effect')} had some evidence, too little to be reported."
-        if considered and "doubts" not in document
-        else f"{plural(len(considered), 'effect')} had some evidence; those at single joints are "
-        "withheld."
-        if considered
-        else "No other effect had evidence."
-    )
+    wanted = () if diagnosis.options.trusted else EFFECTS
+    absorbed = [effect_words(effect.name) for effect in wanted if effect.prior_only]
+    reason = "withheld, or too uncertain" if "doubts" in document else "too uncertain"
     data = {
-        "table": Table(head, rows, (2, 3)) if rows else None,
+        "table": Table(
+            ("effect", "joint", "probability", "log Bayes factor", "in the saved model"),
+            rows,
+            (2, 3),
+        ),
         "absorbed": listed(absorbed) if absorbed else "",
     }
+    answer = f"{plural(len(rows), 'effect')} had some evidence and are not reported: {reason}."
+    if not rows:
+        answer = "No other effect had evidence."
     return Section("considered", "What else was considered?", answer, data)
 
 
 def _provenance_section(diagnosis: Diagnosis, remarks: Sequence[Remark]) -> Section:
     """Data, method and versions."""
-    identified, robot = diagnosis.identified, diagnosis.identified.model.robot
-    groups = (diagnosis.model.motions, diagnosis.held_out.motions)
-    fitted, held_out = (list(dict.fromkeys(m.segment.source for m in group)) for group in groups)
-    rows = [sum(map(len, group)) for group in groups]
-    trusted = diagnosis.options.trusted
+    robot, trusted = diagnosis.identified.model.robot, diagnosis.options.trusted
+    fitted, held_out = (
+        list(dict.fromkeys(motion.segment.source for motion in motions))
+        for motions in (diagnosis.model.motions, diagnosis.held_out.motions)
+    )
     answer = (
-        f"All effects and the base model were fitted jointly to "
-        f"{plural(len(fitted), 'recording')}; {plural(len(held_out), 'other recording')} served "
-        f"only to measure the error; "
+        f"Base model and effects were fitted jointly to {plural(len(fitted), 'recording')}; "
+        f"{plural(len(held_out), 'other recording')} served only to measure the error; "
         f"{count_remarks(remarks)}."
     )
-    refit = f"{plural(len(trusted), 'value')} fixed by --prior" if trusted else "all refitted"
     facts = {
-        "robot": f"{robot.name} ({robot.source})",
-        "SHA-256 of the URDF": robot.sha256,
+        "robot": f"{robot.name} ({robot.source}), SHA-256 {robot.sha256}",
         "fitted to": ", ".join(fitted),
         "held out": ", ".join(held_out),
-        "rows": f"{rows[0]} fitted, {rows[1]} held out, × {plural(robot.n, 'joint')}",
         "band": f"below {number(diagnosis.hertz)} Hz",
-        "base model": f"{identified.model.base.count} parameters, {refit}",
+        "parameters fixed by --prior": str(len(trusted)),
         "noise floor": _NOISE_FLOORS.get(diagnosis.method, diagnosis.method),
         "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
-    data = {
-        "facts": Table(("quantity", "value"), list(facts.items())),
-        "remarks": list_remarks(remarks),
-    }
+    table = Table(("quantity", "value"), list(facts.items()))
+    data = {"facts": table, "remarks": list_remarks(remarks)}
     return Section("made", "How was it made?", answer, data)

@@ -126,32 +126,23 @@ class JointBudget:
 
 def probability_words(probability: float) -> str:
     """Return a probability with two decimals; certainty is not claimed."""
-    return (
-        "> 0.99"
-        if probability > 0.99
-        else "< 0.01"
-        if probability < 0.01
-        else (f"{probability:.2f}")
-    )
+    if not 0.01 <= probability <= 0.99:
+        return "> 0.99" if probability > 0.5 else "< 0.01"
+    return f"{probability:.2f}"
 
 
 def change_words(change: Mapping[str, Any]) -> str:
     """Return a change between recordings with its standard error, and relative to the value."""
-    text, share = (
-        value_with_error(change["value"], change["std"], change["unit"]),
-        change.get("relative"),
-    )
+    text = value_with_error(change["value"], change["std"], change["unit"])
+    share = change.get("relative")
     if share is None or abs(share) > MAX_RELATIVE_CHANGE:  # of a value that is practically zero
         return text
     return f"{text} ({100.0 * share:+.0f} %)".replace("-", "−")
 
 
-def parameter_words(finding: Mapping[str, Any]) -> str:
-    """Return the parameters of a finding of `diagnosis.json` with standard errors."""
-    texts = [
-        f"{key.replace('_', ' ')} {value_with_error(v['value'], v['std'], v['unit'])}"
-        for key, v in finding["parameters"].items()
-    ]
+def parameter_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return parameters of `diagnosis.json` with standard errors."""
+    texts = [f"{key.replace('_', ' ')} {value_with_error(**v)}" for key, v in parameters.items()]
     return ", ".join(texts) or "uncertain"
 
 
@@ -159,8 +150,7 @@ def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the findings of `diagnosis.json` by joint, the largest of each joint first."""
     joints = [None, *document["joints"]]
     return sorted(
-        document["findings"],
-        key=lambda f: (joints.index(f["joint"]), -f["evidence"]["severity"]),
+        document["findings"], key=lambda f: (joints.index(f["joint"]), -f["evidence"]["severity"])
     )
 
 
@@ -174,22 +164,14 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
     uncertain = {(e["effect"], e["joint"]) for e in document["considered"] if e["modelled"]}
     out = []
     for entry, (joint, errors) in zip(robot.entries, document["joints"].items(), strict=True):
-        shares = {
-            effect: value
-            for effect, value in document["budget"][joint].items()
-            if effect != "residual" and value["share"] > 0.0
-        }
+        budget = document["budget"][joint]
+        shares = {name: v for name, v in budget.items() if name != "residual" and v["share"] > 0.0}
         total = sum(value["share"] for value in shares.values())
-        parts = [
-            BudgetPart(
-                effect,
-                value["share"] / total,
-                value["std"] / total,
-                not uncertain & {(effect, joint), (effect, None)},
-            )
-            for effect, value in shares.items()
-        ]
-        named = sorted((p for p in parts if p.share >= MIN_SHARE), key=lambda part: -part.share)
+        parts = []
+        for name, value in sorted(shares.items(), key=lambda entry: -entry[1]["share"]):
+            is_certain = not uncertain & {(name, joint), (name, None)}
+            share, std = value["share"] / total, value["std"] / total
+            parts.append(BudgetPart(name, share, std, is_certain))
         out.append(
             JointBudget(
                 joint,
@@ -197,7 +179,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 errors["rmse_before"],
                 errors["rmse_after"],
                 errors["noise_floor"],
-                tuple(named),
+                tuple(part for part in parts if part.share >= MIN_SHARE),
                 sum(part.share for part in parts if part.share < MIN_SHARE),
                 "doubts" in document,
             )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ..diagnosis.diagnosis import Diagnosis
+from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed, some
@@ -27,7 +27,6 @@ from .formatting import capitalized, number, plural, significant
 from .remarks import count_remarks, list_remarks
 from .render import render
 from .torque_budget import (
-    NOISE_RATIO,
     JointBudget,
     effect_words,
     joint_budgets,
@@ -109,9 +108,10 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
         doubts = [f"{Path(d['recording']).name}: {d['text']}" for d in document["doubts"]]
         return [Banner(text, "bad"), *(Banner(doubt, "warn") for doubt in doubts)]
     text, tone = _VERDICTS[document["verdict"]]
-    above = [b.joint for b in budgets if b.noise_ratio > NOISE_RATIO]
-    if document["findings"] and above:
-        text += f" The error is still more than {NOISE_RATIO:g} times the noise at {some(above)}."
+    above = [b.joint for b in budgets if b.noise_ratio > EXPLAINED_RMSE_RATIO]
+    if document["verdict"] == "partly-explained" and above:
+        ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
+        text += f" The error is still more than {ratio} at {some(above)}."
     return [Banner(f"{capitalized(document['verdict'].replace('-', ' '))}: {text}", tone)]
 
 
@@ -130,7 +130,7 @@ def _budget_section(
             f"{improved[0].joint}: {improved[0].error}.",
             "",
         )
-    elif all(b.noise_ratio <= NOISE_RATIO for b in budgets):
+    elif all(b.noise_ratio <= EXPLAINED_RMSE_RATIO for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"
     data = {
         "figure": Markup(diagnosis_figures.draw_budget(budgets)),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ..diagnosis.diagnosis import Diagnosis
+from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
 from ..robot.parameter_names import percent, some
 from .content import Section, Table, TableCell
 from .figures import gear_encoders as encoder_figure
@@ -20,7 +20,7 @@ from .figures.diagnosis import held_out_predictions
 from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
 from .formatting import number, significant, value_with_error
-from .torque_budget import NOISE_RATIO, JointBudget, change_words, probability_words
+from .torque_budget import JointBudget, change_words, probability_words
 
 DRAWN_UNKNOWN = 6
 """Unmodelled residuals that are drawn."""
@@ -52,7 +52,7 @@ def prediction_section(
 
 def _prediction_answer(budgets: Sequence[JointBudget]) -> tuple[str, str]:
     """How near the held-out error is to noise, and its tone."""
-    above = [b.joint for b in budgets if b.noise_ratio > NOISE_RATIO]
+    above = [b.joint for b in budgets if b.noise_ratio > EXPLAINED_RMSE_RATIO]
     worse = [b.joint for b in budgets if b.is_worse]
     worst = max(budgets, key=lambda b: b.noise_ratio)
     answer, tone = "Yes, down to the noise at every joint", "good"

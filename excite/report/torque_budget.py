@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
 from ..robot.robot import Robot
 from .formatting import significant, value_with_error
 
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
 falls by less counts as unchanged."""
-NOISE_RATIO = 1.2
-"""Noise floors up to which an error counts as noise, as in the verdict of a diagnosis."""
 MAX_RELATIVE_CHANGE = 2.0
 """Relative change between recordings up to which it is stated."""
 NAMED_OTHERS = 0.01
@@ -109,7 +108,7 @@ class JointBudget:
         if self.is_worse:
             return "the effects of the model do not hold here"
         if not self.is_improved:
-            is_noise = self.noise_ratio <= NOISE_RATIO
+            is_noise = self.noise_ratio <= EXPLAINED_RMSE_RATIO
             return "nothing notable is missing" if is_noise else "no effect found reduces it"
         texts = [
             f"{'' if part.is_certain else 'perhaps '}{effect_words(part.effect)} "

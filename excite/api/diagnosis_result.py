@@ -124,7 +124,7 @@ class DiagnosisResult:
 def withhold_findings(
     document: Mapping[str, Any], doubts: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return a diagnosis without findings at single joints, because a recording is in doubt.
+    """Return a diagnosis without findings and changes at joints, because a recording is in doubt.
 
     If a column may hold another quantity than assumed, a residual is no evidence about a joint. The
     withheld findings are listed among those that were considered.
@@ -146,6 +146,7 @@ def withhold_findings(
             {**entry, "modelled": False} for entry in (*withheld, *document["considered"])
         ],
         "unknown": [],
+        "between_recordings": [],
         "joints": {
             joint: joint_entry(
                 entry["noise_floor"],

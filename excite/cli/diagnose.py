@@ -11,8 +11,15 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
-from ..report.formatting import significant, value_with_error
-from ..report.torque_budget import effect_words, joint_budgets, sorted_findings
+from ..report.formatting import significant
+from ..report.torque_budget import (
+    change_words,
+    effect_words,
+    joint_budgets,
+    parameter_words,
+    probability_words,
+    sorted_findings,
+)
 from ..robot.robot import Robot
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
@@ -36,11 +43,17 @@ def run(arguments: argparse.Namespace) -> Outcome:
     written = output.replace(result.contents())
     document = result.document()
     robot_of_model = result.diagnosis.identified.model.robot
-    return 0, with_files(document, written), _text(document, robot_of_model, written)
+    return 0, with_files(document, written), diagnosis_text(document, robot_of_model, written)
 
 
-def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
-    """The diagnosis in lines of text."""
+def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
+    """Return a diagnosis in lines of text.
+
+    Args:
+        document: Content of `diagnosis.json`.
+        robot: The robot.
+        written: Files that were written.
+    """
     lines = [f"verdict: {document['verdict']}"]
     doubts = document.get("doubts", [])
     if doubts:
@@ -48,9 +61,12 @@ def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
         lines += [f"  {Path(doubt['recording']).name}: {doubt['text']}" for doubt in doubts]
     budgets = joint_budgets(document, robot)
     lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
-    lines += _aligned([(b.joint, b.error, b.contributions) for b in budgets])
+    lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
     if document["findings"]:
-        lines += ["", "findings, with probability, size and standard errors:"]
+        lines += [
+            "",
+            "findings: probability, size over the residual torque, parameters with standard errors",
+        ]
         lines += _aligned([_finding(finding) for finding in sorted_findings(document)])
     if document["unknown"]:
         lines += ["", "torque that repeats with the motion and that no effect explains:"]
@@ -60,7 +76,7 @@ def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
                     u["joint"],
                     f"{100 * u['share']:.0f} % of the remaining squared error, by "
                     f"{u['where']['regime']}",
-                    f"probability {u['probability']:.2f}",
+                    f"probability {probability_words(u['probability'])}",
                 )
                 for u in document["unknown"]
             ]
@@ -72,7 +88,7 @@ def _text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
                 (
                     c["joint"],
                     Path(c["recording"]).name,
-                    ", ".join(f"{kind} {_change(c[kind])}" for kind in KINDS),
+                    ", ".join(f"{kind} {change_words(c[kind])}" for kind in KINDS),
                 )
                 for c in document["between_recordings"]
             ]
@@ -94,37 +110,16 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def _finding(finding: Mapping[str, Any]) -> tuple[str, ...]:
     """Joint, effect with its alternatives, probability, size and parameters."""
-    name = " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"]))
-    values = ", ".join(
-        f"{key.replace('_', ' ')} {value_with_error(v['value'], v['std'], v['unit'])}"
-        for key, v in finding["parameters"].items()
-    )
     return (
         finding["joint"] or "whole robot",
-        name,
-        f"{finding['probability']:.2f}",
-        f"{significant(finding['evidence']['severity'])} × noise",
-        values,
-    )
-
-
-def _change(change: Mapping[str, Any]) -> str:
-    """A change between recordings with its standard error."""
-    share = change.get("relative")
-    return value_with_error(change["value"], change["std"], change["unit"]) + (
-        "" if share is None else f" ({100 * share:+.0f} %)"
+        " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"])),
+        probability_words(finding["probability"]),
+        f"{significant(finding['evidence']['severity'])} × residual",
+        parameter_words(finding["parameters"]),
     )
 
 
 def _gear(gear: Mapping[str, Any]) -> str:
     """Gear parameters with standard errors."""
-    names = {
-        "stiffness": "stiffness",
-        "lost_motion": "lost motion",
-        "read_apart": "difference of the readings",
-    }
-    return ", ".join(
-        f"{name} {value_with_error(gear[key]['value'], gear[key]['std'], gear[key]['unit'])}"
-        for key, name in names.items()
-        if gear[key] is not None
-    )
+    names = ("stiffness", "lost_motion", "read_apart")
+    return parameter_words({name: gear[name] for name in names if gear[name] is not None})

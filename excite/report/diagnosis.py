@@ -6,14 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
-from ..diagnosis.diagnosis import Diagnosis
+from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed, some
 from ..trajectory.trajectory_file import package_versions
-from .content import Banner, ReportContent, Section, Table
+from .content import Banner, ReportContent, Section, Table, TableCell
 from .diagnosis_evidence import (
     encoders_section,
     prediction_section,
@@ -22,23 +23,36 @@ from .diagnosis_evidence import (
 )
 from .figures import diagnosis as diagnosis_figures
 from .figures.trajectory import torque_units
-from .formatting import capitalized, number, plural, significant, value_with_error
+from .formatting import capitalized, number, plural, significant
 from .remarks import count_remarks, list_remarks
 from .render import render
-from .torque_budget import JointBudget, effect_words, joint_budgets, sorted_findings
+from .torque_budget import (
+    JointBudget,
+    effect_words,
+    joint_budgets,
+    parameter_words,
+    probability_words,
+    sorted_findings,
+)
 
 Document = Mapping[str, Any]
 """The diagnosis as in `diagnosis.json`, or a part of it."""
 
-DRAWN_CURVES = 12
-"""Curves of effects that are shown without a click."""
+DRAWN_CURVES = 15
+"""Curves of effects that are drawn, those of the largest effects."""
 SHOWN_SENTENCES = 10
 """Joints whose sentence is shown without a click."""
+CURVE_LEVEL = 0.1
+"""Part of the largest torque of a curve above which it is not near zero."""
+CURVE_POINTS = 3
+"""Bins not near zero that a curve needs to be drawn."""
+SURE_PROBABILITY = 0.9
+"""Probability from which no experiment to confirm a finding is proposed."""
 _VERDICTS = {
-    "no-mismatch": ("The base model lacks nothing that these recordings show.", "good"),
-    "explained": ("The effects below explain all that the base model lacks.", "good"),
-    "partly-explained": ("The effects below explain a part of what the base model lacks.", "warn"),
-    "unexplained": ("The base model lacks something that no known effect explains.", "bad"),
+    "no-mismatch": ("the base model lacks nothing that these recordings show.", "good"),
+    "explained": ("the effects below explain what the base model lacks.", "good"),
+    "partly-explained": ("the effects below explain a part of what the base model lacks.", "warn"),
+    "unexplained": ("the base model lacks something that no known effect explains.", "bad"),
 }
 _NOISE_FLOORS = {
     "periods": "the difference between repeated periods",
@@ -63,10 +77,10 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
         title=f"Diagnosis of {robot.name}",
         subtitle="What the base model (rigid links, rotor inertia, viscous and Coulomb friction, "
         "offset) lacks, found in the torque that it does not predict.",
-        banners=_banners(document),
+        banners=_banners(document, budgets),
         cards=(),
         sections=[
-            _budget_section(document, budgets),
+            _budget_section(diagnosis, document, budgets),
             _findings_section(document, units),
             *unknown_section(document, units),
             *session_changes_section(document),
@@ -84,42 +98,45 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
 # -- first screen ----------------------------------------------------------------------------------
 
 
-def _banners(document: Document) -> list[Banner]:
+def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]:
     """Doubts about the recordings, or else the verdict."""
-    doubts = document.get("doubts", [])
-    if doubts:
+    if "doubts" in document:
         text = (
             "Findings are withheld: a recording may not hold what its columns say, and then a "
             "torque error says nothing about a joint. Resolve this first, then diagnose again."
         )
-        return [
-            Banner(text, "bad"),
-            *(Banner(f"{Path(d['recording']).name}: {d['text']}", "warn") for d in doubts),
-        ]
+        doubts = [f"{Path(d['recording']).name}: {d['text']}" for d in document["doubts"]]
+        return [Banner(text, "bad"), *(Banner(doubt, "warn") for doubt in doubts)]
     text, tone = _VERDICTS[document["verdict"]]
-    return [Banner(f"{capitalized(document['verdict'])}. {text}", tone)]
+    above = [b.joint for b in budgets if b.noise_ratio > EXPLAINED_RMSE_RATIO]
+    if document["verdict"] == "partly-explained" and above:
+        ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
+        text += f" The error is still more than {ratio} at {some(above)}."
+    return [Banner(f"{capitalized(document['verdict'].replace('-', ' '))}: {text}", tone)]
 
 
-def _budget_section(document: Document, budgets: Sequence[JointBudget]) -> Section:
+def _budget_section(
+    diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
+) -> Section:
     """The torque budget of every joint, as a picture and in words."""
-    improved = [b for b in budgets if b.is_improved]
+    improved = sorted((b for b in budgets if b.is_improved), key=lambda b: b.after / b.before)
+    answer, tone = "Not known: no effect found reduces the error.", "warn"
     if "doubts" in document:
-        answer, tone = "Not known while findings are withheld: only the error is shown.", "warn"
-    elif not improved:
-        answer = "From nothing that the diagnosis knows: no effect reduces the error."
-        tone = _VERDICTS[document["verdict"]][1]
-    else:
-        best = max(improved, key=lambda b: 1.0 - b.after / b.before)
-        answer = (
-            f"On recordings that it has not seen, the model with effects reduces the error at "
-            f"{len(improved)} of {plural(len(budgets), 'joint')}, most at {best.joint}: "
-            f"{significant(best.before)} → {significant(best.after)} {best.unit}."
+        answer = "Not known while findings are withheld: only the error is shown."
+    elif improved:
+        count = f"{len(improved)} of {plural(len(budgets), 'joint')}"
+        answer, tone = (
+            f"The effects found reduce the error on unseen recordings at {count}, most at "
+            f"{improved[0].joint}: {improved[0].error}.",
+            "",
         )
-        tone = ""
+    elif all(b.noise_ratio <= EXPLAINED_RMSE_RATIO for b in budgets):
+        answer, tone = "From noise alone, at every joint.", "good"
     data = {
         "figure": Markup(diagnosis_figures.draw_budget(budgets)),
-        "sentences": [f"{b.joint}: {b.sentence}." for b in budgets],
+        "sentences": [f"{b.joint}: error {b.error}; {b.causes}." for b in budgets],
         "shown": SHOWN_SENTENCES,
+        "is_noise_known": diagnosis.method == "periods",
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),
     }
     return Section("budget", "Where does the torque error come from?", answer, data, tone)
@@ -130,32 +147,34 @@ def _budget_section(document: Document, budgets: Sequence[JointBudget]) -> Secti
 
 def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
     """The findings: how sure, how large, and with what they may be confused."""
-    findings = sorted_findings(document)
-    rows = [
-        (
-            finding["joint"] or "whole robot",
-            effect_words(finding["effect"]) + _origin(finding),
-            number(finding["probability"], 2),
-            _size(finding["evidence"]),
-            _parameters(finding),
-            listed([effect_words(name) for name in finding["equivalents"]])
-            if finding["equivalents"]
-            else "–",
+    findings, rows = sorted_findings(document), []
+    for k, finding in enumerate(findings):
+        is_first = k == 0 or findings[k - 1]["joint"] != finding["joint"]
+        alternatives = [effect_words(name) for name in finding["equivalents"]]
+        rows.append(
+            (
+                (finding["joint"] or "whole\u00a0robot") if is_first else "",
+                TableCell(
+                    effect_words(finding["effect"]) + _origin(finding),
+                    note=f"or {' or '.join(alternatives)}" if alternatives else "",
+                ),
+                probability_words(finding["probability"]),
+                _size(finding["evidence"]),
+                parameter_words(finding["parameters"])
+                .replace(" ", "\u00a0")
+                .replace(",\u00a0", ", "),
+            )
         )
-        for finding in findings
-    ]
-    head = ("joint", "effect", "probability", "size [noise]", "parameters", "or instead")
-    # a curve over the angle is too coarse for a ripple of many periods a turn
-    curves = [f for f in findings if f["curve"] and f["where"]["regime"] != "order"]
+    head = ("joint", "effect", "probability", "size [× residual]", "parameters")
+    effects = [EFFECTS_BY_NAME[name] for name in dict.fromkeys(f["effect"] for f in findings)]
+    signatures = [(effect_words(e.name), capitalized(e.signature), e.equation) for e in effects]
+    sizes = sorted(f["evidence"]["severity"] for f in findings if _is_drawn(f))
+    smallest = sizes[-DRAWN_CURVES:][0] if sizes else 0.0
+    curves = [f for f in findings if _is_drawn(f) and f["evidence"]["severity"] >= smallest]
     data = {
-        "table": Table(head, rows, (2, 3)) if rows else None,
-        "effects": _descriptions(findings),
-        "curves": Markup(diagnosis_figures.draw_effect_curves(curves[:DRAWN_CURVES], units))
-        if curves
-        else "",
-        "more_curves": Markup(diagnosis_figures.draw_effect_curves(curves[DRAWN_CURVES:], units))
-        if curves[DRAWN_CURVES:]
-        else "",
+        "table": Table(head, rows, (2, 3)),
+        "effects": Table(("effect", "how it shows", "equation"), signatures),
+        "curves": Markup(diagnosis_figures.draw_effect_curves(curves, units)) if curves else "",
     }
     answer, tone = _findings_answer(document)
     return Section("what", "Which effects are there, and how sure is that?", answer, data, tone)
@@ -196,20 +215,13 @@ def _size(evidence: Document) -> str:
     return f"{significant(evidence['severity'])} ({significant(low)} … {significant(high)})"
 
 
-def _parameters(finding: Document) -> str:
-    """Parameters with standard errors."""
-    texts = [
-        f"{key.replace('_', ' ')} {value_with_error(v['value'], v['std'], v['unit'])}"
-        for key, v in finding["parameters"].items()
-    ]
-    return ", ".join(texts).replace(" ± ", "\u00a0±\u00a0") or "–"
-
-
-def _descriptions(findings: Sequence[Document]) -> Table | None:
-    """Signature and equation of every effect that was found."""
-    effects = [EFFECTS_BY_NAME[name] for name in dict.fromkeys(f["effect"] for f in findings)]
-    rows = [(effect_words(e.name), capitalized(e.signature), e.equation) for e in effects]
-    return Table(("effect", "how it shows", "equation"), rows) if rows else None
+def _is_drawn(finding: Document) -> bool:
+    """Tell whether a finding has a curve whose bins are fine enough to show its form."""
+    # the period of a ripple is shorter than a bin of the angle
+    if not finding["curve"] or finding["where"]["regime"] == "order":
+        return False
+    torque = np.abs(finding["curve"]["torque"])
+    return int(np.sum(torque > CURVE_LEVEL * torque.max(initial=0.0))) >= CURVE_POINTS
 
 
 # -- next experiment -------------------------------------------------------------------------------
@@ -217,37 +229,34 @@ def _descriptions(findings: Sequence[Document]) -> Table | None:
 
 def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Experiments that separate or confirm effects."""
-    groups: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    groups: dict[tuple[str, ...], list[str]] = {}
     for finding in document["findings"]:
-        key = finding["effect"], tuple(finding["equivalents"])
-        groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
+        key = tuple(sorted({finding["effect"], *finding["equivalents"]}))
+        if key[1:] or finding["probability"] < SURE_PROBABILITY:
+            groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
     lines = []
-    for (effect, equivalents), joints in sorted(groups.items(), key=lambda g: not g[0][1]):
-        experiments = [EFFECTS_BY_NAME[name].experiment for name in (effect, *equivalents)]
-        names = [effect_words(name) for name in equivalents]
-        purpose = (
-            f"To tell {effect_words(effect)} from {listed(names)}"
-            if names
-            else (f"To confirm {effect_words(effect)}")
-        )
-        lines.append(f"{purpose} ({some(joints, 2)}): {'; '.join(dict.fromkeys(experiments))}.")
+    for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
+        purpose = "To tell apart" if names[1:] else "To be surer of"
+        effects = listed([effect_words(name) for name in names])
+        experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
+        place = some(list(dict.fromkeys(joints)), 2)
+        lines.append(f"{purpose} {effects} ({place}): {experiments}.")
     lines += [
         f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
         for entry in document["unknown"]
     ]
+    answer = "Nothing; other speeds, loads or temperatures may show more."
+    if "doubts" in document:
+        answer = "Resolve the doubts about the recordings named at the top of this page."
+    elif lines:
+        answer = "Motions that decide what these recordings leave open."
+    elif document["findings"]:
+        answer = "Nothing must be decided: every finding is sure, and no other effect resembles it."
     if diagnosis.method != "periods":
         lines.append(
             "Repeat the same period a few times in one recording: the difference between periods "
             "is noise, and the noise floor becomes known."
         )
-    if "doubts" in document:
-        answer = "Resolve the doubts about the recordings named at the top of this page."
-    elif any(equivalents for _, equivalents in groups):
-        answer = "Record the motions that tell apart what these recordings cannot."
-    elif groups or document["unknown"]:
-        answer = "Nothing must be decided; these motions would show the effects most clearly."
-    else:
-        answer = "Nothing; other speeds, loads or temperatures may show more."
     return Section("next", "What to record next?", answer, {"lines": lines})
 
 
@@ -256,67 +265,54 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
 
 def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Effects that are not reported, and those that these recordings could not show."""
-    considered = document["considered"]
     rows = [
         (
             effect_words(entry["effect"]),
             entry["joint"] or "whole robot",
-            number(entry["probability"], 2),
+            probability_words(entry["probability"]),
             number(entry["evidence"]["log_bayes_factor"], 3),
             "yes" if entry["modelled"] else "no",
         )
-        for entry in considered
+        for entry in document["considered"]
     ]
-    absorbed = [
-        effect_words(effect.name)
-        for effect in EFFECTS
-        if effect.prior_only
-        and not diagnosis.options.trusted
-        and (not diagnosis.options.names or effect.name in diagnosis.options.names)
-    ]
-    head = ("effect", "joint", "probability", "log Bayes factor", "in the saved model")
-    answer = (
-        f"{plural(len(considered), 'effect')} had some evidence, too little to be reported."
-        if considered and "doubts" not in document
-        else f"{plural(len(considered), 'effect')} had some evidence; those at single joints are "
-        "withheld."
-        if considered
-        else "No other effect had evidence."
-    )
+    wanted = () if diagnosis.options.trusted else EFFECTS
+    absorbed = [effect_words(effect.name) for effect in wanted if effect.prior_only]
+    reason = "withheld, or too uncertain" if "doubts" in document else "too uncertain"
     data = {
-        "table": Table(head, rows, (2, 3)) if rows else None,
+        "table": Table(
+            ("effect", "joint", "probability", "log Bayes factor", "in the saved model"),
+            rows,
+            (2, 3),
+        ),
         "absorbed": listed(absorbed) if absorbed else "",
     }
+    answer = f"{plural(len(rows), 'effect')} had some evidence and are not reported: {reason}."
+    if not rows:
+        answer = "No other effect had evidence."
     return Section("considered", "What else was considered?", answer, data)
 
 
 def _provenance_section(diagnosis: Diagnosis, remarks: Sequence[Remark]) -> Section:
     """Data, method and versions."""
-    identified, robot = diagnosis.identified, diagnosis.identified.model.robot
-    groups = (diagnosis.model.motions, diagnosis.held_out.motions)
-    fitted, held_out = (list(dict.fromkeys(m.segment.source for m in group)) for group in groups)
-    rows = [sum(map(len, group)) for group in groups]
-    trusted = diagnosis.options.trusted
+    robot, trusted = diagnosis.identified.model.robot, diagnosis.options.trusted
+    fitted, held_out = (
+        list(dict.fromkeys(motion.segment.source for motion in motions))
+        for motions in (diagnosis.model.motions, diagnosis.held_out.motions)
+    )
     answer = (
-        f"All effects and the base model were fitted jointly to "
-        f"{plural(len(fitted), 'recording')}; {plural(len(held_out), 'other recording')} served "
-        f"only to measure the error; "
+        f"Base model and effects were fitted jointly to {plural(len(fitted), 'recording')}; "
+        f"{plural(len(held_out), 'other recording')} served only to measure the error; "
         f"{count_remarks(remarks)}."
     )
-    refit = f"{plural(len(trusted), 'value')} fixed by --prior" if trusted else "all refitted"
     facts = {
-        "robot": f"{robot.name} ({robot.source})",
-        "SHA-256 of the URDF": robot.sha256,
+        "robot": f"{robot.name} ({robot.source}), SHA-256 {robot.sha256}",
         "fitted to": ", ".join(fitted),
         "held out": ", ".join(held_out),
-        "rows": f"{rows[0]} fitted, {rows[1]} held out, × {plural(robot.n, 'joint')}",
         "band": f"below {number(diagnosis.hertz)} Hz",
-        "base model": f"{identified.model.base.count} parameters, {refit}",
+        "parameters fixed by --prior": str(len(trusted)),
         "noise floor": _NOISE_FLOORS.get(diagnosis.method, diagnosis.method),
         "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
-    data = {
-        "facts": Table(("quantity", "value"), list(facts.items())),
-        "remarks": list_remarks(remarks),
-    }
+    table = Table(("quantity", "value"), list(facts.items()))
+    data = {"facts": table, "remarks": list_remarks(remarks)}
     return Section("made", "How was it made?", answer, data)

@@ -6,14 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
 from ..robot.robot import Robot
-from .formatting import significant
+from .formatting import significant, value_with_error
 
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
 falls by less counts as unchanged."""
-NOISE_RATIO = 1.2
-"""Noise floors up to which an error counts as noise, as in the verdict of a diagnosis."""
+MAX_RELATIVE_CHANGE = 2.0
+"""Relative change between recordings up to which it is stated."""
 NAMED_OTHERS = 0.01
 """Share of all small effects together from which they are mentioned."""
 MAIN_SHARE = 0.6
@@ -21,7 +22,7 @@ MAIN_SHARE = 0.6
 _WORDS = {
     "asymmetric_viscous": "viscous friction that differs by direction",
     "drag": "drag (square of speed)",
-    "friction": "friction",
+    "friction": "Coulomb and viscous friction",
     "hysteresis": "presliding hysteresis",
     "nonlinear_viscous": "nonlinear viscous friction",
     "position_friction": "friction that depends on position",
@@ -64,6 +65,7 @@ class JointBudget:
         floor: Noise floor.
         parts: Effects that remove at least `MIN_SHARE` of before − after, the largest first.
         others: Share of all other effects together [1].
+        is_withheld: Whether findings are withheld, so that the saved model is the base model.
     """
 
     joint: str
@@ -73,6 +75,7 @@ class JointBudget:
     floor: float
     parts: tuple[BudgetPart, ...]
     others: float
+    is_withheld: bool
 
     @property
     def is_improved(self) -> bool:
@@ -98,41 +101,55 @@ class JointBudget:
         return f"{' → '.join(values)} {self.unit} ({significant(self.noise_ratio)} × noise)"
 
     @property
-    def contributions(self) -> str:
+    def causes(self) -> str:
         """Effects that remove the error: 'mostly load friction (95 %), some delay (5 %)'."""
+        if self.is_withheld:
+            return "findings are withheld"
+        if self.is_worse:
+            return "the effects of the model do not hold here"
         if not self.is_improved:
-            return ""
+            is_noise = self.noise_ratio <= EXPLAINED_RMSE_RATIO
+            return "nothing notable is missing" if is_noise else "no effect found reduces it"
         texts = [
             f"{'' if part.is_certain else 'perhaps '}{effect_words(part.effect)} "
             f"({100.0 * part.share:.0f} %)"
             for part in self.parts
         ]
+        if self.parts[0].share >= MAIN_SHARE and len(texts) > 1:
+            texts[0] = f"mostly {texts[0]}"
+            texts[1] = f"some {texts[1]}" if self.parts[1].is_certain else texts[1]
         if self.others >= NAMED_OTHERS:
             texts.append(f"others ({100.0 * self.others:.0f} %)")
-        if self.parts[0].share < MAIN_SHARE:
-            return ", ".join(texts)
-        texts[0] = f"mostly {texts[0]}" if len(texts) > 1 else texts[0]
-        texts[1:2] = [f"some {texts[1]}"] if len(self.parts) > 1 else texts[1:2]
         return ", ".join(texts)
 
-    @property
-    def sentence(self) -> str:
-        """The budget in a sentence without the joint."""
-        if self.is_improved:
-            return f"error {self.error}; {self.contributions}"
-        if self.is_worse:
-            return f"error {self.error}; the effects of the model do not hold here"
-        if self.noise_ratio <= NOISE_RATIO:
-            return f"error {self.error}; nothing notable is missing"
-        return f"error {self.error}; no effect of the model reduces it"
+
+def probability_words(probability: float) -> str:
+    """Return a probability with two decimals; certainty is not claimed."""
+    if not 0.01 <= probability <= 0.99:
+        return "> 0.99" if probability > 0.5 else "< 0.01"
+    return f"{probability:.2f}"
+
+
+def change_words(change: Mapping[str, Any]) -> str:
+    """Return a change between recordings with its standard error, and relative to the value."""
+    text = value_with_error(change["value"], change["std"], change["unit"])
+    share = change.get("relative")
+    if share is None or abs(share) > MAX_RELATIVE_CHANGE:  # of a value that is practically zero
+        return text
+    return f"{text} ({100.0 * share:+.0f} %)".replace("-", "−")
+
+
+def parameter_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return parameters of `diagnosis.json` with standard errors."""
+    texts = [f"{key.replace('_', ' ')} {value_with_error(**v)}" for key, v in parameters.items()]
+    return ", ".join(texts) or "uncertain"
 
 
 def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the findings of `diagnosis.json` by joint, the largest of each joint first."""
     joints = [None, *document["joints"]]
     return sorted(
-        document["findings"],
-        key=lambda f: (joints.index(f["joint"]), -f["evidence"]["severity"]),
+        document["findings"], key=lambda f: (joints.index(f["joint"]), -f["evidence"]["severity"])
     )
 
 
@@ -146,22 +163,14 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
     uncertain = {(e["effect"], e["joint"]) for e in document["considered"] if e["modelled"]}
     out = []
     for entry, (joint, errors) in zip(robot.entries, document["joints"].items(), strict=True):
-        shares = {
-            effect: value
-            for effect, value in document["budget"][joint].items()
-            if effect != "residual" and value["share"] > 0.0
-        }
+        budget = document["budget"][joint]
+        shares = {name: v for name, v in budget.items() if name != "residual" and v["share"] > 0.0}
         total = sum(value["share"] for value in shares.values())
-        parts = [
-            BudgetPart(
-                effect,
-                value["share"] / total,
-                value["std"] / total,
-                not uncertain & {(effect, joint), (effect, None)},
-            )
-            for effect, value in shares.items()
-        ]
-        named = sorted((p for p in parts if p.share >= MIN_SHARE), key=lambda part: -part.share)
+        parts = []
+        for name, value in sorted(shares.items(), key=lambda entry: -entry[1]["share"]):
+            is_certain = not uncertain & {(name, joint), (name, None)}
+            share, std = value["share"] / total, value["std"] / total
+            parts.append(BudgetPart(name, share, std, is_certain))
         out.append(
             JointBudget(
                 joint,
@@ -169,8 +178,9 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 errors["rmse_before"],
                 errors["rmse_after"],
                 errors["noise_floor"],
-                tuple(named),
+                tuple(part for part in parts if part.share >= MIN_SHARE),
                 sum(part.share for part in parts if part.share < MIN_SHARE),
+                "doubts" in document,
             )
         )
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -12,18 +13,8 @@ from ...diagnosis.diagnosis import Diagnosis
 from ...effects.recorded_motion import split_by_motion
 from ...identification.identification import Prediction
 from ..torque_budget import JointBudget, effect_words
-from .drawing import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    RED,
-    SOFT,
-    limit_ticks,
-    render_panels,
-    render_svg,
-)
+from . import drawing
+from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT
 from .trajectory import short
 
 _EFFECT_COLORS = (BLUE, ORANGE, GREEN, "#8e5ea2", "#c9a227", "#4aa8a4", "#b5651d", "#d16ba5")
@@ -42,6 +33,8 @@ _INTERVAL = 1.645
 """Standard deviations of a 90 % interval on either side."""
 _END = 1.08
 """End of the axis of the torque budget; larger errors are cut off there."""
+LOGARITHMIC_QUANTITY = "travel since the reversal"
+"""Quantity of a curve that is drawn on a logarithmic axis."""
 _CURVE_HEIGHT = 1.35
 """Height of the axes of an effect's curve [in]."""
 
@@ -56,25 +49,17 @@ def draw_budget(budgets: Sequence[JointBudget]) -> str:
         budgets: Budgets of the joints.
     """
     totals: dict[str, float] = {}
-    for budget in budgets:
-        for part in budget.parts if budget.is_improved else ():
-            totals[part.effect] = totals.get(part.effect, 0.0) + part.share
+    for part in (part for budget in budgets if budget.is_improved for part in budget.parts):
+        totals[part.effect] = totals.get(part.effect, 0.0) + part.share
     ranked = sorted(totals, key=lambda effect: -totals[effect])
     colors = dict(zip(ranked, _EFFECT_COLORS, strict=False))
     names = [short(budget.joint, 24) for budget in budgets]
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
-        bottom, top = 0.42, 0.62
-        left = 0.3 + _LETTER_WIDTH * max(len(name) for name in names)
-        axes = figure.add_axes(
-            (
-                left / width,
-                bottom / height,
-                (width - left - _TEXT_WIDTH) / width,
-                (height - bottom - top) / height,
-            )
-        )
+        left, bottom, top = 0.3 + _LETTER_WIDTH * max(map(len, names)), 0.42, 0.62
+        across, up = (width - left - _TEXT_WIDTH) / width, (height - bottom - top) / height
+        axes = figure.add_axes((left / width, bottom / height, across, up))
         for y, budget in enumerate(budgets):
             _draw_bar(axes, y, budget, colors)
         axes.set_xlim(0.0, _END)
@@ -85,53 +70,33 @@ def draw_budget(budgets: Sequence[JointBudget]) -> str:
         axes.set_xlabel("held-out torque error (RMS), over that of the base model")
         _budget_legend(figure, colors, budgets)
 
-    return render_svg("Torque budget of every joint", 1.1 + _BAR_HEIGHT * len(budgets), draw)
+    label = "Torque budget of every joint"
+    return drawing.render_svg(label, 1.1 + _BAR_HEIGHT * len(budgets), draw)
 
 
 def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str]) -> None:
     """Draw the bar of a joint."""
+    bar = functools.partial(axes.barh, y, height=0.62)
     scale = max(budget.before, 1e-300)
-    remaining, floor = budget.after / scale, budget.floor / scale
-    axes.barh(y, min(remaining, _END), height=0.62, color=_REMAINING_COLOR)
-    if remaining > 1.0:
-        axes.barh(y, min(remaining, _END) - 1.0, left=1.0, height=0.62, color=RED)
-    at, removed = remaining, max(1.0 - remaining, 0.0)
-    for k, part in enumerate(budget.parts if removed else ()):
-        size = part.share * removed
-        axes.barh(
-            y,
-            size,
-            left=at,
-            height=0.62,
-            color=colors.get(part.effect, _OTHERS_COLOR),
-            alpha=1.0 if part.is_certain else 0.45,
-        )
+    remaining, floor = min(budget.after / scale, _END), budget.floor / scale
+    bar(remaining, color=_REMAINING_COLOR)
+    if budget.is_worse:
+        bar(remaining - 1.0, left=1.0, color=RED)
+    at, removed = remaining, 1.0 - remaining
+    for k, part in enumerate(budget.parts if budget.is_improved else ()):
+        size, alpha = part.share * removed, 1.0 if part.is_certain else 0.45
+        bar(size, left=at, color=colors.get(part.effect, _OTHERS_COLOR), alpha=alpha)
         if size >= _LABELLED_WIDTH:
             text = f"{100.0 * part.share:.0f} %"
             axes.text(at + 0.5 * size, y, text, ha="center", va="center", color="white", fontsize=7)
         at += size
-        axes.errorbar(
-            at,
-            y + (0.08, 0.16, 0.24)[k % 3],
-            xerr=min(_INTERVAL * part.std * removed, 1.0),
-            color=INK,
-            elinewidth=0.7,
-            capsize=1.8,
-            capthick=0.7,
-        )
-    axes.barh(y, max(1.0 - at, 0.0), left=at, height=0.62, color=_OTHERS_COLOR)
+        reach, place = min(_INTERVAL * part.std * removed, 1.0), y + (0.08, 0.16, 0.24)[k % 3]
+        axes.errorbar(at, place, xerr=reach, color=INK, elinewidth=0.7, capsize=1.8, capthick=0.7)
+    if budget.is_improved:
+        bar(max(1.0 - at, 0.0), left=at, color=_OTHERS_COLOR)
     if floor <= _END:
         axes.plot([floor, floor], [y - 0.42, y + 0.42], color=RED, linewidth=1.4)
-    axes.annotate(
-        budget.error,
-        (1.0, y),
-        (6.0, 0.0),
-        xycoords=axes.get_yaxis_transform(),
-        textcoords="offset points",
-        va="center",
-        fontsize=7.5,
-        annotation_clip=False,
-    )
+    axes.text(_END + 0.01, y, budget.error, va="center", fontsize=7.5)
 
 
 def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[JointBudget]) -> None:
@@ -139,21 +104,18 @@ def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[Joi
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    entries: list[tuple[Any, str]] = [
-        (Line2D([], [], color=RED), "noise floor"),
-        (Patch(color=_REMAINING_COLOR), "error that remains"),
-    ]
-    entries += [(Patch(color=color), effect_words(effect)) for effect, color in colors.items()]
-    if any(b.is_improved and b.others > 0.0 for b in budgets):
-        entries.append((Patch(color=_OTHERS_COLOR), "other effects"))
-    if any(b.after > b.before for b in budgets):
-        entries.append((Patch(color=RED), "worse than the base model"))
-    handles, labels = zip(*entries, strict=True)
+    patches = {"error that remains": _REMAINING_COLOR}
+    patches |= {effect_words(effect): color for effect, color in colors.items()}
+    if any(budget.is_improved and budget.others > 0.0 for budget in budgets):
+        patches["other effects"] = _OTHERS_COLOR
+    if any(budget.is_worse for budget in budgets):
+        patches["worse than the base model"] = RED
+    handles = [Line2D([], [], color=RED), *(Patch(color=color) for color in patches.values())]
     figure.legend(
         handles,
-        labels,
+        ["noise floor", *patches],
         loc="upper left",
-        ncols=min(len(labels), 5),
+        ncols=min(len(handles), 5),
         bbox_to_anchor=(0.0, 1.0),
         borderaxespad=0.0,
         handlelength=1.2,
@@ -173,25 +135,20 @@ def draw_effect_curves(findings: Sequence[Mapping[str, Any]], units: Mapping[str
         curve = finding["curve"]
         x, torque, std = (np.array(curve[key], float) for key in ("x", "torque", "std"))
         axes.axhline(0.0, color=GREY, linewidth=0.5)
-        axes.fill_between(
-            x,
-            torque - _INTERVAL * std,
-            torque + _INTERVAL * std,
-            color=BLUE,
-            alpha=0.22,
-            linewidth=0,
-        )
+        low, high = torque - _INTERVAL * std, torque + _INTERVAL * std
+        axes.fill_between(x, low, high, color=BLUE, alpha=0.22, linewidth=0)
         axes.plot(x, torque, color=BLUE, linewidth=1.1)
         title = f"{short(finding['joint'], 20)} [{units[finding['joint']]}]"
         axes.set_title(title, loc="left", fontweight="bold", pad=3)
         axes.set_title(effect_words(finding["effect"]), loc="right", fontsize=7, color=SOFT, pad=3)
-        axes.set_xlabel(
-            f"{curve['over']} [{curve['unit']}]"
-            + (", positive: against the motion" if curve["opposes_motion"] else "")
-        )
-        limit_ticks(axes, 5, 4)
+        note = ", positive: against the motion" if curve["opposes_motion"] else ""
+        axes.set_xlabel(f"{curve['over']} [{curve['unit']}]{note}")
+        drawing.limit_ticks(axes, 5, 4)
+        if curve["over"] == LOGARITHMIC_QUANTITY:  # from a fraction of a milliradian to a turn
+            axes.set_xscale("log")
+            drawing.set_decade_ticks(axes)
 
-    return render_panels("Torque of the effects", findings, draw, _CURVE_HEIGHT)
+    return drawing.render_panels("Torque of the effects", findings, draw, _CURVE_HEIGHT)
 
 
 def held_out_predictions(diagnosis: Diagnosis, *, withheld: bool) -> Iterator[Prediction]:

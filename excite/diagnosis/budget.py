@@ -16,12 +16,13 @@ import numpy as np
 from .._types import FloatArray
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
-from .estimates import EffectEstimate
 from . import final_model
+from .estimates import EffectEstimate
 from .final_model import FinalModel
 
 if TYPE_CHECKING:
     from .diagnosis import HeldOutErrors
+
 
 @dataclass(frozen=True)
 class TorqueBudget:

@@ -26,6 +26,7 @@ from ..robot.robot import Robot
 from . import (
     bandwidth,
     budget,
+    cross_validation,
     estimates,
     final_model,
     gear_encoders,
@@ -185,7 +186,7 @@ def diagnose(
             "give one that is not among the training recordings"
         )
     pieces = [list(segments.extract_segments(group, average=False)) for group in (train, validate)]
-    hertz = options.band or bandwidth.needed_hertz(pieces[0])
+    hertz = options.band or bandwidth.chosen_hertz(pieces[0], robot)
     settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
     psi = joint_model.initial_parameters(identified)
@@ -208,6 +209,7 @@ def diagnose(
     )
     progress("evidence of each effect")
     left_out, evidence = posterior.select(model)
+    left_out = cross_validation.without_unpredictive(model, left_out, evidence)
     effects = estimates.estimate_effects(model, rare, left_out, evidence)
     progress("base model of the recordings without the effects")
     final = final_model.fit(identified, model, left_out, train, progress)
@@ -278,6 +280,5 @@ def _changes(final: FinalModel, held_out: HeldOutErrors) -> list[SessionChange]:
     return [
         change
         for change in found
-        if change.wald > session_changes.WALD_THRESHOLD
-        and change.share > session_changes.MIN_SHARE
+        if change.wald > session_changes.WALD_THRESHOLD and change.share > session_changes.MIN_SHARE
     ]

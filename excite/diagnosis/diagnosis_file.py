@@ -67,9 +67,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "findings": [_entry(diagnosis, effect) for effect in diagnosis.findings],
         "joints": rows,
         "unknown": [_unknown(diagnosis, entry) for entry in diagnosis.unmodelled],
-        "considered": [
-            _entry(diagnosis, effect) for effect in diagnosis.considered[:CONSIDERED]
-        ],
+        "considered": [_entry(diagnosis, effect) for effect in diagnosis.considered[:CONSIDERED]],
         "band_hz": diagnosis.hertz,
         "budget": _budget(diagnosis),
         "model_check": dict(zip(joints, held_out.rmse_after.tolist(), strict=True)),
@@ -147,9 +145,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
     return out
 
 
-def _curve(
-    diagnosis: Diagnosis, estimate: EffectEstimate, regime: str
-) -> dict[str, Any] | None:
+def _curve(diagnosis: Diagnosis, estimate: EffectEstimate, regime: str) -> dict[str, Any] | None:
     """Torque of an effect of the model over the quantity on which it depends."""
     if not estimate.needed:
         return None

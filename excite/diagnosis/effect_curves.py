@@ -94,6 +94,4 @@ def effect_curve(
     unit = abscissa.unit.format("m" if rows.linear[j] else "rad")
     relative = estimate.relative_std
     centres = (0.5 * (edges[1:] + edges[:-1]))[kept]
-    return EffectCurve(
-        abscissa.over, unit, abscissa.along, centres, mean, np.abs(mean) * relative
-    )
+    return EffectCurve(abscissa.over, unit, abscissa.along, centres, mean, np.abs(mean) * relative)

@@ -17,9 +17,9 @@ from ..effects import EFFECTS_BY_NAME, delay
 from ..effects.effect import CandidateModel
 from . import joint_model, probability
 from .joint_model import JointModel
-from .posterior import EffectEvidence
+from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence
 from .regression import Solution
-from .selection import DENSE_NAMES, MIN_SEVERITY, RareEffect
+from .selection import RareEffect
 
 DRAWS = 400
 """Draws from the posterior."""
@@ -110,13 +110,13 @@ def estimate_effects(
         )
         equivalents: tuple[str, ...] = ()
         draws = posterior_of.draws(entry.effects) if needed else None
-        severity, interval, unique, parameters = 0.0, (0.0, 0.0), 0.0, {}
+        unique = float((entry.severity / model.regression.sigma).max())
+        present *= _is_large(unique, model)
+        severity, interval, parameters = 0.0, (0.0, 0.0), {}
         if needed and draws is not None:
             severity = posterior_of.severity(entry.effects)
             std = float(np.hypot(posterior_of.relative_std(entry.effects), FORM_STD))
             interval = tuple(severity * max(1.0 + z * std, 0.0) for z in (-QUANTILE, QUANTILE))
-            unique = float((entry.severity / model.regression.sigma).max())
-            present *= _is_large(unique, model)
             parameters = posterior_of.parameters(entry.effects, draws)
             equivalents = likeness.get((entry.name, entry.joint), ())
         if rivals is not None:
@@ -149,27 +149,22 @@ def estimate_effects(
 
 def _is_large(severity: float, model: JointModel) -> float:
     """Probability that a severity beyond all other effects is worth mentioning."""
-    rows = model.regression.independent_share * max(int(model.regression.moving.sum(axis=0).max()), 1)
+    rows = model.regression.independent_share * max(
+        int(model.regression.moving.sum(axis=0).max()), 1
+    )
     std = np.hypot(1.0 / np.sqrt(rows), FORM_STD * severity)
     return float(special.ndtr((severity - MIN_SEVERITY) / std))
 
 
 def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
-    """The delay of the clock d, whose evidence is ½ I d² − ½ ln(1 + I σ²) for a prior N(0, σ²)."""
+    """The delay of the clock."""
     model, seconds = of.model, float(of.model.delays[0])
     if not seconds:
         return []
-    place = np.array([len(model.free) + model.n])
-    square = of.covariance(place, place)[0, 0]
-    prior = joint_model.MAX_DELAY_STEP
-    information = max(1.0 / square - 1.0 / prior**2, 0.0)
-    factor = 0.5 * information * seconds**2 - 0.5 * np.log1p(information * prior**2)
+    factor, std = joint_model.delay_evidence(model, seconds)
     change = np.zeros(len(of.solution.coefficients))
-    change[place] = seconds
-    severity, unique = of.severity_of(change), abs(seconds) * np.sqrt(
-        information / (model.regression.independent_share * max(model.regression.moving.sum(), 1))
-    )
-    std = float(np.sqrt(square))
+    change[len(model.free) + model.n] = seconds
+    severity = of.severity_of(change)
     relative = std / abs(seconds)
     present = float(probability.probability(factor, probability.RARE_LOG_ODDS))
     present *= _is_large(severity, model)
@@ -184,7 +179,7 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
             float(factor),
             severity,
             interval,
-            float(unique),
+            severity,
             {"seconds": (seconds, std)},
             (),
             abs(seconds) > joint_model.MIN_DELAY,
@@ -192,9 +187,7 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     ]
 
 
-def _log_odds(
-    n: int, evidence: Sequence[EffectEvidence]
-) -> dict[tuple[str, int | None], float]:
+def _log_odds(n: int, evidence: Sequence[EffectEvidence]) -> dict[tuple[str, int | None], float]:
     """Prior log odds of every effect, those of the frictions shared over the joints."""
     out = {(e.name, e.joint): probability.RARE_LOG_ODDS for e in evidence}
     for name in DENSE_NAMES:
@@ -224,9 +217,7 @@ class _Posterior:
     def places(self, effects: Sequence[int]) -> IntArray:
         """Return the active coefficients of some effects."""
         slices = self.model.regression.slices
-        all_places = np.concatenate(
-            [np.arange(slices[e].start, slices[e].stop) for e in effects]
-        )
+        all_places = np.concatenate([np.arange(slices[e].start, slices[e].stop) for e in effects])
         return np.asarray(all_places[self.solution.active[all_places]])
 
     def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
@@ -274,9 +265,7 @@ class _Posterior:
         beyond = coefficients.copy()
         beyond[self._base] -= absorbed
         torque = regression.torque_along(beyond)
-        rms = np.sqrt(
-            np.sum(torque**2, axis=0) / np.maximum(regression.moving.sum(axis=0), 1)
-        )
+        rms = np.sqrt(np.sum(torque**2, axis=0) / np.maximum(regression.moving.sum(axis=0), 1))
         return float((rms / regression.sigma).max())
 
     def relative_std(self, effects: Sequence[int]) -> float:
@@ -357,7 +346,9 @@ def _likeness(
     of: _Posterior, evidence: Sequence[EffectEvidence], left_out: Collection[int]
 ) -> dict[tuple[str, int | None], tuple[str, ...]]:
     """Names of effects at the same joint that may stand for each effect of the model."""
-    needed = [e for e in evidence if not set(e.effects) <= set(left_out) and len(of.places(e.effects))]
+    needed = [
+        e for e in evidence if not set(e.effects) <= set(left_out) and len(of.places(e.effects))
+    ]
     out: dict[tuple[str, int | None], tuple[str, ...]] = {}
     for first in needed:
         a = of.places(first.effects)

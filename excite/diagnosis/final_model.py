@@ -57,7 +57,6 @@ class FinalModel:
             return self.effects
         return (*self.effects, FittedEffect(delay.clock_delay(), np.array([self.delay])))
 
-
     def document(self, recordings: Sequence[Recording]) -> dict[str, Any]:
         """Return the content of `model.json`.
 
@@ -249,9 +248,7 @@ def _delayed(
 ) -> FloatArray:
     """Return torque at the rows of some motions as it is recorded, with the clock's delay."""
     out = []
-    for part, motion in zip(
-        recorded_motion.split_by_motion(torque, motions), motions, strict=True
-    ):
+    for part, motion in zip(recorded_motion.split_by_motion(torque, motions), motions, strict=True):
         late = CubicSpline(motion.time, part)
         out.append(late(np.clip(motion.time - final.delay, motion.time[0], motion.time[-1])))
     return np.concatenate(out)

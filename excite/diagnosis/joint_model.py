@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import (
+    EFFECTS_BY_NAME,
     hysteresis,
     load_friction,
     nonlinear_viscous,
@@ -33,7 +34,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
-from . import session_changes
+from . import probability, session_changes
 from .regression import RIDGE, Columns, JointRegression, Solution, independent_share, rms
 
 ROUNDS = 4
@@ -132,6 +133,11 @@ def model_columns(
             std / np.maximum(size, 1e-3 * size.max())
             if not any(model.nonnegative)
             else np.full(k, std)
+        ) * np.array(
+            (
+                *(model.prior_shares or (1.0,) * (k - model.form_columns)),
+                *(1.0,) * model.form_columns,
+            )
         )
     else:
         prior = np.full(k, std) * np.array(model.prior_shares or (1.0,) * k)
@@ -181,6 +187,8 @@ def fit(
         x = fitted.solution.coefficients
         p, n = len(fitted.free), fitted.n
         delays = delays + x[p + n]
+        if not _is_probable(fitted, float(delays[0])):
+            delays = np.zeros(n)
         widths = widths * np.exp(np.clip(x[p : p + n], -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
         psi = consistent_parameters(identified, fitted)
         if step == 0:
@@ -188,6 +196,29 @@ def fit(
         if step in RIPPLE_ROUNDS:
             waves += find_waves(fitted)
     return fitted
+
+
+def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
+    """Return the log Bayes factor for a delay of the clock, and its standard deviation [s].
+
+    ln B = ½ I d² − ½ ln(1 + I σ²), with the information I of the data and the prior N(0, σ²).
+
+    Args:
+        fitted: A joint model.
+        seconds: The delay d [s].
+    """
+    place = np.zeros((int(np.count_nonzero(fitted.solution.active)), 1))
+    place[len(fitted.free) + fitted.n] = 1.0  # all base coefficients are active
+    square = float(fitted.solution.solve(place)[len(fitted.free) + fitted.n, 0])
+    information = max(1.0 / square - 1.0 / MAX_DELAY_STEP**2, 0.0)
+    factor = 0.5 * information * seconds**2 - 0.5 * np.log1p(information * MAX_DELAY_STEP**2)
+    return float(factor), float(np.sqrt(square))
+
+
+def _is_probable(fitted: JointModel, seconds: float) -> bool:
+    """Tell whether a delay of the clock is more probable than not."""
+    factor, _ = delay_evidence(fitted, seconds)
+    return bool(probability.probability(factor, probability.RARE_LOG_ODDS) > 0.5)
 
 
 def modelled_torque(model: JointModel) -> list[FloatArray]:
@@ -205,8 +236,8 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
 
 def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateModel:
     """Return a rare effect with the discrepancy of its form, in units of its fitted torque."""
-    if model.joint is None or model not in fitted.models:
-        return model
+    if model not in fitted.models or EFFECTS_BY_NAME[model.effect].prior_only:
+        return model  # rigid bodies have exactly the form of their model
     coefficients = fitted.coefficients(fitted.models.index(model))
     return with_form_error(model, fitted.motions, coefficients)
 
@@ -321,9 +352,7 @@ def _base_prior(
     changes = session_changes.prior_std(motions)
     mean, out = np.zeros(p + n + 1 + len(changes)), np.zeros((p + n + 1 + len(changes),) * 2)
     if not identified.options.trusted:
-        out[:p, :p] = consistency.base_prior_information(
-            identified.model.parameters, base, prior
-        )
+        out[:p, :p] = consistency.base_prior_information(identified.model.parameters, base, prior)
         mean[:p] = base.matrix @ prior.nominal
     out[range(p, p + n), range(p, p + n)] = 1.0
     out[p + n, p + n] = 1.0 / MAX_DELAY_STEP**2

@@ -14,6 +14,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import RecordedMotion
+from ..identification import segments
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
 from ..recordings import Recording, quantization
@@ -45,8 +46,11 @@ MAX_PERIOD_ROWS = 4000
 """Rows of a recording that are used to find its period."""
 JITTER_STANDARD_ERRORS = 2.0
 """Standard errors that are added to the growth of noise with momentum."""
-UPPER_BAND = (0.45, 0.75)
-"""Part of the band that shows noise, over the cutoff frequency: above the motion."""
+MAX_MOTION_SHARE = 0.6
+"""Largest frequency of the motion, over the cutoff, above which the residual shows its noise."""
+FILTERED_SHARE = 0.95
+"""Share of the residual's power above the motion that lies below the cutoff of a file that was
+filtered before."""
 SPECTRUM_PERIODS = 40.0
 """Length of the windows of the spectrum, in periods of the cutoff frequency."""
 SHIFT_PADDING = 32
@@ -89,8 +93,7 @@ def estimate_noise(
 ) -> NoiseEstimate:
     """Estimate the noise of a residual from what does not repeat.
 
-    Where nothing repeats, the residual's spectral density in the upper part of the band, above the
-    motion, gives a lower bound.
+    Where nothing repeats, the residual's spectral density above the motion gives a lower bound.
 
     Args:
         model: The base model.
@@ -149,23 +152,27 @@ def _with_steps(spread: FloatArray, steps: FloatArray) -> FloatArray:
 def _spectral_noise(
     motions: Sequence[RecordedMotion], residuals: Sequence[FloatArray]
 ) -> FloatArray:
-    """RMS below the cutoff of white noise with the density of the upper part of the band, (n,)."""
+    """RMS of white noise below the cutoff with the median density above the motion, shape (n,).
+
+    The cutoff is that of this filter, or the lower one of a file that was filtered before.
+    """
     from scipy import signal  # slow to import
 
-    densities = []
+    squares, rows = np.zeros(residuals[0].shape[1]), 0
     for motion, residual in zip(motions, residuals, strict=True):
         rate, hertz = motion.band.rate_of(Grid.KEPT), motion.band.hertz
         length = min(len(residual), max(16, int(SPECTRUM_PERIODS * rate / hertz)))
         frequency, density = signal.welch(residual, rate, nperseg=length, axis=0)
-        low, high = UPPER_BAND
-        upper = (frequency >= low * hertz) & (frequency <= high * hertz)
-        if upper.any():
-            densities.append((len(residual), hertz * np.median(density[upper], axis=0)))
-    if not densities:
-        return np.full(residuals[0].shape[1], 1e-12)
-    total = sum(count for count, _ in densities)
-    square = sum(count * power for count, power in densities) / total
-    return np.asarray(np.sqrt(np.maximum(square, 1e-24)))
+        start = min(segments.motion_bandwidth(motion.segment), MAX_MOTION_SHARE * hertz)
+        above = (frequency > start) & (frequency <= hertz)
+        for j in range(len(squares)):
+            share = np.cumsum(density[above, j]) / max(float(density[above, j].sum()), 1e-300)
+            last = int(np.searchsorted(share, FILTERED_SHARE))
+            usable = density[above, j][: last + 1]
+            edge = float(frequency[above][min(last, int(above.sum()) - 1)])
+            squares[j] += len(residual) * edge * float(np.median(usable))
+        rows += len(residual)
+    return np.asarray(np.sqrt(np.maximum(squares / max(rows, 1), 1e-24)))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ eliminated by a Schur complement, the others follow from nonnegative least squar
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -250,7 +250,12 @@ class JointRegression:
         return self._assembly
 
     def _solve(self, used: BoolArray) -> Solution:
-        matrix, score, power = self._assembled()
+        return self._minimum(used, *self._assembled())
+
+    def _minimum(
+        self, used: BoolArray, matrix: FloatArray, score: FloatArray, power: float
+    ) -> Solution:
+        """Minimum of the objective over the used coefficients."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         a, b = matrix * scale[:, None] * scale, score * scale
         free = np.flatnonzero(used & ~self.nonnegative)
@@ -270,6 +275,40 @@ class JointRegression:
         active = used & (~self.nonnegative | (x > 0.0))
         objective = 0.5 * (power + x @ matrix @ x) - score @ x
         return Solution(x, active, float(objective), matrix)
+
+    def cross_validated(
+        self, folds: Sequence[BoolArray], variants: Sequence[Collection[int]], unused: BoolArray
+    ) -> FloatArray:
+        """Return squared errors on rows that the coefficients were not fitted to.
+
+        Args:
+            folds: Rows of each fold, shape (N,).
+            variants: Effects that are left out, by variant of the model.
+            unused: Coefficients that say nothing about other rows, shape (K,).
+
+        Returns:
+            Sum over all folds, in units of the noise variance, shape (variants, n).
+        """
+        used = np.tile(~unused, (len(variants), 1))
+        for mask, left_out in zip(used, variants, strict=True):
+            for e in left_out:
+                mask[self.slices[e]] = False
+        out = np.zeros((len(variants), self.n))
+        matrix, score, power = self._assembled()
+        measured = np.where(self.moving, self.torque, 0.0)
+        for fold in folds:
+            rest, right = matrix.copy(), score.copy()
+            held_out = [gram.columns[fold] for gram in self._grams]
+            for j, (gram, x) in enumerate(zip(self._grams, held_out, strict=True)):
+                weight = float(self.weights[j])
+                rest[np.ix_(gram.places, gram.places)] -= weight * (x.T @ x)
+                right[gram.places] -= weight * (x.T @ measured[fold, j])
+            for v, mask in enumerate(used):
+                c = self._minimum(mask, rest, right, power).coefficients
+                for j, (gram, x) in enumerate(zip(self._grams, held_out, strict=True)):
+                    error = measured[fold, j] - x @ c[gram.places]
+                    out[v, j] += float(self.weights[j] * (error @ error))
+        return out
 
     def residual(self, solution: Solution | None = None) -> FloatArray:
         """Return the torque residual, shape (N, n) [N m]; rows at standstill have the torque."""

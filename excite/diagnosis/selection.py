@@ -17,20 +17,19 @@ from ..effects import EFFECTS
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
-from . import joint_model, posterior, probability
+from . import cross_validation, joint_model, posterior, probability
 from .joint_model import JointModel
+from .posterior import DENSE_NAMES
 from .regression import CandidateFit, Columns
 
 MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
-MIN_SEVERITY = 0.3
-"""Growth of the residual without an effect, over the noise, from which it counts."""
 OPTIMISED_CANDIDATES = 4
 """Candidates whose nonlinear parameters are optimised before the best is chosen."""
+MAX_MODELS = 2
+"""Models of one effect at one joint, as the modes of a base or the waves of a curve."""
 MAX_REJECTIONS = 3
 """Candidates that are tried in vain before the search ends."""
-DENSE_NAMES = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction", "torque_ripple")
-"""Effects that the joint model has from the start."""
 
 
 EQUIVALENT_SHARE = 0.05
@@ -73,7 +72,8 @@ class RareEffect:
         alike = [
             key
             for key, weight in sorted(instead.items(), key=lambda entry: -entry[1])
-            if weight > EQUIVALENT_SHARE and key[1] in (self.key[1], None)
+            if weight > EQUIVALENT_SHARE
+            and (key[1] == self.key[1] or None in (key[1], self.key[1]))
         ]
         total = 1.0 + sum(instead.values())
         own = 1.0 + sum(instead[key] for key in alike)
@@ -202,7 +202,9 @@ def find_rare_effects(
             (
                 key
                 for key, evidence in scores.items()
-                if key not in rejected and _is_probable(evidence)
+                if key not in rejected
+                and _is_probable(evidence)
+                and [f.key for f in found].count(key) < MAX_MODELS
             ),
             key=lambda key: -scores[key],
         )
@@ -225,7 +227,9 @@ def find_rare_effects(
                     f"{key[0]}, joint {key[1]}: log Bayes factor {result.log_bayes_factor:.1f}, "
                     f"severity {severity:.2f}"
                 )
-                if _is_probable(result.log_bayes_factor) and severity > MIN_SEVERITY:
+                if posterior.is_needed(extended, result) and cross_validation.pays(
+                    extended, groups[key]
+                ):
                     accepted = key
                     break
             rejected.add(key)
@@ -239,6 +243,4 @@ def find_rare_effects(
 
 def _is_probable(log_bayes_factor: float) -> bool:
     """Tell whether an effect is more probable than not."""
-    return bool(
-        probability.probability(log_bayes_factor, probability.RARE_LOG_ODDS) > 0.5
-    )
+    return bool(probability.probability(log_bayes_factor, probability.RARE_LOG_ODDS) > 0.5)

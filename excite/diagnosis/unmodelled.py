@@ -20,7 +20,7 @@ from .._types import BoolArray, FloatArray
 from . import probability
 from .joint_model import JointModel
 from .motion_rows import MIN_BIN_ROWS, MotionRows, motion_rows
-from .selection import MIN_SEVERITY
+from .posterior import MIN_SEVERITY
 
 HARMONICS = 40
 """Largest harmonic of a turn, or of a prismatic joint's range."""
@@ -244,15 +244,11 @@ def find(model: JointModel, residual: FloatArray, floor: FloatArray) -> list[Unm
         floor: Noise floor of each joint, shape (n,) [N m].
     """
     rows = motion_rows(model.motions)
-    middle = np.concatenate(
-        [np.arange(len(motion)) < len(motion) // 2 for motion in model.motions]
-    )
+    middle = np.concatenate([np.arange(len(motion)) < len(motion) // 2 for motion in model.motions])
     out = []
     for j in range(model.n):
         moving = model.regression.moving[:, j]
-        prediction = predict_residual(
-            rows, (moving & middle, moving & ~middle), residual[:, j], j
-        )
+        prediction = predict_residual(rows, (moving & middle, moving & ~middle), residual[:, j], j)
         size = np.sqrt(max(prediction.share, 0.0) * np.mean(residual[moving, j] ** 2))
         if size < MIN_SEVERITY * floor[j]:
             continue

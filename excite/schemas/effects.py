@@ -144,6 +144,10 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
         ),
         EffectForm({"order": SPATIAL_FREQUENCY, "about": POSITION}, coefficients=lambda values: 3),
         EffectForm({"bend": POSITION}, coefficients=lambda values: 2),
+        EffectForm(
+            {"waves": COUNT, "low": POSITION, "high": POSITION},
+            coefficients=lambda values: int(values["waves"]),
+        ),
     ),
     "coupling": (
         EffectForm({"ratio": Range(-1e6, 1e6, "1")}, coefficients=lambda values: 3, other=True),

@@ -137,19 +137,20 @@ Path(out, "diagnosis.json").write_text(json.dumps(document))
 Path(out, "model.json").write_text("{}")
 """
 """Analyst that asserts nothing and writes an empty model."""
-PREDICTOR = """
+PREDICTOR = f"""
 import sys
 from pathlib import Path
+import numpy as np
+sys.path.insert(0, {str(SCRIPT.parent)!r})
+from concealed_trial.base_model_fit import read_table
+from concealed_trial.run_analyst import in_band
 model, recording, csv = map(Path, sys.argv[1:])
-assert model.read_text() == "{}"
-header, *rows = recording.read_text().splitlines()
-names = header.split(",")
-kept = [k for k, name in enumerate(names) if name == "t" or name.startswith("tau.")]
-lines = [",".join(names[k] for k in kept)]
-for row in rows:
-    values = [float(value) for value in row.split(",")]
-    lines.append(",".join(repr(values[k] + (0.5 if k else 0.0)) for k in kept))
-csv.write_text("\\n".join(lines))
+assert model.read_text() == "{{}}"
+table = read_table(recording)
+rate = 1.0 / np.median(np.diff(table["t"]))
+out = {{k: in_band(x, rate) + 0.5 for k, x in table.items() if k.startswith("tau.")}}
+rows = np.column_stack([table["t"], *out.values()])
+np.savetxt(csv, rows, delimiter=",", header=",".join(["t", *out]), comments="")
 """
 """Predictor that is wrong by 0.5 N m."""
 

@@ -54,15 +54,21 @@ class FilteredRecording:
     tau: FloatArray
 
 
-def read_recording(path: Path) -> FilteredRecording:
-    """Read t, q.* and tau.* of a CSV; low-pass and differentiate."""
+def read_table(path: Path) -> dict[str, FloatArray]:
+    """Return the columns of a CSV with a header, by name, shapes (N,)."""
     with path.open(encoding="utf-8", newline="") as stream:
         header = next(csv.reader(stream))
         table = np.loadtxt(stream, delimiter=",")
-    joints = tuple(name[2:] for name in header if name.startswith("q."))
-    t = table[:, header.index("t")]
+    return dict(zip(header, table.T, strict=True))
+
+
+def read_recording(path: Path) -> FilteredRecording:
+    """Read t, q.* and tau.* of a CSV; low-pass and differentiate."""
+    table = read_table(path)
+    joints = tuple(name[2:] for name in table if name.startswith("q."))
+    t = table["t"]
     q, tau = (
-        table[:, [header.index(f"{kind}.{joint}") for joint in joints]] for kind in ("q", "tau")
+        np.column_stack([table[f"{kind}.{joint}"] for joint in joints]) for kind in ("q", "tau")
     )
     rate = 1.0 / float(np.median(np.diff(t)))
     every = max(1, round(rate / RATE))

@@ -17,12 +17,24 @@ from typing import Any
 
 import numpy as np
 
-from .base_model_fit import low_passed, read_recording, rms
+from excite._types import BoolArray, FloatArray
+
+from .base_model_fit import TORQUE_BAND, read_table
 
 TIMEOUT = 600.0
 """Time after which an analyst counts as having given no answer [s]."""
 PREDICT_COMMAND = "{python} -m excite predict {model} {recording} -o {csv}"
 """Command that re-reads the analyst's model."""
+FLAT_BAND = 16.0
+"""Frequency below which the filter of the diagnosis lets torque pass unchanged [Hz]."""
+MARGIN = 0.375
+"""Time at either end of a recording that the filter spoils [s]."""
+STANDSTILL_SPEED = 0.01
+"""Speed over its largest below which a joint stands still [1]."""
+STANDSTILL_TIME = 0.06
+"""Time from which a standstill counts [s]."""
+BREAKAWAY = 0.02
+"""Travel over the range of the motion after which a joint moves again [1]."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +106,10 @@ def ask(analyst: Analyst, case: Path, answers: Path) -> float | None:
 
 
 def predicted_rmse(model: Path, recording: Path, csv: Path) -> Mapping[str, float] | None:
-    """Return the RMSE per joint of a model re-read by `excite predict`, below 20 Hz [N m].
+    """Return the RMSE per joint of a model re-read by `excite predict` [N m].
 
-    None where `excite predict` refuses the model.
+    Measured torque is filtered as the prediction is; standstill does not count. None where
+    `excite predict` refuses the model.
 
     Args:
         model: The `model.json`.
@@ -106,17 +119,55 @@ def predicted_rmse(model: Path, recording: Path, csv: Path) -> Mapping[str, floa
     words = {"python": sys.executable, "model": model, "recording": recording, "csv": csv}
     if _run_command(PREDICT_COMMAND.format(**words), csv.parent) or not csv.exists():
         return None
-    measured = read_recording(recording)
-    names = csv.read_text(encoding="utf-8").split("\n", 1)[0].strip().split(",")
-    table = np.loadtxt(csv, delimiter=",", skiprows=1)
-    torque = np.column_stack(
-        [
-            np.interp(measured.t, table[:, 0], table[:, names.index(f"tau.{joint}")])
-            for joint in measured.joints
-        ]
-    )
-    errors = rms(low_passed(measured.tau - torque, measured.t))
-    return dict(zip(measured.joints, errors.tolist(), strict=True))
+    measured, predicted = read_table(recording), read_table(csv)
+    t = measured["t"]
+    rate = 1.0 / float(np.median(np.diff(t)))
+    margin = round(MARGIN * rate)
+    out = {}
+    for name in [key[4:] for key in measured if key.startswith("tau.")]:
+        torque = np.interp(t, predicted["t"], predicted[f"tau.{name}"])
+        error = in_band(measured[f"tau.{name}"], rate) - torque
+        counts = moving(measured[f"q.{name}"], rate)
+        counts[:margin] = counts[len(t) - margin :] = False
+        out[name] = float(np.sqrt(np.square(error[counts]).mean()))
+    return out
+
+
+def in_band(x: FloatArray, rate: float) -> FloatArray:
+    """Low-pass a signal without phase: flat to 16 Hz, zero from 20 Hz, a raised cosine between.
+
+    The signal is continued by reflection about its end points.
+
+    Args:
+        x: Signal, shape (N,).
+        rate: Its rate [Hz].
+    """
+    extended = np.concatenate([2.0 * x[0] - x[:0:-1], x, 2.0 * x[-1] - x[-2::-1]])
+    frequency = np.fft.rfftfreq(len(extended), 1.0 / rate)
+    share = np.clip((frequency - FLAT_BAND) / (TORQUE_BAND - FLAT_BAND), 0.0, 1.0)
+    gain = 0.5 + 0.5 * np.cos(np.pi * share)
+    filtered = np.fft.irfft(gain * np.fft.rfft(extended), len(extended))
+    return np.asarray(filtered[len(x) - 1 : 2 * len(x) - 1])
+
+
+def moving(q: FloatArray, rate: float) -> BoolArray:
+    """Return the samples at which a joint moves, shape (N,): static friction is not modelled.
+
+    A standstill lasts until the joint has travelled `BREAKAWAY` of its range.
+
+    Args:
+        q: Position, shape (N,) [rad].
+        rate: Its rate [Hz].
+    """
+    speed = np.abs(np.gradient(in_band(q, rate), 1.0 / rate))
+    still = speed < STANDSTILL_SPEED * speed.max()
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    out = np.ones(len(q), bool)
+    for start, end in edges.reshape(-1, 2).tolist():
+        if end - start > STANDSTILL_TIME * rate:
+            away = np.abs(q[end:] - q[end - 1]) > BREAKAWAY * np.ptp(q)
+            out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False
+    return out
 
 
 def _children_seconds() -> float:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from excite._types import BoolArray, FloatArray
 from excite.simulator.effects import EFFECT_TYPES, FORM_FAMILIES
 
 GROUP_OF_CATEGORY = {"single": "sparse", "pair": "sparse"}
@@ -229,7 +230,7 @@ def _is_diagnosis(answer: Any) -> bool:
     )
 
 
-def _claimed_rmse(joints: Iterable[str], answer: Mapping[str, Any]) -> np.ndarray | None:
+def _claimed_rmse(joints: Iterable[str], answer: Mapping[str, Any]) -> FloatArray | None:
     """Return the RMSE that an answer claims for its model, shape (n,) [N m], or None."""
     values = [answer["joints"].get(name, {}).get("rmse_after") for name in joints]
     return None if any(value is None for value in values) else np.array(values, float)
@@ -425,7 +426,7 @@ def probability_score(pairs: Sequence[tuple[float, bool]]) -> dict[str, Any]:
     }
 
 
-def _log_loss(probability: np.ndarray, right: np.ndarray) -> float:
+def _log_loss(probability: FloatArray, right: BoolArray) -> float:
     """Return the mean negative log-likelihood of outcomes [nats]."""
     p = np.clip(probability, PROBABILITY_LIMIT, 1.0 - PROBABILITY_LIMIT)
     return float(-np.mean(np.log(np.where(right, p, 1.0 - p))))

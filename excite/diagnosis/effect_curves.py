@@ -14,6 +14,10 @@ from .motion_rows import MIN_BIN_ROWS, MotionRows
 
 BINS = 40
 """Bins of a curve."""
+LOW_QUANTILE = 0.01
+"""Quantile of a quantity at which its logarithmic bins begin."""
+DISSIPATIVE_EFFECTS = ("position_friction",)
+"""Effects that oppose the motion though their regime is that of conservative ones too."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,7 @@ class _Abscissa:
     unit: str
     values: Callable[[MotionRows, int], FloatArray]
     along: bool = False
+    logarithmic: bool = False
 
 
 _ABSCISSAS: Mapping[str, _Abscissa] = {
@@ -54,7 +59,11 @@ _ABSCISSAS: Mapping[str, _Abscissa] = {
     "position": _Abscissa("position", "{}", lambda rows, j: rows.q[:, j]),
     "order": _Abscissa("position", "{}", lambda rows, j: rows.q[:, j]),
     "reversal": _Abscissa(
-        "travel since the reversal", "{}", lambda rows, j: rows.distance[:, j], along=True
+        "travel since the reversal",
+        "{}",
+        lambda rows, j: rows.distance[:, j],
+        along=True,
+        logarithmic=True,
     ),
     "run time": _Abscissa("time", "s", lambda rows, j: rows.clock, along=True),
     "time": _Abscissa("time", "s", lambda rows, j: rows.clock),
@@ -81,12 +90,13 @@ def effect_curve(
         if columns is not None and j in columns.joints:
             torque += columns.values[columns.joints.index(j)] @ coefficients
     x = abscissa.values(rows, j)
-    sign = rows.direction(j) if abscissa.along else np.ones(len(rows))
+    along = abscissa.along or estimate.effect in DISSIPATIVE_EFFECTS
+    sign = rows.direction(j) if along else np.ones(len(rows))
     shown = rows.moving[:, j] & (sign != 0.0)
     x, y = x[shown], (torque * sign)[shown]
     if not len(x) or np.ptp(x) <= 0.0:
         return None
-    edges = np.linspace(x.min(), x.max(), BINS + 1)
+    edges = _edges(x, logarithmic=abscissa.logarithmic)
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
     count = np.bincount(place, minlength=BINS)
     kept = count >= MIN_BIN_ROWS
@@ -94,4 +104,13 @@ def effect_curve(
     unit = abscissa.unit.format("m" if rows.linear[j] else "rad")
     relative = estimate.relative_std
     centres = (0.5 * (edges[1:] + edges[:-1]))[kept]
-    return EffectCurve(abscissa.over, unit, abscissa.along, centres, mean, np.abs(mean) * relative)
+    return EffectCurve(abscissa.over, unit, along, centres, mean, np.abs(mean) * relative)
+
+
+def _edges(x: FloatArray, *, logarithmic: bool) -> FloatArray:
+    """Edges of the bins of a curve, shape (BINS + 1,)."""
+    low, high = float(x.min()), float(x.max())
+    if not logarithmic:
+        return np.linspace(low, high, BINS + 1)
+    first = max(float(np.quantile(x, LOW_QUANTILE)), 1e-6 * high)
+    return np.concatenate([[low], np.geomspace(first, high, BINS)])

@@ -23,12 +23,11 @@ from pathlib import Path
 import numpy as np
 from concealed_trial.run import TrialFolder
 from concealed_trial.score import RELIABILITY_BINS, names_effect
-from scipy import special
 
 from excite._types import BoolArray, FloatArray
-from excite.diagnosis import estimates, posterior, probability
+from excite.diagnosis import posterior, probability
 
-TEMPERATURES = np.geomspace(1.0, 60.0, 16)
+TEMPERATURES = np.geomspace(1.0, 200.0, 24)
 """Temperatures that are tried."""
 COUNTS = ((0.5, 0.5), (0.5, 1.0), (0.5, 2.0), (1.0, 1.0), (1.0, 3.0), (2.0, 1.0))
 """Counts a and b that are tried."""
@@ -47,7 +46,6 @@ class StatedEffect:
         effect: Name of the effect.
         joints: Number of joints of the robot.
         log_bayes_factor: Evidence for it.
-        size: Probability that it is large enough to be mentioned.
         right: Whether it, or an equivalent, is hidden in its joint.
     """
 
@@ -55,7 +53,6 @@ class StatedEffect:
     effect: str
     joints: int
     log_bayes_factor: float
-    size: float
     right: bool
 
 
@@ -69,15 +66,12 @@ def read_effects(folder: TrialFolder, analyst: str) -> list[StatedEffect]:
             sys.exit(f"{path}: a scored case must not set constants; use tuning cases")
         for entry in (*answer.get("findings", ()), *answer.get("considered", ())):
             evidence = entry["evidence"]
-            severity = float(evidence["severity_beyond_others"])
-            spread = max(estimates.FORM_STD * severity, 1e-3)
             out.append(
                 StatedEffect(
                     path.stem,
                     entry["effect"],
                     len(truth["joints"]),
                     float(evidence["log_bayes_factor"]),
-                    float(special.ndtr((severity - posterior.MIN_SEVERITY) / spread)),
                     any(names_effect(entry, effect) for effect in truth["effects"]),
                 )
             )
@@ -98,8 +92,7 @@ def probabilities(
         factors = np.full(effects[members[0]].joints, -np.inf)
         factors[: len(members)] = [effects[i].log_bayes_factor for i in members]
         odds[members] = probability.shared_log_odds(factors)
-    stated = probability.probability(np.array([e.log_bayes_factor for e in effects]), odds)
-    return np.asarray(stated * np.array([e.size for e in effects]))
+    return probability.probability(np.array([e.log_bayes_factor for e in effects]), odds)
 
 
 def log_loss(stated: FloatArray, right: BoolArray) -> float:

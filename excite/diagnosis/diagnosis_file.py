@@ -10,12 +10,12 @@ from scipy import special
 
 from ..effects import EFFECTS_BY_NAME
 from ..robot.parameter_names import percent
-from . import effect_curves, motion_rows, session_changes
+from . import effect_curves, motion_rows, session_changes, unmodelled
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .gear_encoders import GearEstimate
 from .session_changes import SessionChange
-from .unmodelled import BASES, UnmodelledTorque
+from .unmodelled import UnmodelledTorque
 
 SCHEMA = "excite.diagnosis/1"
 """Schema of the document."""
@@ -274,6 +274,11 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
     name = diagnosis.identified.model.robot.joints[entry.joint]
     prediction = entry.prediction
     response = prediction.response
+    by = (
+        "another period of the motion"
+        if prediction.regime == unmodelled.REPETITION
+        else prediction.regime
+    )
     over = (
         response.over
         if response.other is None
@@ -283,7 +288,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         "joint": name,
         "where": {
             "statement": f"joint '{name}': torque that no effect of the catalogue explains; "
-            f"{prediction.regime} predicts {percent(prediction.share)} of the residual",
+            f"{by} predicts {percent(prediction.share)} of the residual",
             "regime": prediction.regime,
             "foreseen": prediction.share,
             "response": {
@@ -295,5 +300,5 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         },
         "share": prediction.share,
         "probability": entry.probability,
-        "experiment": BASES[prediction.regime].experiment,
+        "experiment": unmodelled.experiment(prediction.regime),
     }

@@ -7,10 +7,9 @@ are linearised, and of the form of the effect (`Effect.form_std`).
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
 from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
@@ -20,12 +19,17 @@ from .joint_model import JointModel
 from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence
 from .regression import Solution
 from .selection import RareEffect
+from .unmodelled import UnmodelledTorque
 
 DRAWS = 400
 """Draws from the posterior."""
-FORM_STD = 0.15
+FORM_STD = 0.2
 """Relative standard deviation of an effect's torque, and of a parameter whose effect states none,
 by the form of the effect."""
+EXCHANGEABLE = ("stribeck", "nonlinear_viscous")
+"""Frictions that are one curve with two names: each may take a part of the other."""
+EXCHANGEABLE_STD = 0.4
+"""The same for their torques."""
 LOG_STEP = 0.02
 """Step of the derivative by the logarithm of a nonlinear parameter."""
 MAX_LOG_CHANGE = 1.0
@@ -34,6 +38,8 @@ ALIKE_CORRELATION = -0.6
 """Posterior correlation of the torques of two effects below which one may stand for the other."""
 PERCENTILES = (15.87, 84.13)
 """Percentiles of the normal distribution one standard deviation below and above the mean."""
+FRICTIONS = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction")
+"""Frictions that any joint may have."""
 QUANTILE = 1.645
 """Quantile of the normal distribution of a 90 % interval."""
 
@@ -111,11 +117,11 @@ def estimate_effects(
         equivalents: tuple[str, ...] = ()
         draws = posterior_of.draws(entry.effects) if needed else None
         unique = float((entry.severity / model.regression.sigma).max())
-        present *= _is_large(unique, model)
         severity, interval, parameters = 0.0, (0.0, 0.0), {}
         if needed and draws is not None:
             severity = posterior_of.severity(entry.effects)
-            std = float(np.hypot(posterior_of.relative_std(entry.effects), FORM_STD))
+            form = EXCHANGEABLE_STD if entry.name in EXCHANGEABLE else FORM_STD
+            std = float(np.hypot(posterior_of.relative_std(entry.effects), form))
             interval = tuple(severity * max(1.0 + z * std, 0.0) for z in (-QUANTILE, QUANTILE))
             parameters = posterior_of.parameters(entry.effects, draws)
             equivalents = likeness.get((entry.name, entry.joint), ())
@@ -161,13 +167,33 @@ def _same_by_definition(
     return ()
 
 
-def _is_large(severity: float, model: JointModel) -> float:
-    """Probability that a severity beyond all other effects is worth mentioning."""
-    rows = model.regression.independent_share * max(
-        int(model.regression.moving.sum(axis=0).max()), 1
-    )
-    std = np.hypot(1.0 / np.sqrt(rows), FORM_STD * severity)
-    return float(special.ndtr((severity - MIN_SEVERITY) / std))
+def with_unmodelled(
+    effects: Sequence[EffectEstimate],
+    model: JointModel,
+    unmodelled: Sequence[UnmodelledTorque],
+) -> list[EffectEstimate]:
+    """Return estimates whose probabilities take account of torque that no effect explains.
+
+    Where torque of size u remains at a joint, a rare effect that explains torque of size s beyond
+    all others may stand for a part of the same unnamed thing: its probability is multiplied by
+    s²/(s² + u²).
+
+    Args:
+        effects: The estimates.
+        model: The joint model.
+        unmodelled: Torque that no effect of it explains.
+    """
+    left = np.zeros(model.n)
+    for entry in unmodelled:
+        left[entry.joint] = entry.size / model.regression.sigma[entry.joint]
+    out = []
+    for effect in effects:
+        u = left.max() if effect.joint is None else left[effect.joint]
+        share = 1.0
+        if effect.effect not in FRICTIONS and effect.needed and u > 0.0:
+            share = effect.unique_severity**2 / (effect.unique_severity**2 + float(u) ** 2)
+        out.append(replace(effect, probability=effect.probability * share))
+    return sorted(out, key=lambda e: (-e.probability, -e.log_bayes_factor))
 
 
 def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
@@ -179,9 +205,8 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     change = np.zeros(len(of.solution.coefficients))
     change[len(model.free) + model.n] = seconds
     severity = of.severity_of(change)
-    relative = std / abs(seconds)
+    relative = float(np.hypot(std / abs(seconds), FORM_STD))
     present = float(probability.probability(factor, probability.RARE_LOG_ODDS))
-    present *= _is_large(severity, model)
     interval = tuple(severity * max(1.0 + z * relative, 0.0) for z in (-QUANTILE, QUANTILE))
     return [
         EffectEstimate(
@@ -196,7 +221,7 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
             severity,
             {"seconds": (seconds, std)},
             (),
-            abs(seconds) > joint_model.MIN_DELAY,
+            abs(seconds) > joint_model.MIN_DELAY and severity > MIN_SEVERITY,
         )
     ]
 

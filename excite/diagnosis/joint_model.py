@@ -35,7 +35,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
-from . import probability, session_changes
+from . import session_changes
 from .regression import RIDGE, Columns, JointRegression, Solution, independent_share, rms
 
 ROUNDS = 4
@@ -46,6 +46,8 @@ MAX_DELAY_STEP = 0.01
 """Prior standard deviation of the delay [s]."""
 MIN_DELAY = 1e-5
 """Delay of the clock below which there is none [s]."""
+MIN_DELAY_EVIDENCE = 5.0
+"""Log Bayes factor from which a delay of the clock enters the model."""
 MIN_LEVEL_SHARE = 0.3
 """Least friction level of a joint, over the median of all joints."""
 MIN_TORQUE_SHARE = 0.1
@@ -230,8 +232,7 @@ def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
 
 def _is_probable(fitted: JointModel, seconds: float) -> bool:
     """Tell whether a delay of the clock is more probable than not."""
-    factor, _ = delay_evidence(fitted, seconds)
-    return bool(probability.probability(factor, probability.RARE_LOG_ODDS) > 0.5)
+    return delay_evidence(fitted, seconds)[0] > MIN_DELAY_EVIDENCE
 
 
 def modelled_torque(model: JointModel) -> list[FloatArray]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..identification import segments
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
@@ -208,6 +208,33 @@ def _repetitions(
         return []
     change = (later - first)[inside] / np.sqrt(2.0)
     return [_without_drift(change, motion, inside)]
+
+
+def products_of_periods(
+    periods: Mapping[str, Period], motions: Sequence[RecordedMotion], residual: FloatArray
+) -> FloatArray:
+    """Return the products of a residual in two subsequent periods, shape (m, n) [(N m)²].
+
+    Their mean is the power that repeats. Empty if nothing repeats.
+
+    Args:
+        periods: Period and window by recording.
+        motions: The motions.
+        residual: Their residual, shape (N, n) [N m].
+    """
+    out = [np.zeros((0, residual.shape[1]))]
+    for motion, part in zip(motions, split_by_motion(residual, motions), strict=True):
+        if motion.segment.source not in periods:
+            continue
+        period, (low, high) = periods[motion.segment.source]
+        rate = 1.0 / (motion.time[1] - motion.time[0])
+        rows = int(np.floor(period * rate))
+        later = shifted(part, period * rate - rows)[rows:]
+        inside = (motion.time[: len(later)] >= low) & (
+            motion.time[rows : rows + len(later)] + 1.0 / rate <= high
+        )
+        out.append((later * part[: len(later)])[inside])
+    return np.concatenate(out)
 
 
 def _squared_momentum(motion: RecordedMotion) -> FloatArray:

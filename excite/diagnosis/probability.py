@@ -17,12 +17,12 @@ import numpy as np
 
 from .._types import FloatArray
 
-TEMPERATURE = 3.0
+TEMPERATURE = 40.0
 """Temperature T of the log Bayes factors."""
-SHARED_COUNTS = (0.5, 0.5)
+SHARED_COUNTS = (2.0, 1.0)
 """Counts a and b of the Beta prior of frictions that any joint may have."""
-RARE_LOG_ODDS = -4.0
-"""Prior log odds of any other effect at a joint: about 2 %."""
+RARE_LOG_ODDS = -8.0
+"""Prior log odds of any other effect at a joint, in which the search over its forms is included."""
 SHARED_ROUNDS = 50
 """Iterations of the shared odds."""
 

@@ -517,7 +517,132 @@ draw_residual(motor, 0, seconds=2.0)""",
     ),
 ]
 
+DESIGN_FOR_A_TASK = [
+    (
+        "markdown",
+        """# Design, record, identify, and design again, until the task is known
+
+A robot repeats a task, and its torque along this task is what the model is for. This
+notebook designs the motion that predicts the task best, records a robot that follows
+it, identifies the robot, and repeats this with all recordings so far as `given`. It
+stops by a rule: the task's torque is known to 1 %, or one more run would gain less
+than 0.1 %.
+
+The robot is simulated (`.venv/bin/pip install -e '.[sim]'`).""",
+    ),
+    (
+        "code",
+        """%matplotlib inline
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from IPython.display import display
+from matplotlib.figure import Figure
+
+import excite
+from excite.robot.limits import resolve
+
+arm = excite.load_robot("ur10e")
+folder = Path(tempfile.mkdtemp())
+KNOWN, GAIN = 0.01, 0.001  # relative standard deviations of the stopping rule
+NOISE = 0.03  # torque noise over the torque limits, as of motor currents""",
+    ),
+    (
+        "markdown",
+        """## The task
+
+A task is a recording; only its positions are used. Here the arm swings between two
+places, and its wrist hardly moves. A motion for all parameters would spend most of its
+time on what this task never shows.""",
+    ),
+    (
+        "code",
+        """t = np.arange(0.0, 6.0, 0.01)
+pick = np.array([-0.6, -1.2, 1.5, -1.8, -1.5, 0.0])
+place = np.array([0.8, -0.8, 1.0, -1.7, -1.5, 0.3])
+share = 0.5 - 0.5 * np.cos(2.0 * np.pi * t / 3.0)
+q = pick + share[:, None] * (place - pick)
+task = folder / "task.csv"
+header = ",".join(["t", *(f"q.{joint}" for joint in arm.joints)])
+np.savetxt(task, np.column_stack([t, q]), delimiter=",", header=header, comments="")""",
+    ),
+    (
+        "markdown",
+        """## The loop
+
+Each round designs for the task with what is given, records the motion, and identifies
+from all recordings. `design.task` predicts the torque band along the task before the
+motion, after it, and after one more run of the same motion.
+
+Look at how fast the standard deviation falls, and at the gain of one more run, which
+ends the loop.""",
+    ),
+    (
+        "code",
+        """given, first = [], None
+for number in range(4):
+    design = excite.design(
+        arm,
+        for_task=task,
+        given=given,
+        noise=tuple(NOISE * resolve(arm).torque),
+        starts=2,
+        iterations=60,
+        period=4.0,
+    )
+    prediction = design.task
+    bands = prediction.before, prediction.after, prediction.again
+    before, after, again = (prediction.relative(band) for band in bands)
+    first = prediction.after if number == 0 else first
+    print(f"run {number + 1}, certified: {design.ok}; {prediction.summary()}")
+    design.save(folder / f"run{number}")
+    recording = excite.simulate(
+        "ur10e", folder / f"run{number}" / "trajectory.json", seed=3, rate=125.0
+    )
+    given += [path for path in recording.save(folder / f"run{number}.csv") if path.suffix == ".csv"]
+    model = excite.identify(arm, given)
+    if after < KNOWN and after - again < GAIN:
+        print(f"stop: the torque is known to {100 * after:.2f} %, one more run gains too little")
+        break""",
+    ),
+    (
+        "markdown",
+        """## The band along the task
+
+The shaded band is ± two predicted standard deviations around the nominal torque of the
+URDF: after the first run (grey) and after the last (blue). Look at where the band stays
+widest.""",
+    ),
+    (
+        "code",
+        """figure = Figure(figsize=(9, 3.2), layout="constrained")
+for axis, joint in zip(figure.subplots(1, 2), (1, 2), strict=True):
+    torque = prediction.torque[:, joint]
+    for band, colour in ((first, "0.85"), (prediction.after, "tab:blue")):
+        std = band.std[:, joint]
+        axis.fill_between(t, torque - 2 * std, torque + 2 * std, color=colour, alpha=0.7)
+    axis.plot(t, torque, color="0.2", linewidth=0.8)
+    axis.set(title=arm.joints[joint], xlabel="time [s]", ylabel="torque [N m]")
+display(figure)""",
+    ),
+    (
+        "markdown",
+        """The command line does the same:
+
+```
+scripts/excite design ur10e --for task.csv -o out/run1
+scripts/excite design ur10e --for task.csv --given run1.csv -o out/run2
+scripts/excite design ur10e --for task.csv --given run1.csv --given run2.csv -o out/run3
+```
+
+Each prints how well the torque along the task is known, and what one more run would
+gain.""",
+    ),
+]
+
 NOTEBOOKS = {
+    "design_for_a_task": DESIGN_FOR_A_TASK,
     "first_trajectory": FIRST_TRAJECTORY,
     "identify_and_design_again": IDENTIFY_AND_DESIGN_AGAIN,
     "real_machines": REAL_MACHINES,

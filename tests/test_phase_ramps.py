@@ -107,6 +107,25 @@ def test_design_without_ruckig_ramps_is_certified(phase_delivery):
         assert not motion.at(edge, 1).any() and not motion.at(edge, 2).any()
 
 
+def test_motion_without_a_return_ends_where_it_began(two_link, table):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ramps.RampPlanner, "plan_transfer", lambda *_: ([], "a clearance"))
+        delivery = pipeline.design_trajectory(two_link, table, QUICK)
+    motion = delivery.trajectory.motion
+    assert delivery.certificate.ok
+    assert [s.kind for s in motion.segments] == ["ramp_in", "fourier", "ramp_out"]
+    begin, end = motion.at(np.array([0.0, motion.duration]))
+    assert np.allclose(begin, end, atol=1e-9)
+    t = np.linspace(0.0, motion.duration * (1 - 1e-9), 4001)
+    for order in range(2):  # no jump between the segments
+        steps = np.abs(np.diff(motion.at(t, order), axis=0)).max()
+        assert steps < 2.0 * np.abs(motion.at(t, order + 1)).max() * (t[1] - t[0])
+    again = trajectory_file.parse_trajectory(
+        json.loads(_json.dumps(delivery.trajectory.document())), Path("trajectory.json")
+    )
+    assert certificate_module.verify_file(again, again.load_robot()).ok
+
+
 def test_file_with_phase_ramps_reads_back_and_is_certified(phase_delivery, tmp_path: Path):
     path = tmp_path / "trajectory.json"
     path.write_text(text := _json.dumps(phase_delivery.trajectory.document()), encoding="utf-8")

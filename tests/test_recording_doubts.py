@@ -15,6 +15,7 @@ from shared_inputs import INPUTS, needs_inputs
 
 from excite import api, recordings
 from excite.api.identification_result import read_both
+from excite.cli.main import main
 from excite.errors import UnusableInput
 from excite.identification import nominal_comparison
 from excite.recordings import Recording, RemarkKind
@@ -127,15 +128,68 @@ def test_doubts_are_named_with_their_figure(name, robot, kind, joints, parts):
 
 
 @needs_inputs
-@pytest.mark.parametrize(
-    ("robot", "name"), [("ur5e", "11-sign_all_tau_mon.csv"), ("two_link", "../r_tau_flipped.csv")]
-)
-def test_torque_of_inverted_sign_is_refused(robot, name):
+@pytest.mark.parametrize("day", ["mon", "tue"])
+def test_inverted_torque_that_the_nominal_model_shows_in_part_is_refused(day):
     with (
         pytest.warns(match="its sign is inverted"),
-        pytest.raises(UnusableInput, match=r"joint '\w+': .* friction feeds in .* turn it"),
+        pytest.raises(
+            UnusableInput, match=r"joint 'wrist_\d_joint': .* friction feeds in .* turn it"
+        ),
     ):
-        api.identify(robot, [REPORTS / name])
+        api.identify("ur5e", [REPORTS / f"11-sign_all_tau_{day}.csv"])
+
+
+@needs_inputs
+def test_inverted_torque_that_the_nominal_model_shows_at_every_joint_is_warned_of(capsys, tmp_path):
+    path = REPORTS / "../r_tau_flipped.csv"
+    assert main(["identify", "two_link", str(path), "-o", str(tmp_path / "out")]) == 0
+    out, err = capsys.readouterr()
+    for joint in ("joint_1", "joint_2"):
+        assert f"joint '{joint}': measured torque is -1." in err
+    assert "do not use this model" in out and "torque sign" in out
+    model = json.loads((tmp_path / "out" / "model.json").read_text())
+    assert [doubt["joint"] for doubt in model["doubts"]] == ["joint_1", "joint_2"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.index("the recordings are doubted") < page.index("Does it predict")
+    predicted = tmp_path / "torque.csv"
+    model_path = str(tmp_path / "out" / "model.json")
+    assert (
+        main(["predict", model_path, str(REPORTS / "two_link_heldout.csv"), "-o", str(predicted)])
+        == 0
+    )
+
+
+@needs_inputs
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("r_tau_zero", ["torque of every joint is 0"]),
+        ("r_one_cell_1e308", ["row 1002", "tau.joint_1"]),
+        ("r_cr_only", ["carriage return"]),
+        ("r_t_tiny", ["2e-12 s"]),
+        ("r_tau_1e200", ["row 2", "tau.joint_1"]),
+        ("r_side_window_1ns", ["periodic", "1e-09"]),
+        ("r_side_gain_nobody", ["drive_gain", "nobody"]),
+        ("r_side_period_1e308", ["period", "1e+308"]),
+    ],
+)
+def test_recordings_that_hold_no_measurement_are_refused(capsys, tmp_path, name, parts):
+    path = REPORTS / ".." / f"{name}.csv"
+    assert main(["identify", "two_link", str(path), "-o", str(tmp_path / "out")]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("excite: ")]
+    assert all(part in line for part in parts)
+    assert not (tmp_path / "out").exists()
+
+
+@needs_inputs
+def test_the_period_of_a_plan_that_ran_slower_is_corrected(capsys, tmp_path):
+    """The sidecar states 85 % of the period with which the motion repeats."""
+    path = tmp_path / "run.csv"
+    path.write_bytes((REPORTS / "two_link_heldout.csv").read_bytes())
+    path.with_suffix(".json").write_text('{"schema": "excite.recording/1", "period": 4.42}')
+    result, texts = identified("two_link", path, validate=REPORTS / "04-wrap_turn.csv")
+    assert any("repeats after 5.2 s" in text and "85 %" in text for text in texts)
+    assert (result.identification.validations[0].relative() < 0.02).all()
 
 
 @needs_inputs
@@ -223,6 +277,30 @@ def test_the_scale_of_torque_is_named(simulated, factor, word):
     assert any(word in d.text or "check its unit" in d.text for d in doubts)
 
 
+@pytest.mark.parametrize("joint", [0, 1, 2, 3])
+def test_a_position_of_inverted_sign_is_named(simulated, joint):
+    recording, robot = simulated
+    q = recording.q.copy()
+    q[:, joint] *= -1.0
+    doubts = nominal_comparison.compare_with_nominal(dataclasses.replace(recording, q=q), robot)
+    if joint == 2:  # the elbow's sign turns the wrist, whose torque then seems to be out of scale
+        assert doubts
+        return
+    assert [(d.kind, d.joint) for d in doubts] == [(RemarkKind.POSITION, robot.joints[joint])]
+    assert "with the opposite sign; turn its sign" in doubts[0].text
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3])
+@pytest.mark.parametrize("offset", [90, -90])
+def test_another_zero_of_a_position_is_named(simulated, joint, offset):
+    recording, robot = simulated
+    q = recording.q.copy()
+    q[:, joint] -= np.radians(offset)
+    doubts = nominal_comparison.compare_with_nominal(dataclasses.replace(recording, q=q), robot)
+    assert [(d.kind, d.joint) for d in doubts] == [(RemarkKind.POSITION, robot.joints[joint])]
+    assert f"shifted by {offset:+d}°; correct its zero" in doubts[0].text
+
+
 # -- clean recordings -----------------------------------------------------------------------------
 
 
@@ -230,6 +308,26 @@ def test_the_scale_of_torque_is_named(simulated, factor, word):
 def test_a_clean_simulated_recording_raises_no_doubt():
     recording = checked(REPORTS / "two_link_heldout.csv", "two_link")
     assert not recording.doubts and not recording.remarks
+
+
+@pytest.mark.parametrize("name", ["fr3", "iiwa14", "panda", "two_link", "tx40", "ur10e", "ur5e"])
+@pytest.mark.parametrize("setting", [{}, {"rate": 125.0}], ids=["250 Hz", "125 Hz"])
+def test_a_simulated_builtin_robot_raises_no_doubt(tmp_path, name, setting):
+    pytest.importorskip("mujoco", reason="the simulated robot needs pip install 'excite[sim]'")
+    trajectory = Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json"
+    api.simulate(name, trajectory, periods=2, seed=1, **setting).save(tmp_path / "run.csv")
+    recording = checked(tmp_path / "run.csv", name)
+    assert not recording.doubts and not recording.remarks
+
+
+def test_timestamp_jitter_of_fast_joints_is_no_glitch(tmp_path):
+    """Readings are 1 ms (rms) off their stamps, 4 ms apart, at nearly the velocity limit."""
+    pytest.importorskip("mujoco", reason="the simulated robot needs pip install 'excite[sim]'")
+    trajectory = Path(__file__).resolve().parents[1] / "trajectories" / "fr3.json"
+    api.simulate("fr3", trajectory, periods=2, seed=2, jitter=1e-3).save(tmp_path / "run.csv")
+    recording = checked(tmp_path / "run.csv", "fr3")
+    assert [remark.kind for remark in recording.remarks] == [RemarkKind.TIMESTAMP_JITTER]
+    assert not recording.doubts
 
 
 @pytest.mark.parametrize(
@@ -243,6 +341,8 @@ def test_a_clean_simulated_recording_raises_no_doubt():
         ("panda_unit2", "panda"),
         ("double_pendulum", "double_pendulum"),
         ("laas_cogging", "motor"),
+        ("xl330", "xl330_pendulum"),
+        ("human_wrench", "human"),
     ],
 )
 def test_real_recordings_raise_no_doubt(folder, urdf):
@@ -262,7 +362,7 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
             try:
                 _ = recording.torque
             except UnusableInput:
-                continue  # two files of the SO-101 serve replay only
+                continue  # two files of the SO-101 serve replay only; the human has no joint torque
             assert not nominal_comparison.compare_with_nominal(recording, robot), path
 
 

@@ -219,3 +219,35 @@ def test_mostly_missing_values_are_refused(two_link, tmp_path, damage):
         "joint 'joint_2': 100 % of q",
         "--joints",
     )
+
+
+# -- stamps that are written after the measurement -------------------------------------------------
+
+
+@pytest.mark.parametrize("lost", [(), (120, 121, 300)])
+def test_uneven_stamps_of_even_rows_are_evened(two_link, tmp_path, damage, lost):
+    """Rows were measured every 10 ms; their stamps are up to 3 ms off."""
+    t = np.delete(np.arange(400) / 100.0, lost)
+    phases = np.outer(t, [2.0, 3.0])
+    columns = {"t": t + np.random.default_rng(1).uniform(-3e-3, 3e-3, len(t))}
+    columns |= {f"q.joint_{i + 1}": 0.5 * np.sin(phases[:, i]) for i in range(2)}
+    recording, texts = DamagedMotion(columns).read(tmp_path, two_link)
+    assert remark_kinds(recording)[0] is RemarkKind.TIMESTAMP_JITTER
+    assert "deviate by 1.7 ms (rms)" in texts[0] and "measured at even times" in texts[0]
+    shift = np.median(columns["t"] - t)
+    error = recording.q - 0.5 * np.sin(np.outer(recording.t - shift, [2.0, 3.0]))
+    roughness = np.diff(error, 3, axis=0)
+    assert len(recording) == 400 and np.abs(roughness[5:-5]).max() < 1e-5
+    assert np.abs(error).max() < 1e-3  # a common offset of the clock
+
+
+def test_noise_of_positions_does_not_even_stamps(two_link, tmp_path, damage):
+    """Positions do not tell which times are right; the stamps are kept."""
+    generator = np.random.default_rng(1)
+    columns = {"t": damage.columns["t"] + generator.uniform(-1e-3, 1e-3, 400)}
+    for i, rate in enumerate((0.2, 0.3)):
+        columns[f"q.joint_{i + 1}"] = np.sin(rate * columns["t"]) + 0.01 * generator.normal(
+            size=400
+        )
+    recording, _ = DamagedMotion(columns).read(tmp_path, two_link)
+    assert remark_kinds(recording) == [RemarkKind.JITTER]

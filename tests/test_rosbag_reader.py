@@ -20,9 +20,11 @@ from excite import recordings  # noqa: E402
 from excite._types import FloatArray  # noqa: E402
 from excite.errors import ExciteWarning, UnusableInput  # noqa: E402
 from excite.recordings import RemarkKind  # noqa: E402
+from excite.robot.robot import load  # noqa: E402
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 JOINTS = ("joint_1", "joint_2")
+TRAJECTORY = Path(__file__).resolve().parents[1] / "trajectories" / "ur5e.json"
 START = 1_700_000_000_000_000_000
 T = np.arange(300) / 100.0
 Q = np.column_stack([np.sin(2.0 * T), np.cos(T)])
@@ -225,3 +227,53 @@ def test_bags_of_ros_1_are_read(two_link, tmp_path):
         and recording.tau is None
         and not recording.remarks
     )
+
+
+# -- a recorded motion -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def logged_bag(tmp_path_factory) -> tuple[Path, float, tuple[float, float]]:
+    """Bag of a simulated UR5e at 100 Hz, its period, and the window in which it repeats.
+
+    The robot stands at the start pose for 5 s before the motion. Stamps deviate by up to 2 ms from
+    an even grid; positions and torques are those at the stamps.
+    """
+    pytest.importorskip("mujoco")
+    from excite import api
+
+    folder = tmp_path_factory.mktemp("logged")
+    api.simulate("ur5e", TRAJECTORY, periods=4, seed=7).save(folder / "clean.csv")
+    clean = recordings.read(folder / "clean.csv", load("ur5e"))
+    generator = np.random.default_rng(0)
+    even = np.arange(0.0, clean.t[-1] + 5.0, 0.01)
+    stamps = even + generator.uniform(-0.002, 0.002, len(even))
+    inner = np.clip(stamps - 5.0, 0.0, clean.t[-1])
+    q, tau = (
+        np.column_stack([np.interp(inner, clean.t, column) for column in values.T])
+        for values in (clean.q, clean.tau)
+    )
+    floor = np.std(np.diff(clean.tau, axis=0), axis=0) / np.sqrt(2.0)
+    tau += floor * generator.standard_normal(tau.shape) * (stamps < 5.0)[:, None]
+    rows = [
+        (t, message(t, clean.joints, q[k], np.empty(0), tau[k]))
+        for k, t in enumerate(stamps - stamps[0])
+    ]
+    period, (start, end) = clean.repetition
+    path = write(folder / "run1", {"/joint_states": rows}, StoragePlugin.MCAP)
+    return path, period, (start + 5.0 - stamps[0], end + 5.0 - stamps[0])
+
+
+def test_directions_of_a_bag_do_not_depend_on_what_is_stated(logged_bag):
+    from excite import api
+
+    path, period, window = logged_bag
+    counts = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for choice in ({"period": period, "window": window}, {"trajectory": TRAJECTORY}, {}):
+            result = api.identify("ur5e", [path], **choice)
+            counts.append(result.identification.analysis.identifiable_count)
+            assert not result.recordings[0].doubts
+    assert max(counts) - min(counts) <= 3, counts
+    assert min(counts) > 35, counts

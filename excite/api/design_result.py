@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -17,14 +18,25 @@ from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..collision import clearance_builder, scene_file
 from ..collision.workcell import NOT_CHECKED, Cell
-from ..designer import experiment_comparison, identifiability, pipeline, time_budget
+from ..designer import (
+    experiment_comparison,
+    identifiability,
+    optimize,
+    pipeline,
+    task_variance,
+    time_budget,
+)
 from ..designer import validation_trajectory as validation
+from ..designer.criteria import Criterion
+from ..designer.discrimination_result import DiscriminationResult
 from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE
+from ..designer.isolability_forecast import PairForecast, forecast_isolability
 from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
+from ..designer.task_variance import TaskPrediction
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
-from ..recordings.periodicity import with_own_period
+from ..recordings.periodicity import with_detected_period
 from ..report.design_record import DesignRecord
 from ..robot import dynamics, inertial_parameters
 from ..robot.inertial_parameters import Parameters
@@ -34,8 +46,10 @@ from ..robot.samples import Samples
 from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
 from . import identification_result
+from .discriminating_design import DiagnosisQuestions, read_questions
 from .identification_result import reference_samples, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
+from .task_design import TaskDesign, read_task
 
 MOTION_FILES = ("trajectory.json", "trajectory.csv")
 """Files of a motion."""
@@ -106,6 +120,8 @@ class DesignResult:
         cell: Surroundings that were checked; None if distances were not checked.
         plan: Trade-off of robot time; None without a time budget.
         given_root: Root of the information of earlier recordings; None without. Shape (m, P).
+        task_design: Task that the motion was designed for; None without.
+        questions: Explanations that the motion was designed to tell apart; None without.
     """
 
     delivery: pipeline.CertifiedDesign
@@ -115,6 +131,40 @@ class DesignResult:
     cell: Cell | None = None
     plan: time_budget.BudgetPlan | None = None
     given_root: FloatArray | None = field(default=None, repr=False)
+    task_design: TaskDesign | None = field(default=None, repr=False)
+    questions: DiagnosisQuestions | None = field(default=None, repr=False)
+
+    @cached_property
+    def discrimination(self) -> DiscriminationResult | None:
+        """Decisions expected of the recording; None without `--discriminate`."""
+        if self.questions is None:
+            return None
+        problem, motion = self.delivery.design.setup.problem, self.trajectory.motion.fourier
+        return self.questions.result(problem, self.trajectory.limits, motion)
+
+    @cached_property
+    def isolability(self) -> tuple[PairForecast, ...]:
+        """Expected log-odds between often confused effects at each joint, the least first."""
+        trajectory, setup = self.trajectory, self.delivery.design.setup
+        motion = trajectory.motion
+        return forecast_isolability(
+            self.robot,
+            setup.problem.parameters,
+            setup.base,
+            trajectory.limits,
+            motion.fourier,
+            trajectory.noise,
+            motion.periods,
+        )
+
+    @cached_property
+    def task(self) -> TaskPrediction | None:
+        """Predicted torque band along the task of `--for`; None without a task."""
+        if self.task_design is None:
+            return None
+        base = self.delivery.design.setup.base
+        designed = _motion_root(self.delivery, self.robot)
+        return self.task_design.predict(self.robot, base, self.given_root, designed)
 
     @property
     def ok(self) -> bool:
@@ -186,6 +236,9 @@ class DesignResult:
             second=second,
             cell=self.cell,
             near=self.delivery.certificate.pair_distances,
+            task=self.task,
+            discrimination=self.discrimination,
+            isolability=self.isolability,
         )
 
     def save(self, folder: str | Path) -> list[Path]:
@@ -226,6 +279,10 @@ class DesignResult:
             "duration": trajectory.motion.duration,
         }
         out |= {} if self.validation is None else {"validation": self.validation.document()}
+        out |= {} if self.task is None else {"task": self.task.document()}
+        if self.discrimination is not None:
+            out["discrimination"] = self.discrimination.document()
+        out["isolability"] = [dataclasses.asdict(pair) for pair in self.isolability]
         return out | ({} if self.plan is None else {"plan": self.plan.document()})
 
     def __repr__(self) -> str:
@@ -250,6 +307,8 @@ def design(
     time: float | None = None,
     start: Sequence[float] | None = None,
     given: Sequence[str | Path] = (),
+    for_task: str | Path | None = None,
+    discriminate: str | Path | None = None,
     validate: bool = False,
     speed: float = 1.0,
     threshold: float = IDENTIFIABLE_VARIANCE,
@@ -279,6 +338,11 @@ def design(
         time: Robot time with ramps [s], for which the four options above are chosen.
         start: Pose at which the motion begins and ends at rest. Shape (n,) [rad or m].
         given: Trajectories or recordings whose information is already available.
+        for_task: Motion of a task, a recording or a `trajectory.json`, along which the identified
+            model is to predict the torque with the least variance (V-optimality); replaces the
+            criterion.
+        discriminate: A `diagnosis.json`, between whose competing explanations the recording is to
+            decide: the smallest separation is maximised; replaces the criterion.
         validate: Also design a second, different motion.
         speed: Share of the speed at which the motion is played.
         threshold: Largest scale-free variance of an identifiable direction.
@@ -302,8 +366,21 @@ def design(
     pose = None if start is None else np.asarray(start, float)
     earlier = _information(given, loaded, table, chosen)
     information = None if earlier is None else earlier.T @ earlier
+    if for_task is not None and discriminate is not None:
+        raise UnusableInput("--for and --discriminate are two criteria; choose one")
+    questions = None
+    if discriminate is not None:
+        questions = read_questions(Path(discriminate), loaded, table, chosen)
+        count = 2 * chosen.samples if samples is None else chosen.samples
+        chosen = replace(chosen, criterion=Criterion.D, samples=count)
+    task = None if for_task is None else read_task(Path(for_task), loaded, table, chosen)
+    if task is not None:
+        weak = task_variance.prior_information(task.parameters)
+        information = weak if information is None else information + weak
     facts = {
         **(notes or {}),
+        **({} if task is None else {"for": task.source}),
+        **({} if questions is None else {"discriminate": questions.source}),
         "given": [str(path) for path in given],
         "speed": speed,
         "chosen": request.unspecified,
@@ -338,12 +415,19 @@ def design(
         unchecked_reason=unchecked,
     )
 
+    with_objective: optimize.ObjectiveBuilder | None = None
+    if task is not None:
+        with_objective = task.with_objective
+    elif questions is not None:
+        with_objective = questions.explanations.with_objective
+
     def deliver(overlap: OverlapPenalty | None = None) -> pipeline.CertifiedDesign:
         # the validation motion has to excite all directions, identified before or not
         search_once = partial(
             run,
             overlap_penalty=overlap,
             earlier_information=information if overlap is None else None,
+            objective=with_objective if overlap is None else None,
         )
         return (
             search_once(chosen) if plan is None else time_budget.run_plan(plan, chosen, search_once)
@@ -352,7 +436,9 @@ def design(
     delivery = deliver()
     second = validation.design_validation(delivery, loaded, deliver) if validate else None
     analysis = _analyse(delivery, loaded, threshold, earlier)
-    return DesignResult(delivery, loaded, analysis, second, workcell, plan, earlier)
+    return DesignResult(
+        delivery, loaded, analysis, second, workcell, plan, earlier, task, questions
+    )
 
 
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:
@@ -427,7 +513,7 @@ def motion_samples(
         UnusableInput: The file cannot be used, or moves other joints.
     """
     if path.suffix != ".json":
-        recording = with_own_period(
+        recording = with_detected_period(
             with_trajectory(recordings.read(path, robot, columns=columns), executed)
         )
         return reference_samples(recording), None
@@ -468,10 +554,7 @@ def _analyse(
 ) -> identifiability.Identifiability:
     trajectory, setting = delivery.trajectory, delivery.design.setup
     standard = setting.problem.parameters
-    samples = trajectory.motion.samples(
-        trajectory.motion.grid(identification_result.REFERENCE_RATE)
-    )
-    root = identifiability.information_root(robot, standard, samples, trajectory.noise)
+    root = _motion_root(delivery, robot)
     known = root if earlier is None else np.vstack([root, earlier])
     return identifiability.analyse_root(
         standard,
@@ -480,8 +563,18 @@ def _analyse(
         trajectory.noise,
         robot,
         threshold=threshold,
-        samples=len(samples),
+        samples=len(trajectory.motion.grid(identification_result.REFERENCE_RATE)),
     )
+
+
+def _motion_root(delivery: pipeline.CertifiedDesign, robot: Robot) -> FloatArray:
+    """Return a root of the information of a complete motion. Shape (m, P)."""
+    trajectory = delivery.trajectory
+    samples = trajectory.motion.samples(
+        trajectory.motion.grid(identification_result.REFERENCE_RATE)
+    )
+    standard = delivery.design.setup.problem.parameters
+    return identifiability.information_root(robot, standard, samples, trajectory.noise)
 
 
 def _record(delivery: pipeline.CertifiedDesign) -> DesignRecord:

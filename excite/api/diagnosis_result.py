@@ -22,7 +22,13 @@ from ..identification import prior as prior_module
 from ..recordings import Recording, recording_cost
 from ..robot import base_parameters, inertial_parameters
 from ..robot.limits import Limits
-from .identification_result import RecordingSource, TrajectorySources, read_both, robot_of_torque
+from .identification_result import (
+    RecordingSource,
+    TrajectorySources,
+    read_both,
+    recording_doubts,
+    robot_of_torque,
+)
 from .robots import RobotSource, load_robot, resolve_limits
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
@@ -48,11 +54,7 @@ class DiagnosisResult:
     @property
     def doubts(self) -> list[dict[str, Any]]:
         """Unrepaired doubts about the recordings, with the recording that each is about."""
-        return [
-            {"recording": recording.source, **doubt.document()}
-            for recording in (*self.recordings, *self.validation)
-            for doubt in recording.doubts
-        ]
+        return recording_doubts([*self.recordings, *self.validation])
 
     @cached_property
     def _document(self) -> dict[str, Any]:

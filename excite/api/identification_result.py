@@ -28,7 +28,7 @@ from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
 from ..recordings import Recording, executed_motion, recording_cost, require_distinct
-from ..recordings.periodicity import check_repetition, with_own_period
+from ..recordings.periodicity import check_repetition, with_detected_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -90,6 +90,11 @@ class IdentificationResult:
         ).identifiable_count
 
     @property
+    def doubts(self) -> list[dict[str, Any]]:
+        """Unrepaired doubts about the recordings, with the recording that each is about."""
+        return recording_doubts([*self.recordings, *self.validation])
+
+    @property
     def parameters(self) -> dict[str, float]:
         """Identified standard parameters by name, in SI units."""
         result = self.identification
@@ -98,6 +103,8 @@ class IdentificationResult:
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""
         out = identified_model.model_document(self.identification, self.recordings)
+        if self.doubts:
+            out["doubts"] = [dict(doubt) for doubt in self.doubts]
         if self.lmi is not None:
             out["lmi"] = {"gap": self.lmi.gap, "agrees": self.lmi.agrees}
         return out
@@ -365,7 +372,7 @@ def identify(
         columns=columns,
     )
     train, held_out = (
-        [with_own_period(recording) for recording in group] for group in (train, held_out)
+        [with_detected_period(recording) for recording in group] for group in (train, held_out)
     )
     loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard_parameters(loaded, table, drive)
@@ -480,6 +487,15 @@ def read_both(
         for recordings_of_set in sets
     )
     return train_set, held_out_set
+
+
+def recording_doubts(read: Sequence[Recording]) -> list[dict[str, Any]]:
+    """Unrepaired doubts about recordings, with the recording that each is about."""
+    return [
+        {"recording": recording.source, **doubt.document()}
+        for recording in read
+        for doubt in recording.doubts
+    ]
 
 
 def _checked(recording: Recording, robot: Robot, limits: Limits) -> Recording:

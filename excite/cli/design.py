@@ -22,6 +22,9 @@ from ..trajectory.trajectory_file import Trajectory
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
+DISCRIMINATION_STARTS = 4
+"""Random starts of a discriminating motion where none are stated."""
+
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite design`, with its starts on the back end of `--backend`."""
@@ -45,6 +48,8 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         time=arguments.time,
         start=None if not arguments.start else shared.of_joints("--start", arguments.start, robot),
         given=arguments.given,
+        for_task=arguments.for_task,
+        discriminate=arguments.discriminate,
         validate=arguments.validation,
         speed=arguments.speed,
         threshold=arguments.threshold,
@@ -84,11 +89,18 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> DesignOptions:
         uncertainty=arguments.uncertainty,
         noise=shared.noise(arguments, robot),
         boxes=tuple(_box(frame, numbers) for frame, numbers in arguments.box),
-        starts=arguments.starts,
+        starts=_starts(arguments),
         seed=arguments.seed,
         jobs=arguments.jobs,
         iterations=arguments.iterations,
     )
+
+
+def _starts(arguments: argparse.Namespace) -> int:
+    """Return the number of random starts; separations have more local optima than criteria."""
+    if arguments.starts is not None:
+        return int(arguments.starts)
+    return DesignOptions.starts if arguments.discriminate is None else DISCRIMINATION_STARTS
 
 
 def _box(frame: str, v: tuple[float, ...]) -> WorkspaceBox:
@@ -118,7 +130,11 @@ def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path
         f"{trajectory.motion.duration:.2f} s: "
         f"{' → '.join(s.kind for s in trajectory.motion.segments)}",
         *certificate.verdict_lines(),
-        *(part.summary() for part in (result.plan, result.validation) if part is not None),
+        *(
+            part.summary()
+            for part in (result.plan, result.validation, result.task, result.discrimination)
+            if part is not None
+        ),
         f"designed in {result.delivery.timing['total']:.1f} s",
         *written_lines(written),
     ]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.identification_result import IDENTIFICATION_FILES
 from ..identification.estimators import Method
-from ..identification.identification import Identification, IdentificationOptions, Prediction
+from ..identification.identification import IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
 from ..robot.robot import Robot
 from . import options as shared
@@ -50,7 +51,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     return (
         code,
         with_files(document, written),
-        _text(result.identification, result.assumed_count, facts, written),
+        _text(result, facts, written),
     )
 
 
@@ -69,18 +70,14 @@ def _options(arguments: argparse.Namespace) -> IdentificationOptions:
     )
 
 
-def _text(
-    identification: Identification,
-    assumed_count: int,
-    facts: Sequence[str],
-    written: Sequence[Path],
-) -> str:
+def _text(result: api.IdentificationResult, facts: Sequence[str], written: Sequence[Path]) -> str:
+    identification = result.identification
     robot = identification.model.robot
     predictions = identification.validations or identification.fits
     lines = [
         f"{robot.name}: {identification.analysis.identifiable_count} of "
         f"{identification.model.base.count} directions identified with the noise of the recording "
-        f"({assumed_count} with the 1 % of the torque limits that a design assumes); "
+        f"({result.assumed_count} with the 1 % of the torque limits that a design assumes); "
         f"band {identification.spectra.hertz:.3g} Hz",
         f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: "
         "torque error per joint",
@@ -96,8 +93,8 @@ def _text(
                 prediction.error()[i],
                 prediction.relative()[i],
             )
-            percent = f"{100 * share:.2f}%" if np.isfinite(share) else "-"
-            lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{percent:>10}")
+            percent = f"{100 * share:.{2 if share < 10.0 else 0}f}%" if np.isfinite(share) else "-"
+            lines.append(f"{joint:25} {before:10.4g} {after:11.4g} {floor:>10} {percent:>9}")
     lines += [_summary(prediction, robot) for prediction in predictions]
     common, spread = identification.delay.common
     if abs(common) > 3.0 * spread and not identification.options.align:
@@ -106,7 +103,18 @@ def _text(
             f"torque is recorded {abs(1e3 * common):.3g} ms {order} position on average "
             "(--align removes the delay)"
         )
+    if result.doubts:
+        lines.append(_doubt_line(result.doubts))
     return "\n".join([*lines, *facts, *written_lines(written)])
+
+
+def _doubt_line(doubts: Sequence[Mapping[str, Any]]) -> str:
+    """Say that the result rests on recordings that are doubted."""
+    subjects = ", ".join(sorted({str(doubt["kind"]) for doubt in doubts}))
+    return (
+        f"do not use this model: the recordings are doubted ({len(doubts)} warnings: {subjects}); "
+        "correct them and identify again"
+    )
 
 
 def _summary(prediction: Prediction, robot: Robot) -> str:

@@ -290,7 +290,24 @@ def _design(commands: Commands) -> None:
         metavar="FILE",
         action="append",
         default=[],
-        help="trajectory.json or recording whose information is already available",
+        help="trajectory.json or recording whose information is already available; may be repeated",
+    )
+    group.add_argument(
+        "--for",
+        dest="for_task",
+        metavar="TASK",
+        help=(
+            "recording (CSV with q, …) or trajectory.json of a task: design for the least "
+            "predicted torque variance along it"
+        ),
+    )
+    group.add_argument(
+        "--discriminate",
+        metavar="DIAGNOSIS",
+        help=(
+            "diagnosis.json: design for the largest separation of its competing explanations, and "
+            "compare other experiments"
+        ),
     )
     group = sub.add_argument_group("motion")
     group.add_argument(
@@ -389,9 +406,8 @@ def _design(commands: Commands) -> None:
     group.add_argument(
         "--starts",
         type=Number(Range(1, 1e6, "1"), whole=True),
-        default=2,
         metavar="N",
-        help="number of random starts (default %(default)s)",
+        help="number of random starts (default: 2, or 4 with --discriminate)",
     )
     group.add_argument(
         "--seed", type=SEED, default=0, metavar="N", help="random seed (default %(default)s)"

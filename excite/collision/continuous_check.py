@@ -33,6 +33,8 @@ MIN_STEPS = 8
 """Smallest number of steps of a segment."""
 ABSOLUTE_TOLERANCE = 5e-4
 """Distance by which a proven lower bound may be below the observed least distance [m]."""
+MARGIN_TOLERANCE = 0.25
+"""Largest such distance over the margin of the pair [1]; margins below 2 mm need it."""
 RELATIVE_TOLERANCE = 0.02
 """The same as a share of the observed distance; the larger of both counts [1]."""
 UNRESOLVED_EXCESS = 0.02
@@ -141,8 +143,10 @@ def _segment_distances(
         distance = query.distance(k)
         if distance < observed[k]:
             observed[k], index_of_least[k] = distance, index
-        tolerance = max(ABSOLUTE_TOLERANCE, RELATIVE_TOLERANCE * abs(observed[k]))
-        level = min(observed[k] - tolerance, cell.pairs[k].margin + UNRESOLVED_EXCESS)
+        margin = cell.pairs[k].margin
+        absolute = min(ABSOLUTE_TOLERANCE, MARGIN_TOLERANCE * margin or ABSOLUTE_TOLERANCE)
+        tolerance = max(absolute, RELATIVE_TOLERANCE * abs(observed[k]))
+        level = min(observed[k] - tolerance, margin + UNRESOLVED_EXCESS)
         start, distance_before = previous[k]
         if index > 0:
             step = path[index, k] - path[start, k]

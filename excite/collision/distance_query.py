@@ -14,6 +14,7 @@ from .._types import FloatArray
 from ..robot.robot import Robot
 from . import mesh_file
 from .geometry import Shape, ShapeKind
+from .mesh_distance import MeshDistance
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,9 @@ class DistanceQuery:
         self._has_mesh = [bodies[p.first].has_mesh or bodies[p.second].has_mesh for p in pairs]
         flat = [indices for combinations in shape_pairs for indices in combinations]
         self._convex, self._exact = (_geometry(bodies, flat, exact) for exact in (False, True))
+        self._shape_pairs = [(int(first), int(second)) for first, second in flat]
+        self._meshes = MeshDistance([solid for body in bodies for solid in body.solids])
+        self._result = coal.DistanceResult()
 
     def set_configuration(self, q: FloatArray) -> DistanceQuery:
         """Move all bodies to a configuration of the robot's joints. Shape (n,) [rad or m]."""
@@ -139,9 +143,16 @@ class DistanceQuery:
         for number in self._entries[pair]:
             distance = float(pin.computeDistance(*self._convex, number).min_distance)
             if self._has_mesh[pair] and distance < self.exact_below:
-                distance = float(pin.computeDistance(*self._exact, number).min_distance)
+                distance = self._exact_distance(number)
             least = min(least, distance)
         return least
+
+    def _exact_distance(self, number: int) -> float:
+        """Distance of a pair of exact shapes [m]."""
+        pair = self._shape_pairs[number]
+        placements = (self._exact[1].oMg[shape] for shape in pair)
+        first, second = (coal.Transform3s(m.rotation, m.translation) for m in placements)
+        return self._meshes.nearest(pair, first, second, self._result)
 
 
 def _geometry(

@@ -256,7 +256,7 @@ def _classify_pairs(cell: Cell) -> tuple[list[BodyPair], list[ExceptedPair]]:
         elif median <= MIN_LINK_DISTANCE:
             excepted.append(ExceptedPair(*names, "in contact in most poses by construction"))
         else:
-            margin = max(0.5 * median, min(MIN_LINK_DISTANCE, pair.margin))
+            margin = 0.5 * median
             kept.append(dataclasses.replace(pair, margin=margin))
             stated = f"{1e3 * margin:.0f} mm, half of the usual distance between them"
             excepted.append(ExceptedPair(*names, f"close by construction: {stated}"))

@@ -140,12 +140,23 @@ class _Velocities:
     acc: list[ca.SX]
 
 
-def _velocities(robot: Robot, kinematics: _Kinematics, dq: ca.SX, ddq: ca.SX) -> _Velocities:
-    """Propagate velocities and accelerations from the base to the tips."""
+def _velocities(
+    robot: Robot, kinematics: _Kinematics, dq: ca.SX, ddq: ca.SX, lift: ca.SX | None = None
+) -> _Velocities:
+    """Propagate velocities and accelerations from the base to the tips.
+
+    Args:
+        robot: The robot.
+        kinematics: Its kinematic tree.
+        dq: Joint velocities.
+        ddq: Joint accelerations.
+        lift: Acceleration of the base minus gravity [m/s²]; None: the robot's gravity alone.
+    """
     spread = _clean(robot.spread)
     v, a = ca.mtimes(spread, dq), ca.mtimes(spread, ddq)
     out = _Velocities([], [], [])
-    still, lift = ca.SX(3, 1), _clean(-np.array(robot.model.gravity.linear))
+    still = ca.SX(3, 1)
+    lift = _clean(-np.array(robot.model.gravity.linear)) if lift is None else lift
     for i, up in enumerate(kinematics.parent):
         back = kinematics.rotation[i].T
         w0, dw0, a0 = (still, still, lift) if up < 0 else (out.w[up], out.dw[up], out.acc[up])
@@ -258,6 +269,26 @@ def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunction
     return DynamicsFunctions(
         regressor, adjoint, row, casadi_batch.find_library((regressor, adjoint, row)), support
     )
+
+
+def link_torque(
+    robot: Robot, q: ca.SX, dq: ca.SX, ddq: ca.SX, phi: ca.SX, lift: ca.SX | None = None
+) -> ca.SX:
+    """Return the torque of the links, without actuators, by inverse dynamics.
+
+    Args:
+        robot: The robot.
+        q: Joint positions. Shape (n,).
+        dq: Joint velocities. Shape (n,).
+        ddq: Joint accelerations. Shape (n,).
+        phi: Inertial parameters of all bodies. Shape (10·bodies,).
+        lift: Acceleration of the base minus gravity [m/s²]; None: the robot's gravity alone.
+
+    Returns:
+        Joint torques. Shape (n,) [N m].
+    """
+    kinematics = _kinematics(robot, q)
+    return _inverse_dynamics(robot, kinematics, _velocities(robot, kinematics, dq, ddq, lift), phi)
 
 
 def frame_position(robot: Robot, frame: str) -> ca.Function:

@@ -144,8 +144,16 @@ def criterion_value(criterion: Criterion, eigenvalues: FloatArray) -> float:
     return float(np.sqrt(high / low)) if criterion is Criterion.COND_REGRESSOR else high / low
 
 
-def _spectrum(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues and eigenvectors of AᵀA, from A where squaring it would lose digits."""
+def spectrum(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues and eigenvectors of AᵀA, from A where squaring it would lose digits.
+
+    Args:
+        rows: A. Shape (m, p), m ≥ p.
+
+    Returns:
+        Ascending or descending positive eigenvalues, shape (p,), and eigenvectors as columns,
+        shape (p, p).
+    """
     square = rows.T @ rows
     try:
         pivots = np.diag(np.linalg.cholesky(square)) ** 2
@@ -176,7 +184,7 @@ def smooth_objective(
     Returns:
         The objective, and its gradient with respect to AᵀA. Shape (p, p).
     """
-    values, vectors = _spectrum(rows)
+    values, vectors = spectrum(rows)
     logs = np.log(values)
     if criterion is Criterion.D:
         return -float(np.mean(logs)), -(vectors / (values * len(values))) @ vectors.T

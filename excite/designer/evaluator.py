@@ -14,6 +14,7 @@ from ..collision.clearance_constraint import ClearanceEvaluation
 from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
 from .casadi_batch import MappedFunction, PaddedFunction
+from .design_objective import SampledMotion
 from .problem import DesignProblem
 
 NEARLY_ACTIVE = 0.98
@@ -140,10 +141,18 @@ class Evaluator:
         """
         point, problem = self._at(x), self.problem
         Y, weights = self._regressor_at(point), problem.weighting
-        rows = weights.rows(Y)
-        stacked = rows if problem.earlier_root is None else np.vstack([rows, problem.earlier_root])
-        value, slope = criteria.smooth_objective(problem.options.criterion, stacked, sharpness)
-        gradients = self._adjoint(*point.motion[:3], weights.regressor_gradient(Y, slope))
+        if problem.objective is not None:
+            motion = SampledMotion(*point.motion[:3], Y, problem.period(x))
+            result = problem.objective.evaluate(motion)
+            value, gradients = result.value, self._adjoint(*point.motion[:3], result.by_regressor)
+            if result.by_motion is not None:
+                gradients = [a + b for a, b in zip(gradients, result.by_motion, strict=True)]
+        else:
+            rows = weights.rows(Y)
+            known = problem.earlier_root
+            stacked = rows if known is None else np.vstack([rows, known])
+            value, slope = criteria.smooth_objective(problem.options.criterion, stacked, sharpness)
+            gradients = self._adjoint(*point.motion[:3], weights.regressor_gradient(Y, slope))
         if problem.overlap_penalty is not None:
             overlap, by_q, by_dq = problem.overlap_penalty.overlap(*point.motion[:2])
             weight = problem.overlap_penalty.weight

@@ -233,6 +233,10 @@ def _begin(evaluator: Evaluator, task: _Round, number: int) -> Attempt | ExciteE
     initial guess.
     """
     best: Attempt | None = None
+    warm = task.problem.warm_start
+    if warm is not None and number == 0:
+        x = task.problem.variables(warm)
+        return optimize_from(evaluator, x, task.build_time, number, task.until)
     for guess in range(MAX_GUESSES):
         entropy = [task.problem.options.seed, number, *([guess] if guess else [])]
         rng = np.random.default_rng(entropy)

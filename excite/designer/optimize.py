@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,13 +33,17 @@ SHRINKING = (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2)
 STARTS_PER_RESTART = 2
 """Starts of a search that is repeated because no motion of the first one was certified."""
 
-WARM_ITERATIONS = 40
+WARM_ITERATIONS = 20
 """Iterations of a search that continues with the curvature of an earlier one; the motion changes by
 millimetres."""
 
 WARM_RADIUS = 0.05
 """First trust-region radius of a search that continues with the curvature of an earlier one, in
 units of the variables: a quarter of that of a new search."""
+
+
+ObjectiveBuilder = Callable[[DesignProblem, Base], DesignProblem]
+"""Returns a design problem with an objective in place of its criterion."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +123,7 @@ def set_up(
     overlap_penalty: OverlapPenalty | None = None,
     clearance: ClearanceConstraint | None = None,
     start_pose: FloatArray | None = None,
+    objective: ObjectiveBuilder | None = None,
 ) -> DesignSetup:
     """Build the design problem of a robot.
 
@@ -131,6 +136,7 @@ def set_up(
         overlap_penalty: Penalty on similarity to another motion.
         clearance: Bodies that have to keep their distance.
         start_pose: Pose from which the motion has to be reachable. Shape (n,).
+        objective: Sets the objective that replaces the criterion; None: the criterion.
 
     Raises:
         UnusableInput: Options are inconsistent.
@@ -167,6 +173,8 @@ def set_up(
         clearance=clearance,
         start_pose=start_pose,
     )
+    if objective is not None:
+        built = objective(built, base)
     return DesignSetup(built, base, noise, time.perf_counter())
 
 

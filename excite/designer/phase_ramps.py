@@ -53,6 +53,21 @@ def phase_profile(fourier: FourierSeries, duration: float, *, inwards: bool) -> 
     return PhaseProfile(fourier, phase)
 
 
+def delayed_stop(fourier: FourierSeries, cruise: float, duration: float) -> PhaseProfile:
+    """Return a ramp-out that follows the periodic motion for a while before it stops.
+
+    Args:
+        fourier: Periodic motion up to the start of the ramp.
+        cruise: Time for which its phase goes on at rate 1 [s].
+        duration: Duration of the stop that follows [s].
+    """
+    stop = phase_profile(fourier, duration, inwards=False).phase
+    phase = JerkProfile(
+        stop.position, stop.velocity, stop.acceleration, (((cruise, 0.0), *stop.pieces[0]),)
+    )
+    return PhaseProfile(fourier, phase)
+
+
 def violated_limit(
     constraints: MotionConstraints, profile: PhaseProfile, duration: float, step: float
 ) -> str:
@@ -98,6 +113,36 @@ def shortest_ramp(
             continue
         if not violated_limit(constraints, profile, duration, step):
             return profile, duration
+    return None
+
+
+def shortest_at_rest(
+    constraints: MotionConstraints,
+    fourier: FourierSeries,
+    rest_phase: float,
+    grid: float,
+    step: float,
+    *,
+    inwards: bool,
+) -> float | None:
+    """Return the duration of the shortest ramp that begins, or ends, at rest at a given phase.
+
+    Args:
+        constraints: Constraints, derived limits included.
+        fourier: Periodic motion.
+        rest_phase: Phase of the pose at rest [s].
+        grid: Duration that ramps are multiples of [s].
+        step: Time step at which the certificate will check it [s].
+        inwards: True for a ramp-in, which begins there; False for a ramp-out, which ends there.
+    """
+    for duration in _durations(fourier.period, grid, np.inf):
+        half = 0.5 * duration
+        shifted = fourier.shifted(rest_phase + half if inwards else rest_phase - half)
+        profile = phase_profile(shifted, duration, inwards=inwards)
+        if _exceeds_coarsely(constraints, profile, duration):
+            continue
+        if not violated_limit(constraints, profile, duration, step):
+            return float(duration)
     return None
 
 

@@ -30,7 +30,7 @@ from .certificate import CELL_KEY, CLEARANCE, Certificate
 from .evaluator import Evaluator
 from .motion_overlap import OverlapPenalty
 from .multistart import MIN_SPECTRUM_RATIO, Attempt, Progress
-from .optimize import DesignSetup, OptimizedDesign
+from .optimize import DesignSetup, ObjectiveBuilder, OptimizedDesign
 from .options import DesignOptions, check_options, samples_per_period
 from .problem import LIMIT_RESERVE
 
@@ -101,6 +101,7 @@ def design_trajectory(
     speed: float = 1.0,
     force: bool = False,
     progress: Progress | None = None,
+    objective: ObjectiveBuilder | None = None,
 ) -> CertifiedDesign:
     """Design and certify a trajectory.
 
@@ -119,6 +120,7 @@ def design_trajectory(
         speed: Share of the designed speed at which the motion is delivered [1].
         force: Return a motion even when its certificate fails.
         progress: Called with a line of text now and then.
+        objective: Sets the objective that replaces the criterion; None: the criterion.
 
     Raises:
         CheckFailed: The certificate fails and `force` is not set.
@@ -135,7 +137,7 @@ def design_trajectory(
     design_cost.require(robot, options, speed, progress)
     clearance = None if cell is None else clearance_builder.build_constraint(cell)
     setup = optimize.set_up(
-        robot, limits, options, earlier_information, overlap_penalty, clearance, start
+        robot, limits, options, earlier_information, overlap_penalty, clearance, start, objective
     )
     if start is not None:  # the search needs a valid start pose
         ramps.check_start_pose(setup.constraints(limits.reduced()), start)

@@ -21,6 +21,7 @@ from ..trajectory.fourier import (
 from . import casadi_model
 from .casadi_model import DynamicsFunctions
 from .criteria import Weighting
+from .design_objective import DesignObjective
 from .motion_overlap import OverlapPenalty
 from .options import DesignOptions, WorkspaceBox
 
@@ -47,6 +48,8 @@ class DesignProblem:
         overlap_penalty: Penalty on similarity to another motion, None without.
         clearance: Bodies that keep their distance at the samples, None where no shape is known.
         start_pose: Pose from which the motion has to be reachable, None without. Shape (n,).
+        objective: Objective in place of the criterion of the options, None for the criterion.
+        warm_start: Motion with which start 0 begins, None for a random one.
     """
 
     robot: Robot
@@ -61,6 +64,8 @@ class DesignProblem:
     overlap_penalty: OverlapPenalty | None = None
     clearance: ClearanceConstraint | None = None
     start_pose: FloatArray | None = None
+    objective: DesignObjective | None = None
+    warm_start: FourierSeries | None = None
 
     @property
     def size(self) -> int:
@@ -173,7 +178,8 @@ def rebuild_problem(
 ) -> DesignProblem:
     """Build a problem again with other limits, options, earlier information or reserve.
 
-    Overlap penalty, clearance and start pose are those of `problem`; see `build_problem`.
+    Overlap penalty, clearance, start pose, objective and warm start are those of `problem`; see
+    `build_problem`.
     """
     rebuilt = build_problem(
         problem.robot,
@@ -190,6 +196,8 @@ def rebuild_problem(
         overlap_penalty=problem.overlap_penalty,
         clearance=problem.clearance,
         start_pose=problem.start_pose,
+        objective=problem.objective,
+        warm_start=problem.warm_start,
     )
 
 

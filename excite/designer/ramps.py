@@ -9,6 +9,7 @@ periodic motion (`phase_ramps`) are tried as well; the shorter ones are taken.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -93,13 +94,6 @@ The certificate samples these quantities at other times than the check.
 
 CHECK_STEP = 0.004
 """Largest time step at which a ramp is checked [s]."""
-
-CLOSED_RAMP_PERIODS = (1, 2)
-"""Periods that a ramp of a closed pair may take [1].
-
-The two ramps of such a pair run along the path of the periodic motion, and the second one ends at
-the pose at which the first one begins.
-"""
 
 SAME_POSE = 1e-9
 """Largest difference of poses between which no motion is planned [rad]; a certificate accepts jumps
@@ -526,8 +520,8 @@ def _transfer_legs(
 def _ramp_pairs(planner: RampPlanner, fourier: FourierSeries, step: float) -> Iterator[_RampPair]:
     """Yield ramps into and out of a periodic motion, the shortest ones first.
 
-    At each phase the shorter one of Ruckig's ramp and of the ramp along the path is taken. The last
-    pair starts and ends at the same pose of the path, so that it needs no return.
+    At each phase the shorter one of Ruckig's ramp and of the ramp along the path is taken. The
+    second pair starts and ends at the same pose of the path, so that it needs no return.
     """
     times = fourier.grid(PHASE_COUNT)
     speed = np.abs(fourier.at(times, 1) / planner.constraints.limits.velocity).max(axis=1)
@@ -541,13 +535,11 @@ def _ramp_pairs(planner: RampPlanner, fourier: FourierSeries, step: float) -> It
             pairs.append(_RampPair(shifted, ramp_in, ramp_out))
         if pairs and tried >= MIN_TRIED_PHASES - 1:
             break
-    yield from sorted(pairs, key=lambda pair: pair.duration)
-    for count in CLOSED_RAMP_PERIODS:
-        for index in order:
-            pair = _closed_pair(planner, fourier.shifted(float(times[index])), step, count)
-            if pair is not None:
-                yield pair
-                return
+    shortest = sorted(pairs, key=lambda pair: pair.duration)
+    yield from shortest[:1]
+    closed = (_closed_pair(planner, fourier, float(times[index]), step) for index in order)
+    yield from itertools.islice((pair for pair in closed if pair is not None), 1)
+    yield from shortest[1:]
 
 
 def _shortest_ramp(
@@ -569,22 +561,33 @@ def _shortest_ramp(
 
 
 def _closed_pair(
-    planner: RampPlanner, fourier: FourierSeries, step: float, count: int
+    planner: RampPlanner, fourier: FourierSeries, rest_phase: float, step: float
 ) -> _RampPair | None:
-    """Return ramps along the path over whole periods together, None where they violate a limit.
+    """Return ramps along the path from rest at a phase and back to it, None where there are none.
 
-    The phase advances by half the duration of a ramp, hence by `count` periods in two ramps of
-    `count` periods each.
+    The ramp-out follows the periodic motion, whose limits hold, until it can stop at the pose at
+    which the ramp-in began. Each of both ramps is short, as a slow one may exceed a torque limit
+    where the motion of the periodic part helps against gravity.
     """
-    duration = count * fourier.period
-    ramps: list[tuple[Profile, float]] = []
-    for inwards in (True, False):
-        profile = phase_ramps.phase_profile(fourier, duration, inwards=inwards)
-        violated = phase_ramps.violated_limit(planner.constraints, profile, duration, step)
-        if violated:
-            return None
-        ramps.append((profile, duration))
-    return _RampPair(fourier, ramps[0], ramps[1])
+    constraints, grid = planner.constraints, 2.0 * planner.time_step
+    begin = phase_ramps.shortest_at_rest(constraints, fourier, rest_phase, grid, step, inwards=True)
+    if begin is None:
+        return None
+    end = phase_ramps.shortest_at_rest(constraints, fourier, rest_phase, grid, step, inwards=False)
+    if end is None:
+        return None
+    advance = 0.5 * (begin + end)  # of the phase, in both ramps
+    cruise = np.ceil(advance / fourier.period - 1e-9) * fourier.period - advance
+    shifted = fourier.shifted(rest_phase + 0.5 * begin)
+    ramp_in = phase_ramps.phase_profile(shifted, begin, inwards=True)
+    if cruise < 1e-9:  # both ramps together take whole periods already
+        return _RampPair(
+            shifted,
+            (ramp_in, begin),
+            (phase_ramps.phase_profile(shifted, end, inwards=False), end),
+        )
+    ramp_out = phase_ramps.delayed_stop(shifted, float(cruise), end)
+    return _RampPair(shifted, (ramp_in, begin), (ramp_out, float(cruise) + end))
 
 
 def check_start_pose(constraints: MotionConstraints, start: FloatArray) -> None:

@@ -183,7 +183,9 @@ def advance(
     tolerances = tolerances or Tolerances()
     options = evaluator.problem.options
     sharpnesses = sharpness_stages(options.criterion)
-    min_gain = stopping_gain(options.criterion) if tolerances.gain is None else tolerances.gain
+    objective = evaluator.problem.objective
+    usual = stopping_gain(options.criterion) if objective is None else objective.stopping_gain
+    min_gain = usual if tolerances.gain is None else tolerances.gain
     until = (
         options.iterations
         if iterations is None

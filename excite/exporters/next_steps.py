@@ -16,7 +16,12 @@ CONTROLLER = "joint_trajectory_controller"
 
 
 def next_steps(
-    trajectory: Trajectory, source: str, format: str, path: Path, goal: GoalOptions
+    trajectory: Trajectory,
+    source: str,
+    format: str,
+    path: Path,
+    goal: GoalOptions,
+    speed: float = 1.0,
 ) -> list[str]:
     """Return lines that say how to run an exported file and how to record the motion.
 
@@ -26,6 +31,7 @@ def next_steps(
         format: Name of the format.
         path: The exported file.
         goal: Options of a ROS 2 goal.
+        speed: Share of the planned speed at which the file plays the motion.
 
     Returns:
         Lines for the user; none for formats that only store the motion.
@@ -46,8 +52,18 @@ def next_steps(
         f"2. record: {record[0]}",
         f"3. run: {run}",
         f"4. identify: excite identify {robot} {record[1]} --trajectory {shlex.quote(source)} "
-        "-o model",
+        "-o model" + _speed_note(speed),
     ]
+
+
+def _speed_note(speed: float) -> str:
+    """Say what a recording at reduced speed is good for."""
+    if speed >= 1.0:
+        return ""
+    return (
+        f" (at --speed {speed:g} it shows gravity and friction but hardly inertia: check with it "
+        "that joints, signs and units are right, then export without --speed and record again)"
+    )
 
 
 def _start_note(format: str, goal: GoalOptions) -> str:

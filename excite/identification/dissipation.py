@@ -1,14 +1,16 @@
-"""Friction takes energy out of every joint; a fit in which it feeds energy in has the wrong
-signs."""
+"""Check that the fitted friction dissipates energy; torque of inverted sign makes it feed energy
+in."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 
 from .._types import FloatArray
 from ..errors import ExciteWarning, UnusableInput
+from ..recordings import Recording, RemarkKind
 from .estimators import Estimate
 from .regression import IdentificationModel, TorqueEquations
 
@@ -20,7 +22,10 @@ MAX_NEGATIVE_SHARE = 0.5
 
 
 def require_dissipation(
-    source: str, model: IdentificationModel, equations: TorqueEquations, data: Estimate
+    recordings: Sequence[Recording],
+    model: IdentificationModel,
+    equations: TorqueEquations,
+    data: Estimate,
 ) -> None:
     """Check that the friction of the unconstrained estimate dissipates power at every joint.
 
@@ -28,26 +33,37 @@ def require_dissipation(
     a joint that turns in one direction only does not distinguish it from Coulomb friction, and
     for an oscillating joint E[q̇] = 0.
 
+    A joint whose sign the comparison with the nominal model already doubts is not judged again: the
+    user has been warned of it, with the remedy.
+
     Args:
-        source: Name of the recording, for messages.
+        recordings: The recordings.
         model: The model.
         equations: The equations that it is fitted to.
         data: Base parameters estimated from the data alone.
 
     Raises:
-        UnusableInput: It is clearly negative at half of the joints or more; at fewer, a warning.
+        UnusableInput: It is clearly negative at half of the joints or more, and the sign of one of
+            them is not doubted yet. At fewer joints, a warning.
     """
     powers = _friction_powers(model, equations, data)
     negative = [
         j for j, (power, deviation) in powers.items() if power < -CLEARLY_NEGATIVE * deviation
     ]
-    if not negative:
+    doubted = {
+        doubt.joint
+        for recording in recordings
+        for doubt in recording.doubts
+        if doubt.kind is RemarkKind.TORQUE_SIGN
+    }
+    unnamed = [j for j in negative if model.robot.joints[j] not in doubted]
+    if not unnamed:
         return
-    joint = model.robot.joints[negative[0]]
-    power, deviation = powers[negative[0]]
+    joint = model.robot.joints[unnamed[0]]
+    power, deviation = powers[unnamed[0]]
     text = (
-        f"{source}: joint '{joint}': in the unconstrained fit friction feeds in {-power:.3g} ± "
-        f"{deviation:.2g} W instead of taking it out"
+        f"{recordings[0].source}: joint '{joint}': in the unconstrained fit friction feeds in "
+        f"{-power:.3g} ± {deviation:.2g} W instead of taking it out"
     )
     if len(negative) >= MAX_NEGATIVE_SHARE * model.robot.n:
         joints = f"{len(negative)} of {model.robot.n} joints"

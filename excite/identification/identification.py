@@ -60,6 +60,10 @@ UNINFORMATIVE_GAMMA = 1e-14
 REDUCED_GAMMA = 1e-3
 """γ of the prior in `Identification.reduced`, small against the information of a direction that
 counts as identified."""
+MIN_ERROR_OVER_NOISE_FLOOR = 0.6
+"""Smallest RMS error of a prediction over the noise floor at which the floor is noise [1]. The
+error contains the noise; a smaller one shows that the periods differ in a torque that the model
+predicts, as by the force pulses of EMPS, which leave the motion periodic."""
 MAX_BAND_SHARE = 0.45
 """Cutoff frequency over the rate of a recording, at most, for predictions."""
 
@@ -291,7 +295,7 @@ def identify(
     )
     data, equations = fit.estimate, fit.equations
     if options.dissipation:
-        dissipation.require_dissipation(recordings[0].source, fit.model, equations, data)
+        dissipation.require_dissipation(recordings, fit.model, equations, data)
     prior, gamma_trials = _choose_prior(parameters, base, equations, data, options)
     posterior = _consistent_estimate(parameters, base, data, prior, options)
     endogeneity = None
@@ -577,6 +581,10 @@ def _predict(
     fitted, before = (
         equations.predicted(model.base.matrix @ parameters) for parameters in (psi, nominal)
     )
+    if noise_floor is not None:
+        error = np.sqrt(np.mean((equations.torque - fitted) ** 2, axis=0))
+        if (error < MIN_ERROR_OVER_NOISE_FLOOR * noise_floor).any():
+            noise_floor = None
     return Prediction(
         recording.source,
         equations.time,

@@ -1,14 +1,14 @@
-"""Comparison of measured torque with the nominal model, before anything is fitted.
+"""Compare measured torque with the nominal model before anything is fitted.
 
-The nominal bodies are 5-30 % off, or the whole payload is missing from them, yet they tell the sign
-and the size of a torque. Joint by joint, friction and offset are removed from the measured torque
-and from the nominal one by linear regression, and then
+The nominal inertial parameters are 5-30 % off, or the payload is missing from them, but they
+determine the sign and the size of a torque. Joint by joint, friction and offset are removed from
+the measured and from the nominal torque by linear regression, and then
 
     τ_measured = s · τ_nominal + e        and        τ_measured = g · τ_gravity + h · τ_motion + e.
 
-A slope s near −1 is an inverted sign, one of 1000 a torque in N mm, one near a gear ratio a torque
-of the motor's side; g near 0 with h near 1 is torque without gravity. A doubt needs a correlation
-that only a torque of this joint has, so a poor nominal model raises none.
+A slope s near −1 is an inverted sign, one near 1000 a torque in N mm, one near a gear ratio a
+torque on the motor's side; g near 0 with h near 1 is torque without gravity. A doubt requires a
+high correlation, so a poor nominal model raises none.
 """
 
 from __future__ import annotations
@@ -26,48 +26,60 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 
 COMPARED_ROWS = 600
-"""Number of rows, spread evenly over the longest stretch without a gap, that are compared."""
+"""Number of compared rows, spread evenly over the longest stretch without a gap."""
 MOTION_CUTOFF_HZ = 10.0
-"""Cutoff of the positions from which the nominal torque is computed [Hz]: the motion that carries
-the inertial torque of an arm lies below."""
+"""Cutoff frequency of the positions from which the nominal torque is computed [Hz]: the
+accelerations of an arm that cause its inertial torque lie below."""
 MAX_CUTOFF_SHARE = 0.15
 """Cutoff over the sampling rate of slow recordings [1]: second differences of positions that jitter
 against their stamps are noise above that."""
 FRICTION_SPEED_SHARE = 0.05
-"""Width of the friction step over the RMS speed [1]."""
+"""Width of the smooth Coulomb step over the RMS speed [1]."""
 MIN_CORRELATION = 0.85
 """Correlation with the nominal torque from which the sign and the scale of a joint are judged [1].
 On ten real machines the most negative is −0.78 (joint 7 of a KUKA LWR4+, whose torque comes from
 cables), and the sign is wrong at none of them; inverted joints of simulated arms reach −0.96 to
 −1.00 where gravity or inertia prevails."""
 PLAUSIBLE_SLOPE = (0.125, 30.0)
-"""Measured over nominal torque that a robot can have [1]. On the same machines it is 0.42 to 16 at
-this correlation, 16 being a wrist whose payload of 150 kg is missing from the model."""
+"""Smallest and largest plausible ratio of measured to nominal torque [1]. On the same machines it
+is 0.42 to 16 at this correlation; 16 is a wrist whose payload of 150 kg is not in the model."""
 SLOPE_AGREEMENT = 4.0
-"""Ratio of the largest to the smallest slope up to which all joints share one unit [1]."""
+"""Largest ratio of the largest to the smallest slope at which all joints share one unit [1]."""
 MIN_GRAVITY_RATIO = 0.3
-"""Standard deviation of the nominal gravity torque over that of the measured torque from which
-gravity would show at a joint [1]."""
+"""Smallest standard deviation of the nominal gravity torque over that of the measured torque at
+which gravity is judged at a joint [1]."""
 MAX_GRAVITY_SLOPE = 0.3
-"""Share of the nominal gravity torque that is measured, below which gravity is missing [1]: links
-are rarely lighter than a third of what the URDF says."""
+"""Largest measured share of the nominal gravity torque at which gravity counts as missing [1]:
+links are rarely lighter than a third of the URDF's mass."""
 MIN_EXPLAINED = 0.8
-"""Share of a joint's torque that gravity and motion must explain before either is judged [1]."""
+"""Smallest share of a joint's torque that gravity and motion explain where they are judged [1]."""
 MIN_GRAVITY_JOINTS = 2
-"""Number of joints at which gravity must be missing: at a single one, a spring or a counterbalance
-carries it (axis 2 of a KUKA KR300)."""
+"""Smallest number of joints at which gravity is missing: at a single joint, a spring or a
+counterbalance compensates it (axis 2 of a KUKA KR300)."""
 MAX_GRAVITY_ANGLE = 35.0
-"""Angle between gravity as stated and as measured that is not doubted [°]: wrong masses tilt the
-estimate by up to 20° on the machines above; a mounting on a wall or ceiling, or a wrong axis, is
+"""Largest angle between stated and estimated gravity that is not doubted [°]: wrong masses tilt the
+estimate by up to 20° on the machines above; a mounting on a wall or ceiling, or a wrong axis, gives
 90° or 180°."""
 MIN_UNEXPLAINED = 0.3
-"""Mean unexplained share of the torque of two joints from which an exchange is considered [1]."""
+"""Smallest mean unexplained share of the torque of two joints at which their exchange is considered
+[1]."""
 MAX_UNEXPLAINED_RATIO = 0.25
-"""Unexplained share with two joints exchanged, over that as named, from which their names are
-doubted [1]: an exchange that is right leaves a tenth on simulated arms."""
+"""Largest unexplained share with two joints exchanged over that as read at which their names are
+doubted [1]: the right exchange leaves a tenth on simulated arms."""
+MAX_EXPLAINED_AS_READ = 0.5
+"""Largest explained share of the torque of a joint at which the sign or the zero of a position is
+doubted because of it [1]."""
+MIN_EXPLAINED_AS_CHANGED = 0.85
+"""Smallest explained share of that joint with the other sign or zero [1]: 0.92 to 0.99 on simulated
+arms, 0.51 at most on ten real machines, whose signs and zeros are right."""
+MIN_EXPLAINED_GAIN = 0.4
+"""Smallest sum over the joints of the changes of the explained shares [1]."""
+ZERO_OFFSETS_DEG = (90, -90, 180)
+"""Offsets between the zero of an encoder and that of the URDF that are considered [°]: conventions
+of the zero pose differ by right angles."""
 ROUNDING = 1e-9
-"""Nominal over measured torque below which the nominal one is rounding [1], as gravity on a
-vertical axis."""
+"""Nominal over measured torque below which the nominal torque is a rounding error [1], as that of
+gravity on a vertical axis."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +125,8 @@ class NominalComparison:
 
 
 def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
-    """Doubt sign, scale, gravity and joint names of a recording's torque.
+    """Doubt sign, scale and gravity of a recording's torque, and the names, signs and zeros of its
+    joints.
 
     Args:
         recording: The recording, with torque or current of every joint.
@@ -137,6 +150,8 @@ def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
         remarks += _exchanged_joints(recording, robot, torque, motion, comparison)
     if not remarks and np.any(robot.model.gravity.linear):
         remarks += _gravity_doubts(recording, robot, torque, motion, comparison)
+    if not remarks:  # another direction of gravity mimics another zero of the second axis
+        remarks += _position_doubts(recording, robot, torque, motion, comparison)
     return remarks
 
 
@@ -241,7 +256,8 @@ def _gravity_doubts(
         direction = ", ".join(f"{value:.1f}" for value in gravity)
         text = (
             f"gravity as the torque shows it is ({direction}) m/s² in the base frame, {angle:.0f}° "
-            "from the one that is stated; is the base mounted another way? Give --gravity X,Y,Z"
+            "from the one that is stated; is the base mounted another way? Give --gravity X,Y,Z, "
+            "or correct the zero of the joints' positions"
         )
         return [Remark(RemarkKind.GRAVITY, text, doubt=True)]
     slope, _, judged = comparison.gravity_shares()
@@ -334,6 +350,55 @@ def _exchanged_joints(
             )
             out.append(Remark(RemarkKind.EXCHANGED, text, a, doubt=True))
     return out
+
+
+def _position_doubts(
+    recording: Recording,
+    robot: Robot,
+    torque: FloatArray,
+    motion: Samples,
+    comparison: NominalComparison,
+) -> list[Remark]:
+    """Doubt the sign or the zero of a joint's position whose change explains the torque."""
+    before = _explained(comparison)
+    best: tuple[float, Remark] | None = None
+    for j, joint in enumerate(recording.joints):
+        for offset in (None, *ZERO_OFFSETS_DEG):
+            if offset is not None and robot.entries[j].kind == "prismatic":
+                continue
+            changed = _changed_position(motion, j, offset)
+            gravity, dynamic = nominal_torque(robot, changed)
+            after = _explained(_comparison(torque, changed, gravity, dynamic))
+            gain = after - before
+            k = int(np.argmax(gain))
+            if (
+                before[k] > MAX_EXPLAINED_AS_READ
+                or after[k] < MIN_EXPLAINED_AS_CHANGED
+                or gain.sum() < MIN_EXPLAINED_GAIN
+                or (after[before > MIN_EXPLAINED] < MIN_EXPLAINED).any()
+                or (best is not None and gain.sum() <= best[0])
+            ):
+                continue
+            change = "with the opposite sign" if offset is None else f"shifted by {offset:+d}°"
+            remedy = "turn its sign" if offset is None else "correct its zero"
+            text = (
+                f"joint '{joint}': the nominal model explains {100 * before[k]:.0f} % of the "
+                f"torque of '{recording.joints[k]}', and {100 * after[k]:.0f} % with the position "
+                f"of '{joint}' {change}; {remedy} if the robot counts it otherwise than the URDF"
+            )
+            best = float(gain.sum()), Remark(RemarkKind.POSITION, text, joint, doubt=True)
+    return [] if best is None else [best[1]]
+
+
+def _changed_position(motion: Samples, joint: int, offset: int | None) -> Samples:
+    """The motion with a joint's position shifted by degrees; None: with the opposite sign."""
+    q, dq, ddq = motion.q.copy(), motion.dq.copy(), motion.ddq.copy()
+    if offset is None:
+        for values in (q, dq, ddq):
+            values[:, joint] *= -1.0
+    else:
+        q[:, joint] += np.radians(offset)
+    return Samples(q, dq, ddq)
 
 
 def _with_torque(

@@ -20,6 +20,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,8 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
-from .column_names import find_columns
-from .export_formats import recognise
+from .column_names import ColumnLayout, find_columns
+from .export_formats import Header, recognise
 from .remark import Remark, RemarkKind
 
 CHUNK_SIZE = 1 << 23
@@ -49,8 +50,33 @@ _CLASSES[list(b"eE")] = _EXPONENT
 _CLASSES[list(b"+-")] = _SIGN
 
 
+COMMENTS = (b"#", b"//")
+"""First characters of comments in front of the header."""
+MIN_EMPTY_SHARE = 0.1
+"""Share of rows without any quantity of the robot from which they are those of another topic, in a
+table that merges several [1]; fewer are missing values."""
+SI_UNITS = frozenset(
+    ("s", "sec", "rad", "rad/s", "nm", "n m", "n*m", "n·m", "n.m", "n", "m", "m/s", "a", "°c")
+)
+"""Units in a row below the header that need no conversion, in small letters."""
+OTHER_UNITS = frozenset(
+    (
+        *("ms", "us", "µs", "ns", "deg", "°", "deg/s", "°/s", "mrad", "rpm", "mm", "mm/s"),
+        *("nmm", "n mm", "n*mm", "mnm", "ma", "%"),
+    )
+)
+"""Units in a row below the header that have to be converted, in small letters."""
+MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \t]*(?![^,\n])')
+"""Cell that says that nothing was measured."""
+DATE = re.compile(r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}:\d{2}:)")
+"""Date or time of day in the message of a parser."""
+
+
 def read_blocks(
-    path: Path, robot: Robot, columns: Mapping[str, str] = MappingProxyType({})
+    path: Path,
+    robot: Robot,
+    columns: Mapping[str, str] = MappingProxyType({}),
+    topic: str | None = None,
 ) -> Iterator[Block]:
     """Read a CSV file whose first row names the columns.
 
@@ -58,6 +84,7 @@ def read_blocks(
         path: File with cells separated by commas, semicolons, tabs or blanks.
         robot: Robot whose joints are recorded.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in the file.
+        topic: Topic of PlotJuggler's columns to use; None: there is one of the robot's joints.
 
     Yields:
         Consecutive rows, CHUNK_SIZE bytes of text at a time.
@@ -66,40 +93,150 @@ def read_blocks(
         UnusableInput: The header lacks a column of the robot, or a cell is no number.
     """
     with path.open("rb") as stream:
-        separator, cells = _read_header(path, stream.readline(MAX_LINE))
+        line, row = _skip_comments(stream)
+        separator, cells = _read_header(path, line)
         behind = stream.tell()
-        first_row = _cells(separator, stream.readline(MAX_LINE))
-        recognised = recognise(str(path), cells, first_row, robot, columns)
-        stream.seek(behind if recognised.has_line else 0)
-        header, remarks = recognised.names, _planned(cells, robot)
+        second = stream.readline(MAX_LINE)
+        first_row = _cells(separator, second)
+        if _is_row_of_units(path, cells, first_row):
+            behind, row = stream.tell(), row + 1
+            first_row = _cells(separator, stream.readline(MAX_LINE))
+        header = recognise(str(path), cells, first_row, robot, columns, separator, topic)
+        stream.seek(behind if header.has_line else 0)
         layout = find_columns(
-            str(path), header, robot, recognised.time, from_first=recognised.from_first
+            str(path), header.names, robot, header.time, from_first=header.from_first
         )
-        places = [header.index(name) for name in layout.names]
-        origin: FloatArray | None = None
-        row, remainder = 2 if recognised.has_line else 1, b""
-
-        def block(lines: bytes) -> Block:
-            nonlocal origin, remarks
-            table = _parse_rows(path, lines, separator, header, places, row)
-            if layout.from_first and origin is None and len(table):
-                origin = table[0, : len(layout.time_factors)].copy()
-            out = dataclasses.replace(layout.block(table, origin), remarks=remarks)
-            remarks = ()
-            return out
-
+        table = _Table(path, separator, header, layout, line if header.has_line else None)
+        table.remarks += _planned(cells, robot)
+        table.row = row + 1 if header.has_line else 1
+        remainder = b""
         while chunk := stream.read(CHUNK_SIZE):
             text, newline, remainder = (remainder + chunk).rpartition(b"\n")
             if len(remainder) > MAX_LINE:
                 raise UnusableInput(
-                    f"{path}: after row {row + text.count(newline or b' ')}: a line is longer than "
-                    f"{MAX_LINE} bytes; give a CSV"
+                    f"{path}: after row {table.row + text.count(newline or b' ')}: a line is "
+                    f"longer than {MAX_LINE} bytes; give a CSV"
                 )
             if newline:
-                yield block(text + newline)
-                row += text.count(b"\n") + 1
+                yield table.block(text + newline)
         if remainder.strip():
-            yield block(remainder)
+            yield table.last_block(remainder)
+
+
+class _Table:
+    """The rows of a file, chunk by chunk.
+
+    Attributes:
+        row: Number of the next row in the file, as users count.
+        remarks: Remarks that the next block carries.
+    """
+
+    def __init__(
+        self, path: Path, separator: str, header: Header, layout: ColumnLayout, line: bytes | None
+    ) -> None:
+        self.path, self.separator, self.header, self.layout = path, separator, header, layout
+        self.places = [header.names.index(name) for name in layout.names]
+        self.header_line = None if line is None else line.rstrip(b"\r\n")
+        self.origin: FloatArray | None = None
+        self.row = 1
+        self.remarks: tuple[Remark, ...] = ()
+        self.remarked: set[str] = set()
+
+    def block(self, text: bytes) -> Block:
+        """Parse complete lines."""
+        count = text.count(b"\n")
+        text = self._without_repeated_headers(text)
+        if self.header.rewrite is not None:
+            text, left_out = self.header.rewrite(text)
+            if left_out:
+                self._remark(f"{left_out} rows that lack some of the robot's joints are left out")
+        table = _parse_rows(
+            self.path, text, self.separator, self.header.names, self.places, self.row
+        )
+        self.row += count
+        table = self._without_empty_rows(table)
+        times = len(self.layout.time_factors)
+        if self.layout.from_first and self.origin is None and len(table):
+            self.origin = table[0, :times].copy()
+        out = dataclasses.replace(self.layout.block(table, self.origin), remarks=self.remarks)
+        self.remarks = ()
+        return out
+
+    def last_block(self, line: bytes) -> Block:
+        """Parse a last line that does not end in a newline; it may be cut short."""
+        missing = len(_cells(self.separator, line)) < len(self.header.names)
+        if missing and self.header.rewrite is None:
+            self._remark(f"row {self.row}, the last one, is cut short and left out")
+            return self.block(b"")
+        return self.block(line + b"\n")
+
+    def _without_repeated_headers(self, text: bytes) -> bytes:
+        """Lines without those that repeat the header, as where a log was continued."""
+        if self.header_line is None or self.header_line not in text:
+            return text
+        lines = text.split(b"\n")
+        kept = [line for line in lines if line.rstrip(b"\r") != self.header_line]
+        if len(kept) < len(lines):
+            self._remark(f"{len(lines) - len(kept)} rows that repeat the header are left out")
+        return b"\n".join(kept)
+
+    def _without_empty_rows(self, table: FloatArray) -> FloatArray:
+        """Rows without those of other topics, which hold a time and no quantity of the robot."""
+        is_empty = np.isnan(table[:, len(self.layout.time_factors) :]).all(axis=1)
+        if not len(table) or is_empty.mean() < MIN_EMPTY_SHARE:
+            return table
+        self._remark("rows without any quantity of the robot, as of other topics, are left out")
+        return np.asarray(table[~is_empty])
+
+    def _remark(self, text: str) -> None:
+        """Add a remark about rows that were left out, once for each kind."""
+        kind = text.lstrip("0123456789 ")
+        if kind not in self.remarked:
+            self.remarked.add(kind)
+            self.remarks += (Remark(RemarkKind.SKIPPED, text, repaired=True),)
+
+
+def _skip_comments(stream: BinaryIO) -> tuple[bytes, int]:
+    """Return the header's line and its number.
+
+    A header may be a comment itself: then the line below has as many cells and is none.
+    """
+    line, row = stream.readline(MAX_LINE), 1
+    while line.lstrip().startswith(COMMENTS):
+        place = stream.tell()
+        following = stream.readline(MAX_LINE)
+        is_data = bool(following.strip()) and not following.lstrip().startswith(COMMENTS)
+        if not following or (is_data and _width(line) == _width(following)):
+            stream.seek(place)
+            break
+        line, row = following, row + 1
+    return line, row
+
+
+def _width(line: bytes) -> int:
+    """Number of cells of a line, comment signs left out."""
+    text = line.lstrip(b" #/\t").strip()
+    separator = next((s for s in SEPARATORS if s.encode() in text), ",")
+    return len(_cells(separator, text))
+
+
+def _is_row_of_units(path: Path, header: Sequence[str], cells: Sequence[str]) -> bool:
+    """Return True if the line below the header names SI units.
+
+    Raises:
+        UnusableInput: It names another unit.
+    """
+    units = [cell.strip().strip("[]()").strip().lower() for cell in cells]
+    stated = [unit for unit in units if unit]
+    if not stated or not all(unit in SI_UNITS | OTHER_UNITS for unit in stated):
+        return False
+    for name, unit in zip(header, units, strict=False):
+        if unit in OTHER_UNITS:
+            raise UnusableInput(
+                f"{path}: row 2: column '{name}' is in {unit}; convert it to SI units (s, rad, "
+                "rad/s, N m, A) and leave row 2 out"
+            )
+    return True
 
 
 def _cells(separator: str, line: bytes) -> list[str]:
@@ -171,6 +308,11 @@ def _parse_rows(
         match = re.search(r"^(.*?)[ ;]*at row (\d+), column (\d+)", str(error))
         place = f"row {first_row + int(match[2])}" if match else f"after row {first_row - 1}"
         reason = match[1] if match else str(error)
+        if DATE.search(reason):
+            raise UnusableInput(
+                f"{path}: {place}: {reason.split(' to float')[0]}, a date or a time of day; write "
+                f"it in seconds, each row should hold {len(header)} numbers"
+            ) from error
         raise UnusableInput(
             f"{path}: {place}: {reason}; each row should hold {len(header)} numbers, empty where "
             "none was measured"
@@ -266,7 +408,9 @@ def _parse_plain(text: bytes, width: int) -> FloatArray:
 
 def _parse_tolerant(text: bytes, width: int, columns: Sequence[int]) -> FloatArray:
     """Parse any text that `np.loadtxt` can read. Shape (lines, len(columns))."""
-    lines = [line for line in text.decode("utf-8").split("\n") if line.strip()]
+    lines = [
+        line for line in MISSING_CELL.sub("nan", text.decode("utf-8")).split("\n") if line.strip()
+    ]
     for number, line in enumerate(lines):
         if '"' not in line and line.count(",") != width - 1:
             raise ValueError(

@@ -27,6 +27,7 @@ from . import (
     quantization,
     signal_checks,
     timestamp_jitter,
+    uneven_stamps,
     units,
 )
 from .block import Block
@@ -102,8 +103,11 @@ def check_and_repair(
         raise UnusableInput(f"{source}: has {len(block)} usable rows; give at least {MIN_ROWS}")
     units.check_positions(source, block, robot, context.limits)
     inconsistent = units.check_velocities(source, block, robot)
+    stamps: list[Remark] = []
+    if complete:
+        block, stamps = uneven_stamps.correct_uneven_stamps(block, grid)
     gridded, uneven = resample(block, grid)
-    remarks = [*block.remarks, *window.remarks, *repairs, *missing, *uneven]
+    remarks = [*block.remarks, *window.remarks, *repairs, *missing, *stamps, *uneven]
     smoothed = np.zeros(robot.n, bool)
     if complete:
         remarks += [

@@ -161,8 +161,8 @@ def _candidates(recording: Recording, motion: Motion) -> Iterator[tuple[Motion, 
     speed = motion.fourier.period / repetition.period
     yield motion, speed
     periods = int((repetition.window[1] - repetition.window[0]) / repetition.period + 0.05)
-    if periods != motion.periods and periods > 0:
-        yield with_periods(motion, periods), speed
+    for count in {periods, periods + 1} - {motion.periods, 0}:  # the window may miss a noisy period
+        yield with_periods(motion, count), speed
 
 
 def with_periods(motion: Motion, periods: int) -> Motion:

@@ -5,8 +5,10 @@
 | PlotJuggler | `__time`, `/joint_states/<joint>/position`, … |
 | `ros2 topic echo --csv` | none: seconds, nanoseconds, frame, names, positions, … |
 | `rostopic echo -p` and others | `%time`, `field.name0`, `field.position0` or `name[0]`, … |
+| scripts that write a message per row | `time`, `name`, `position`, … with lists in the cells |
 
-Names of joints that stand in cells are those of the first row.
+Where names of joints stand in cells, each row is put into the order of the first
+(`joint_state_cells`).
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from dataclasses import dataclass
 
 from ..errors import UnusableInput
 from ..robot.robot import Robot
+from .joint_state_cells import ElementColumns, ListCells, Rewrite, is_list
 
 QUANTITY = {"position": "q", "velocity": "dq", "effort": "tau"}
 """Our prefixes of the fields of a JointState message."""
@@ -33,6 +36,8 @@ TIME_COLUMNS = (
 """Columns of time of flattened messages and their factors [s], the preferred first."""
 INDEXED = re.compile(r"(?:field)?\.?(name|position|velocity|effort)[_.\[]?(\d+)\]?")
 """Column of an element of an array in a flattened message."""
+LISTED = re.compile(r"(?:.*[./])?(name|position|velocity|effort)s?")
+"""Column of a field whose cells hold lists."""
 NAMED = re.compile(r"(.*)/([^/]+)/(position|velocity|effort)")
 """Column of a joint in PlotJuggler: topic, joint, field."""
 
@@ -46,12 +51,14 @@ class Header:
         time: Columns that add up to the time, with their factors [s].
         from_first: True if time counts from the first row.
         has_line: True if the file has a header line.
+        rewrite: Rewrites lines so that they have the columns `names`; None: they have them.
     """
 
     names: tuple[str, ...]
     time: tuple[tuple[str, float], ...] = (("t", 1.0),)
     from_first: bool = False
     has_line: bool = True
+    rewrite: Rewrite | None = None
 
 
 def recognise(
@@ -60,6 +67,8 @@ def recognise(
     first_row: Sequence[str],
     robot: Robot,
     columns: Mapping[str, str],
+    separator: str = ",",
+    topic: str | None = None,
 ) -> Header:
     """Rename the columns of a file.
 
@@ -69,12 +78,14 @@ def recognise(
         first_row: Cells of its second line.
         robot: Robot whose joints are recorded.
         columns: Standard names of columns -> names in the file; they precede all other rules.
+        separator: Separator of the cells.
+        topic: Topic of PlotJuggler's columns to use; None: there is one of the robot's joints.
 
     Raises:
         UnusableInput: A column of `columns` is not in the file, or two columns hold the same
             quantity of a joint.
     """
-    echoed = _echoed(cells, robot)
+    echoed = _echoed(source, cells, robot, separator)
     if echoed is not None and not columns:
         return echoed
     names = list(cells)
@@ -90,53 +101,122 @@ def recognise(
             names[names.index(ours)] = f"({ours})"  # replaced by the one that is given
         names[cells.index(theirs)] = ours
     if PLOTJUGGLER_TIME in names:
-        return Header(_plotjuggler(source, names, robot), ((PLOTJUGGLER_TIME, 1.0),), True)
+        time = ((PLOTJUGGLER_TIME, 1.0),)
+        return Header(_plotjuggler(source, names, robot, topic), time, True)
+    listed = _listed(source, names, first_row, robot, separator)
+    if listed is not None:
+        return listed
     if "t" not in names and any(INDEXED.fullmatch(name) for name in names):
-        time = next(
+        time_columns = next(
             (entry for entry in TIME_COLUMNS if all(name in names for name, _ in entry)), None
         )
-        if time is not None:
-            return Header(_indexed(names, first_row, robot), time, True)
+        if time_columns is not None:
+            return _indexed(source, names, first_row, robot, separator, time_columns)
     return Header(tuple(names))
 
 
-def _plotjuggler(source: str, names: Sequence[str], robot: Robot) -> tuple[str, ...]:
+def _plotjuggler(
+    source: str, names: Sequence[str], robot: Robot, topic: str | None
+) -> tuple[str, ...]:
     """Names with `/topic/<joint>/position` renamed to `q.<joint>`."""
     out = list(names)
     for k, name in enumerate(names):
         match = NAMED.fullmatch(name)
-        if match is None or match[2] not in robot.joints:
+        if match is None or match[2] not in robot.joints or topic not in (None, match[1]):
             continue
         ours = f"{QUANTITY[match[3]]}.{match[2]}"
         if ours in out:
             other = names[out.index(ours)]
+            first = NAMED.fullmatch(other)
+            if first is not None and first[1] != match[1]:
+                remedy = (
+                    f'choose the topic with "topic": "{first[1]}" or "{match[1]}" in the '
+                    f"recording's .json file, or the column with --columns {ours}=COLUMN"
+                )
+            else:
+                remedy = f"choose one with --columns {ours}=COLUMN"
             raise UnusableInput(
                 f"{source}: columns '{other}' and '{name}' are both the {match[3]} of joint "
-                f"'{match[2]}'; choose one with --columns {ours}=COLUMN"
+                f"'{match[2]}'; {remedy}"
             )
         out[k] = ours
     return tuple(out)
 
 
-def _indexed(names: Sequence[str], first_row: Sequence[str], robot: Robot) -> tuple[str, ...]:
-    """Names with `field.position0` renamed to `q.<joint>` by the joint that `field.name0` holds."""
+def _listed(
+    source: str,
+    names: Sequence[str],
+    first_row: Sequence[str],
+    robot: Robot,
+    separator: str,
+) -> Header | None:
+    """Header of a file whose cells hold lists, None for any other."""
+    fields: dict[str, int] = {}
+    for k, name in enumerate(names):
+        match = LISTED.fullmatch(name)
+        if match is not None and k < len(first_row) and is_list(first_row[k]):
+            fields.setdefault(match[1], k)
+    if "position" not in fields:
+        return None
+    known = ((("t", 1.0),), ((PLOTJUGGLER_TIME, 1.0),), *TIME_COLUMNS)
+    time = next((entry for entry in known if all(name in names for name, _ in entry)), None)
+    if time is None:
+        raise UnusableInput(
+            f"{source}: has no column of time; name it with --columns t=COLUMN, or write one "
+            "named 't' [s]"
+        )
+    quantities = {QUANTITY[field]: k for field, k in fields.items() if field in QUANTITY}
+    cells = ListCells(
+        source,
+        separator,
+        [list(names).index(name) for name, _ in time],
+        fields.get("name"),
+        quantities,
+        robot.joints,
+    )
+    columns = [f"{quantity}.{joint}" for quantity in quantities for joint in robot.joints]
+    return Header((*(name for name, _ in time), *columns), time, True, True, cells.rewrite)
+
+
+def _indexed(
+    source: str,
+    names: Sequence[str],
+    first_row: Sequence[str],
+    robot: Robot,
+    separator: str,
+    time: tuple[tuple[str, float], ...],
+) -> Header:
+    """Header with `field.position0` renamed to `q.<joint>` by the joint in `field.name0`."""
     fields = [INDEXED.fullmatch(name) for name in names]
     joints = {
         match[2]: cell.strip().strip("\"'")
         for match, cell in zip(fields, first_row, strict=False)
         if match is not None and match[1] == "name"
     }
-    if not joints:  # positions without names are in the order of the robot
+    rewrite = None
+    if joints:
+        place = {(m[1], m[2]): k for k, m in enumerate(fields) if m is not None}
+        elements = [
+            [place[field, element] for element in joints]
+            for field in QUANTITY
+            if all((field, element) in place for element in joints)
+        ]
+        columns = [place["name", element] for element in joints]
+        rewrite = ElementColumns(
+            source, separator, columns, elements, list(joints.values()), robot.joints
+        ).rewrite
+    else:  # positions without names are in the order of the robot
         joints = {str(i): joint for i, joint in enumerate(robot.joints)}
-    return tuple(
+    renamed = tuple(
         f"{QUANTITY[match[1]]}.{joints[match[2]]}"
         if match is not None and match[1] in QUANTITY and match[2] in joints
         else name
         for name, match in zip(names, fields, strict=True)
     )
+    return Header(renamed, time, True, True, rewrite)
 
 
-def _echoed(cells: Sequence[str], robot: Robot) -> Header | None:
+def _echoed(source: str, cells: Sequence[str], robot: Robot, separator: str) -> Header | None:
     """Header of a file of `ros2 topic echo --csv /joint_states`, None for any other."""
     if len(cells) < 5 or not (cells[0].isdigit() and cells[1].isdigit()):
         return None
@@ -155,4 +235,9 @@ def _echoed(cells: Sequence[str], robot: Robot) -> Header | None:
     # without velocities, efforts stand in their place: a driver sends both or positions alone
     for prefix in ("q", "dq", "tau")[: numbers // count]:
         names += [f"{prefix}.{joint}" for joint in joints]
-    return Header(tuple(names), (("sec", 1.0), ("nanosec", 1e-9)), True, False)
+    columns = [
+        list(range(start + k * count, start + (k + 1) * count)) for k in range(1 + numbers // count)
+    ]
+    rewrite = ElementColumns(source, separator, columns[0], columns[1:], joints, robot.joints)
+    time = (("sec", 1.0), ("nanosec", 1e-9))
+    return Header(tuple(names), time, True, False, rewrite.rewrite)

@@ -27,6 +27,9 @@ MAX_SPEEDING_SHARE = 0.2
 [1]."""
 SHORT_STEP = 0.7
 """Time step over the usual one below which the stamp of the row before was late [1]."""
+MAX_TIMING_ERROR = 1.0
+"""Error of the time between two readings over the usual time step [1], where jitter of the stamps
+moves many readings: each is late or early by up to half a step."""
 RESOLUTION_STEPS = 2.0
 """Change of a position that its resolution may cause, over the smallest change [1]."""
 
@@ -61,6 +64,8 @@ def mask_glitches(
         if velocity is not None and np.isfinite(velocity) and is_plausible(q, robot, i, limits):
             is_angle = robot.entries[i].kind != "prismatic"
             wrong, jumps = _position_glitches(block.t, q, velocity, is_angle)
+            if wrong.mean() > MAX_GLITCH_SHARE or len(jumps):
+                wrong, jumps = _position_glitches(block.t, q, velocity, is_angle, MAX_TIMING_ERROR)
             remarks += _mask(source, values, "q", i, joint, block.t, wrong, velocity)
             remarks += _jump_remarks(joint, block.t, q, jumps, velocity)
         torque = robot.entries[i].torque if limits is None else float(limits.torque[i])
@@ -73,9 +78,16 @@ def mask_glitches(
 
 
 def _position_glitches(
-    t: FloatArray, q: FloatArray, velocity: float, is_angle: bool
+    t: FloatArray, q: FloatArray, velocity: float, is_angle: bool, timing_error: float = 0.0
 ) -> tuple[BoolArray, IntArray]:
     """Find short runs that cannot be reached from the longest stretch of possible motion.
+
+    Args:
+        t: Times. Shape (N,) [s].
+        q: Positions of a joint. Shape (N,) [rad or m].
+        velocity: Its velocity limit [rad/s or m/s].
+        is_angle: True if whole turns do not count.
+        timing_error: Error of the time between two readings over the usual time step [1].
 
     Returns:
         True for rows of such runs, shape (N,), and the rows at which longer runs begin, which are
@@ -90,6 +102,7 @@ def _position_glitches(
     slack = RESOLUTION_STEPS * smallest if np.isfinite(smallest) else 0.0
     steps = np.diff(t[known])
     usual = float(np.median(steps))
+    slack += MAX_SPEED_RATIO * velocity * timing_error * usual
     # a short step follows a late stamp: the motion of two usual steps
     steps = np.where(steps < SHORT_STEP * usual, 2.0 * usual, steps)
     allowed = MAX_SPEED_RATIO * velocity * steps + slack

@@ -1,11 +1,11 @@
-"""Where a recorded motion repeats, and whether it does so with the period that is stated.
+"""Find the window in which a recorded motion repeats, and check the stated period.
 
-A recording begins with idle time, the controller's approach and a ramp, and only then repeats. The
-position one period later tells where:
+A recording begins with idle time, the controller's approach and a ramp; the periodic part follows.
+The position difference over one period T
 
-    d_j(t) = q_j(t + T) − q_j(t),
+    d_j(t) = q_j(t + T) − q_j(t)
 
-which is noise while the motion repeats with the period T, and of the size of the motion elsewhere.
+is noise while the motion repeats, and of the size of the motion elsewhere.
 """
 
 from __future__ import annotations
@@ -15,54 +15,60 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from .missing_values import true_runs
 from .recording import MIN_ROWS, Recording
 from .remark import Remark, RemarkKind
 
 MAX_DIFFERENCE = 0.03
-"""Largest |d| over the range of a joint that counts as repeated [1]. Controllers repeat a motion to
-0.1 % of its range and hobby servos to 2 %; a period that is wrong by 1 % of the motion's time scale
-gives 6 %."""
+"""Largest |d| over the range of a joint at which the motion counts as repeated [1]. Industrial
+controllers repeat a motion to 0.1 % of its range, hobby servos to 2 %; an error of the period of
+1 % of the motion's time scale gives 6 %."""
 NOISE_FACTOR = 6.0
-"""|d| over its median where the motion repeats, up to which the window is extended [1]: it excludes
-the end of a ramp, which joins the motion smoothly."""
+"""Largest |d| within the window over its median there [1]. It excludes the end of a ramp, which
+joins the periodic part smoothly."""
 MIN_DIFFERENCE = 1e-3
-"""|d| over the range of a joint that always counts as repeated [1], whatever the noise."""
+"""|d| over the range of a joint below which the motion counts as repeated at any noise [1]."""
 MIN_MOTION_SHARE = 0.2
-"""Range of a joint within the window over its range in the recording, at least at one joint [1]:
-what stands still repeats, too."""
+"""Smallest range of at least one joint within the window over its range in the recording [1]: a
+standstill repeats with every period and is no periodic part."""
 SEARCH_RATE = 25.0
-"""Rate at which other periods are searched [Hz]: the motion of an arm lies below 10 Hz."""
+"""Sampling rate of the search for a period [Hz]: the motion of an arm lies below 10 Hz."""
 SEARCH_RATIO = 8.0
-"""Largest ratio of the period that is found to the one that is stated, and its inverse [1]."""
-MAX_SEARCHED = 1500
-"""Number of periods that are tried at most."""
+"""Largest ratio of the detected period to the stated one, and of the stated one to it [1]."""
+MAX_TRIED_PERIODS = 1500
+"""Largest number of periods that are tried."""
 WINDOW_STARTS = 32
-"""Number of starts of the whole periods that are compared."""
+"""Number of compared start times of the whole periods."""
 MAX_SEARCHED_ROWS = 20_000
-"""Number of rows in which they are searched at most: 13 minutes."""
-BEST_SHARE = 0.9
-"""Share of the longest repeated time from which a shorter period is preferred [1]: a motion repeats
-with every multiple of its period."""
+"""Largest number of rows of the search, 13 minutes at SEARCH_RATE."""
+MIN_REPEATED_TIME_SHARE = 0.9
+"""Smallest repeated time over the longest one at which a shorter period is preferred [1]: a motion
+repeats with every multiple of its period."""
 REFINEMENTS = 4
-"""Gauss-Newton steps by which a period is refined."""
+"""Largest number of Gauss-Newton steps that refine a period."""
+REFINEMENT_ROWS = 50_000
+"""Largest number of rows, spread evenly, that a refinement uses: their noise changes a period by
+less than 1e-7 of its length."""
+CONVERGED = 1e-9
+"""Relative change of the period in a Gauss-Newton step after which it is not refined further
+[1]."""
 MIN_PERIOD = 1.0
-"""Shortest period that is searched where none is stated [s]."""
+"""Shortest period of the search where none is stated [s]."""
 MAX_PERIOD = 60.0
-"""Longest such period [s]: excitations of arms take 3 to 30 s."""
+"""Longest period of that search [s]: excitations of arms take 3 to 30 s."""
 MAX_UNSTATED_DIFFERENCE = 2e-3
-"""RMS of d over the range up to which a motion whose period is not stated is averaged [1]: the
-tracking error of a controller. Motions that differ by more are no repetition by design."""
+"""Largest RMS of d over the range at which a motion without a stated period is averaged [1]: the
+tracking error of a controller. Motions that differ by more were not planned to repeat."""
 MAX_REFINEMENT = 0.05
-"""Largest relative change of a period by its refinement [1]: from further away it is not the
-nearest minimum."""
+"""Largest relative change of a period by its refinement [1]; beyond it Gauss-Newton has left the
+minimum in which it started."""
 MIN_OVERLAP = 0.25
-"""Length of a stated window beyond one period, over the period, from which the period can be
+"""Smallest length of a stated window beyond one period, over the period, at which the period can be
 checked [1]."""
 PERIOD_TOLERANCE = 2e-3
-"""Relative deviation of the period that the data show, from the stated one, that is not remarked
-[1]: between two computers' clocks it is below 1e-4."""
+"""Relative deviation of the detected period from the stated one up to which the stated one is kept
+[1]: the clocks of two computers differ by less than 1e-4."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +89,9 @@ class Repetition:
 def check_repetition(recording: Recording) -> Recording:
     """Check the stated period against the motion, and find the window in which it repeats.
 
-    A stated window in which the motion does repeat is kept. A window that is not stated, or does
-    not fit, is found; if the motion repeats with another period, as where the robot ran at reduced
-    speed, that one is used. If it does not repeat at all, the period is dropped, so that nothing is
-    averaged.
+    A stated window is kept if the motion repeats within it; otherwise the window is searched. If
+    the motion repeats with another period, as at reduced speed, that period is used. If the motion
+    does not repeat, the period is dropped and no periods are averaged.
 
     Args:
         recording: A recording, whose sidecar may state a period.
@@ -103,7 +108,7 @@ def check_repetition(recording: Recording) -> Recording:
         return recording
     repetition = find_window(recording, period)
     if repetition is not None and abs(repetition.period / period - 1.0) <= PERIOD_TOLERANCE:
-        repetition = dataclasses.replace(repetition, period=period)
+        repetition = _with_stated_period(repetition, period)
         if stated.periodic is None:
             return _with_repetition(recording, repetition, None)
         text = (
@@ -111,21 +116,29 @@ def check_repetition(recording: Recording) -> Recording:
             f"window, {_span(stated.periodic)}, but in {_span(repetition.window)}, which is used"
         )
         return _with_repetition(recording, repetition, text)
-    other = repetition or find_period(recording, period)
-    if other is not None:
-        ratio = 100.0 * period / other.period
+    detected = repetition or find_period(recording, period)
+    if detected is not None:
+        ratio = 100.0 * period / detected.period
         speed = f" (it ran at {ratio:.3g} % of that speed)" if abs(ratio - 100.0) > 1.0 else ""
         text = (
-            f"the motion repeats after {other.period:.5g} s and not after the stated "
+            f"the motion repeats after {detected.period:.5g} s and not after the stated "
             f"{period:.5g} s{speed}; it is averaged over the period that was found, in "
-            f"{_span(other.window)}"
+            f"{_span(detected.window)}"
         )
-        return _with_repetition(recording, other, text)
+        return _with_repetition(recording, detected, text)
     return _without_repetition(recording, period)
 
 
+def _with_stated_period(repetition: Repetition, period: float) -> Repetition:
+    """The repetition with the stated period, and with the same number of periods."""
+    start, end = repetition.window
+    end = start + (end - start) * period / repetition.period
+    return dataclasses.replace(repetition, period=period, window=(start, end))
+
+
 def _is_confirmed(recording: Recording, period: float, window: tuple[float, float] | None) -> bool:
-    """Return True if a window is stated that repeats, or a second period is too long to show."""
+    """Return True if the motion repeats in the stated window, or the recording is shorter than two
+    periods and cannot contradict it."""
     if recording.t[-1] - recording.t[0] < 2.0 * period:
         return True
     if window is None or _contradicts(recording, period, window):
@@ -148,10 +161,10 @@ def _without_repetition(recording: Recording, period: float) -> Recording:
     return dataclasses.replace(recording, sidecar=sidecar, remarks=(*recording.remarks, remark))
 
 
-def with_own_period(recording: Recording) -> Recording:
-    """Return the recording with the period that its motion shows, where none is stated.
+def with_detected_period(recording: Recording) -> Recording:
+    """Return the recording with the period of its motion, where none is stated.
 
-    It is used if the motion repeats with it precisely, within MAX_UNSTATED_DIFFERENCE.
+    The period is used if the RMS of d is below MAX_UNSTATED_DIFFERENCE at every joint.
     """
     if recording.sidecar.period is not None or any(
         remark.kind is RemarkKind.PERIOD for remark in recording.remarks
@@ -191,13 +204,14 @@ def _with_repetition(recording: Recording, repetition: Repetition, text: str | N
 
 def _contradicts(recording: Recording, period: float, window: tuple[float, float]) -> bool:
     """Return True if the motion within a window, one period later, differs from itself."""
-    t = recording.t[(recording.t >= window[0]) & (recording.t <= window[1] - period)]
+    rows = _rows_between(recording, window[0], window[1] - period)
+    t = recording.t[rows]
     if len(t) < MIN_ROWS or t[-1] - t[0] < MIN_OVERLAP * period:
         return False
-    difference, known = _relative_difference(recording, period, t)
+    difference, known = _relative_difference(recording, period, rows)
     if known.sum() < MIN_ROWS:
         return False
-    # a stretch at the ends of a generous window may be a ramp: judge the middle of the motion
+    # the window may include the ends of the ramps: the median judges the periodic part
     return bool(np.median(difference[known].max(axis=1)) > MAX_DIFFERENCE)
 
 
@@ -206,25 +220,32 @@ def _worst_difference(
 ) -> tuple[int, float] | None:
     """Joint with the largest median of |d| over its range, and that ratio."""
     start, end = window or (float(recording.t[0]), float(recording.t[-1]))
-    t = recording.t[(recording.t >= start) & (recording.t <= end - period)]
-    if not len(t):
+    rows = _rows_between(recording, start, end - period)
+    if rows.stop <= rows.start:
         return None
-    difference, known = _relative_difference(recording, period, t)
+    difference, known = _relative_difference(recording, period, rows)
     if not known.any():
         return None
     typical = np.median(difference[known], axis=0)
     return int(np.argmax(typical)), float(typical.max())
 
 
-def _relative_difference(
-    recording: Recording, period: float, t: FloatArray
-) -> tuple[FloatArray, BoolArray]:
-    """|d| over the range of each joint, 0 for joints that stand still, and where it is known.
+def _rows_between(recording: Recording, start: float, end: float) -> slice:
+    """Rows with start ≤ t ≤ end."""
+    first = int(np.searchsorted(recording.t, start))
+    return slice(first, max(first, int(np.searchsorted(recording.t, end, side="right"))))
 
-    Shape (M,) of `t` -> (M, n), (M,).
+
+def _relative_difference(
+    recording: Recording, period: float, rows: slice
+) -> tuple[FloatArray, BoolArray]:
+    """|d| over the range of each joint, 0 for joints that stand still, and True where it is known.
+
+    M rows -> shapes (M, n), (M,).
     """
-    difference, known = _difference(recording, period, t)
-    return np.abs(difference) / _ranges(recording), known
+    later = _one_period_later(recording, period, rows)
+    difference = later.interpolate(recording.q) - recording.q[rows]
+    return np.abs(difference) / _ranges(recording), later.known
 
 
 def _ranges(recording: Recording) -> FloatArray:
@@ -233,16 +254,35 @@ def _ranges(recording: Recording) -> FloatArray:
     return np.where(ranges > 1e-3 * max(float(ranges.max()), 1e-12), ranges, np.inf)
 
 
-def _difference(recording: Recording, period: float, t: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Compute d(t), and True where both positions are measured."""
-    later = t + period
-    after = np.clip(np.searchsorted(recording.t, later), 1, len(recording.t) - 1)
-    spacing = recording.t[after] - recording.t[after - 1]
-    known = (later <= recording.t[-1] + 1e-9) & (spacing < 2.5 * recording.step)
-    columns = [
-        np.interp(later, recording.t, q) - np.interp(t, recording.t, q) for q in recording.q.T
-    ]
-    return np.column_stack(columns), known
+@dataclass(frozen=True)
+class _LaterTimes:
+    """Linear interpolation of a recording at the times of M rows, one period later.
+
+    Attributes:
+        after: Index of the first row behind each time. Shape (M,).
+        weight: Weight of that row; the row before has the remainder. Shape (M, 1).
+        known: True where the time is within the recording and not in a gap. Shape (M,).
+    """
+
+    after: IntArray
+    weight: FloatArray
+    known: BoolArray
+
+    def interpolate(self, values: FloatArray) -> FloatArray:
+        """Interpolate columns at the times. Shape (N, n) -> (M, n)."""
+        before = values[self.after - 1]
+        return np.asarray(before + self.weight * (values[self.after] - before))
+
+
+def _one_period_later(recording: Recording, period: float, rows: slice) -> _LaterTimes:
+    """Locate the times of rows, one period later."""
+    t = recording.t
+    later = t[rows] + period
+    after = np.clip(np.searchsorted(t, later), 1, len(t) - 1)
+    spacing = t[after] - t[after - 1]
+    known = (later <= t[-1] + 1e-9) & (spacing < 2.5 * recording.step)
+    weight = np.clip((later - t[after - 1]) / spacing, 0.0, 1.0)
+    return _LaterTimes(after, weight[:, None], known)
 
 
 def find_window(recording: Recording, period: float) -> Repetition | None:
@@ -255,10 +295,11 @@ def find_window(recording: Recording, period: float) -> Repetition | None:
     Returns:
         The window, of two periods at least; None if there is none.
     """
-    t = recording.t[recording.t <= recording.t[-1] - period]
+    rows = _rows_between(recording, float(recording.t[0]), float(recording.t[-1]) - period)
+    t = recording.t[rows]
     if len(t) < MIN_ROWS:
         return None
-    difference, known = _relative_difference(recording, period, t)
+    difference, known = _relative_difference(recording, period, rows)
     runs = _repeating_runs(recording, period, t, known & (difference < MAX_DIFFERENCE).all(axis=1))
     if not runs:
         return None
@@ -267,7 +308,7 @@ def find_window(recording: Recording, period: float) -> Repetition | None:
     limit = np.clip(NOISE_FACTOR * noise, MIN_DIFFERENCE, MAX_DIFFERENCE)
     inside = known & (difference < limit).all(axis=1)
     inside[:first] = inside[end:] = False
-    # single rows beyond the limit are noise: only those at the ends are cut off
+    # single rows beyond the limit are noise: only the ends of the window are cut off
     kept = _repeating_runs(recording, period, t, _closed(inside, recording, period))
     first, end = max(kept, key=lambda run: t[run[1] - 1] - t[run[0]], default=(first, end))
     rms = np.sqrt(np.mean(difference[first:end][known[first:end]] ** 2, axis=0))
@@ -287,13 +328,16 @@ def _whole_periods(
     slack = window[1] - window[0] - length
     if length < 2.0 * period or slack < recording.step:
         return window
-    t = recording.t[(recording.t >= window[0]) & (recording.t <= window[1] - period)]
-    difference, known = _relative_difference(recording, period, t)
+    rows = _rows_between(recording, window[0], window[1] - period)
+    t = recording.t[rows]
+    difference, known = _relative_difference(recording, period, rows)
     square = np.where(known, np.sum(difference**2, axis=1), 0.0)
-    starts = window[0] + np.linspace(0.0, slack, WINDOW_STARTS)
-    costs = [
-        float(np.sum(square[(t >= start) & (t <= start + length - period)])) for start in starts
-    ]
+    total = np.concatenate([[0.0], np.cumsum(square)])
+    # a window starts at a row, or averaging would lose its last period to rounding
+    choices = recording.t[_rows_between(recording, window[0], window[0] + slack)]
+    starts = choices[np.unique(np.linspace(0, len(choices) - 1, WINDOW_STARTS).astype(int))]
+    ends = starts + length - period
+    costs = total[np.searchsorted(t, ends, side="right")] - total[np.searchsorted(t, starts)]
     start = float(starts[int(np.argmin(costs))])
     return start, start + length
 
@@ -316,19 +360,19 @@ def _repeating_runs(
     for first, end in true_runs(_closed(repeats, recording, period)):
         if t[end - 1] - t[first] < period * (1.0 - 1e-3) - recording.step:
             continue
-        rows = (recording.t >= t[first]) & (recording.t <= t[end - 1])
+        rows = _rows_between(recording, t[first], t[end - 1])
         if (np.ptp(recording.q[rows], axis=0) > MIN_MOTION_SHARE * ranges).any():
             out.append((int(first), int(end)))
     return out
 
 
-def find_period(recording: Recording, near: float | None) -> Repetition | None:
+def find_period(recording: Recording, expected: float | None) -> Repetition | None:
     """Find the period with which a motion repeats.
 
     Args:
         recording: The recording.
-        near: Period from which the search starts, within a factor of SEARCH_RATIO [s]; None: all
-            periods from MIN_PERIOD to MAX_PERIOD.
+        expected: Period within a factor of SEARCH_RATIO of which is searched [s]; None: from
+            MIN_PERIOD to MAX_PERIOD.
 
     Returns:
         The repetition with the shortest period among those that repeat for about the longest time;
@@ -337,26 +381,28 @@ def find_period(recording: Recording, near: float | None) -> Repetition | None:
     length = float(recording.t[-1] - recording.t[0])
     step = max(1.0 / SEARCH_RATE, recording.step)
     shortest, longest = (
-        (MIN_PERIOD, MAX_PERIOD) if near is None else (near / SEARCH_RATIO, SEARCH_RATIO * near)
+        (MIN_PERIOD, MAX_PERIOD)
+        if expected is None
+        else (expected / SEARCH_RATIO, SEARCH_RATIO * expected)
     )
     shortest, longest = max(shortest, MIN_ROWS * step), min(longest, 0.5 * length)
     if longest <= shortest:
         return None
-    spacing = max(step, (longest - shortest) / MAX_SEARCHED)
+    spacing = max(step, (longest - shortest) / MAX_TRIED_PERIODS)
     t = np.arange(recording.t[0], recording.t[-1], step)[:MAX_SEARCHED_ROWS]
-    q = np.column_stack([np.interp(t, recording.t, column) for column in recording.q.T])
-    scaled = (q - q.mean(axis=0)) / _ranges(recording)
-    speed = np.abs(np.diff(scaled, axis=0, append=scaled[-1:])).max(axis=1)
+    # one row per joint, so that comparisons over the joints are fast
+    q = np.array([np.interp(t, recording.t, column) for column in recording.q.T])
+    scaled = (q - q.mean(axis=1, keepdims=True)) / _ranges(recording)[:, None]
+    speed = np.abs(np.diff(scaled, axis=1, append=scaled[:, -1:])).max(axis=0)
     moves = speed > 0.1 * float(np.median(speed[speed > 0.0])) if (speed > 0.0).any() else speed > 0
     shifts = np.unique(np.round(np.arange(shortest, longest, spacing) / step).astype(int))
     repeated = np.zeros(len(shifts))
-    # half a grid step of the period moves d by the speed times that
+    # an error of the period of half a grid step changes d by the speed times that error
     allowed = MAX_DIFFERENCE + 0.5 * spacing / step * float(np.percentile(speed, 99.0))
     for k, shift in enumerate(shifts.tolist()):
-        same = (np.abs(scaled[shift:] - scaled[:-shift]) < allowed).all(axis=1)
-        repeated[k] = float(np.sum(same & moves[: len(same)])) + shift * bool(same.any())
-        if np.sum(same & moves[: len(same)]) < 0.5 * shift:
-            repeated[k] = 0.0
+        same = (np.abs(scaled[:, shift:] - scaled[:, :-shift]) < allowed).all(axis=0)
+        count = int(np.sum(same & moves[: len(same)]))
+        repeated[k] = count + shift if count >= 0.5 * shift else 0.0
     for k in _candidates(repeated):
         period = _refined(recording, float(shifts[k] * step))
         repetition = find_window(recording, period)
@@ -372,7 +418,7 @@ def _candidates(repeated: FloatArray) -> list[int]:
     padded = np.concatenate([[-1.0], repeated, [-1.0]])
     peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
     peaks = peaks[repeated[peaks] > 0.5 * repeated.max()]
-    long = peaks[repeated[peaks] >= BEST_SHARE * repeated[peaks].max()]
+    long = peaks[repeated[peaks] >= MIN_REPEATED_TIME_SHARE * repeated[peaks].max()]
     others = [k for k in peaks.tolist() if k not in set(long.tolist())]
     return [*long.tolist(), *sorted(others, key=lambda k: -repeated[k])][:20]
 
@@ -380,26 +426,27 @@ def _candidates(repeated: FloatArray) -> list[int]:
 def _refined(
     recording: Recording, period: float, window: tuple[float, float] | None = None
 ) -> float:
-    """Refine a period by least squares over the rows of a window that repeat; None: of all."""
+    """Refine a period by least squares over the repeated rows of a window; None: of all rows."""
     start, end = window or (float(recording.t[0]), float(recording.t[-1]))
     scale, refined = 1.0 / _ranges(recording), period
+    velocity = np.gradient(recording.q, recording.t, axis=0)
     for _ in range(REFINEMENTS):
-        t = recording.t[(recording.t >= start) & (recording.t <= end - refined)]
-        if len(t) < MIN_ROWS:
+        rows = _rows_between(recording, start, end - refined)
+        count = rows.stop - rows.start
+        if count < MIN_ROWS:
             break
-        difference, known = _difference(recording, refined, t)
-        rate = np.column_stack(
-            [
-                np.interp(t + refined, recording.t, np.gradient(q, recording.t))
-                for q in recording.q.T
-            ]
-        )
-        near = known & (np.abs(difference * scale) < 4.0 * MAX_DIFFERENCE).all(axis=1)
-        slope, offset = (rate * scale)[near], (difference * scale)[near]
+        rows = slice(rows.start, rows.stop, -(-count // REFINEMENT_ROWS))
+        later = _one_period_later(recording, refined, rows)
+        difference = (later.interpolate(recording.q) - recording.q[rows]) * scale
+        repeated = later.known & (np.abs(difference) < 4.0 * MAX_DIFFERENCE).all(axis=1)
+        slope, offset = (later.interpolate(velocity) * scale)[repeated], difference[repeated]
         power = float(np.sum(slope**2))
         if power == 0.0:
             break
-        refined -= float(np.sum(slope * offset)) / power
+        change = float(np.sum(slope * offset)) / power
+        refined -= change
         if abs(refined / period - 1.0) > MAX_REFINEMENT:
             return period
+        if abs(change) < CONVERGED * period:
+            break
     return refined

@@ -143,7 +143,7 @@ def _read_blocks(
             blocks = npz_reader.read_blocks(path, context.robot)
         else:
             blocks, row = (
-                csv_reader.read_blocks(path, context.robot, columns),
+                csv_reader.read_blocks(path, context.robot, columns, context.sidecar.topic),
                 2,
             )  # the header is row 1
         for block in blocks:

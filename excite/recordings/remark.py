@@ -14,7 +14,7 @@ class RemarkKind(Enum):
     REPEATED = "repeated"
     CLOCK = "clock"
     JITTER = "jitter"
-    TIMESTAMP_JITTER = "waver"
+    TIMESTAMP_JITTER = "timestamp jitter"
     GAP = "gap"
     MISSING = "missing"
     UNIT = "unit"
@@ -38,6 +38,7 @@ class RemarkKind(Enum):
     TORQUE_SCALE = "torque scale"
     GRAVITY = "gravity"
     EXCHANGED = "exchanged joints"
+    POSITION = "position"
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class Sidecar:
         motor_side: True if `q` is the motor encoder divided by the gear ratio.
         effort: Content of `effort` in JointState messages, "torque" [N m] or "current" [A], or of
             the torque in any file, "without gravity" [N m]; None if not stated.
-        topic: Topic of a bag to read.
+        topic: Topic to read, of a bag or of PlotJuggler's CSV.
         notes: Free text.
         unknown: Keys of the file that are ignored.
     """

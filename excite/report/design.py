@@ -12,8 +12,11 @@ from markupsafe import Markup
 from ..collision.continuous_check import PairDistance
 from ..collision.workcell import Cell
 from ..designer.certificate import CLEARANCE
+from ..designer.discrimination_result import DiscriminationResult
 from ..designer.experiment_comparison import Scenario, compare_scenarios
 from ..designer.identifiability import Identifiability
+from ..designer.isolability_forecast import PairForecast
+from ..designer.task_variance import TaskPrediction
 from ..robot.base_parameters import Base
 from ..robot.dynamics import torque_band
 from ..robot.inertial_parameters import Parameters
@@ -22,6 +25,7 @@ from ..trajectory.trajectory_file import Trajectory, package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .design_provenance import criteria_section, history_section, provenance_section
 from .design_record import DesignRecord
+from .discrimination import discrimination_section, isolability_section
 from .figures import collision as collision_figures
 from .figures import time_budget as time_budget_figure
 from .figures import trajectory as trajectory_figures
@@ -31,6 +35,7 @@ from .figures.trajectory import MotionScene
 from .formatting import capitalized, number, plural
 from .identifiability import identifiability_sections, key_figures
 from .render import render
+from .task import task_section
 
 ROUNDING = 1e-9
 """Relative margin below zero that is rounding, not a violation."""
@@ -89,6 +94,9 @@ def design_page(
     second: Trajectory | None = None,
     cell: Cell | None = None,
     near: Sequence[PairDistance] = (),
+    task: TaskPrediction | None = None,
+    discrimination: DiscriminationResult | None = None,
+    isolability: Sequence[PairForecast] = (),
 ) -> str:
     """Render the report of a design as HTML.
 
@@ -103,6 +111,9 @@ def design_page(
         second: A second motion for validation.
         cell: Bodies that must not touch, where clearances were checked.
         near: Least distances of the pairs of bodies, the most critical first.
+        task: Predicted torque band along the task that the motion was designed for.
+        discrimination: What the recording is expected to decide between explanations.
+        isolability: Expected log-odds between often confused effects, the least first.
     """
     subject = _Subject(trajectory, robot, parameters, base, identifiability, record, cell)
     if cases is None:
@@ -122,6 +133,9 @@ def design_page(
         _collision_section(trajectory, cell, near),
         *identifiability_sections(identifiability, parameters, cases),
         _path_section(subject),
+        *([] if task is None else [task_section(task)]),
+        *([] if discrimination is None else [discrimination_section(discrimination)]),
+        *([isolability_section(isolability)] if isolability else []),
         *([] if second is None else [_validation_section(trajectory, second, robot)]),
         *([_plan_section(trajectory.design["plan"])] if "plan" in trajectory.design else []),
         history_section(record),

@@ -10,6 +10,7 @@ import numpy as np
 from ..designer.identifiability import Direction
 from ..identification import consistency
 from ..identification.identification import Identification
+from ..identification.link_estimates import link_estimates
 from ..recordings import Remark
 from ..robot.inertial_parameters import DRIVE
 from ..robot.parameter_names import percent
@@ -56,7 +57,7 @@ def identification_page(
         title=f"Identification of {identification.model.robot.name}",
         subtitle="Physically consistent parameters from recordings: how well they predict, how "
         "certain they are, and what to record next.",
-        banners=_banners(identification),
+        banners=[*_doubt_banners(remarks), *_banners(identification)],
         cards=_cards(identification),
         sections=[
             prediction_section(identification),
@@ -73,6 +74,16 @@ def identification_page(
 
 
 # -- first screen ----------------------------------------------------------------------------------
+
+
+def _doubt_banners(remarks: Sequence[Remark]) -> list[Banner]:
+    """Unrepaired doubts about the recordings: with them the figures below say little."""
+    doubts = [remark.text for remark in remarks if remark.doubt]
+    if not doubts:
+        return []
+    more = f" ({len(doubts) - 1} more below, in the remarks)" if len(doubts) > 1 else ""
+    text = f"Do not use this model: the recordings are doubted. {doubts[0]}{more}."
+    return [Banner(text, "bad")]
 
 
 def _banners(identification: Identification) -> list[Banner]:
@@ -117,7 +128,7 @@ def _cards(identification: Identification) -> list[tuple[str, str]]:
         if above or shown.noise_floor is None
         else "most reduced; every joint is at its noise floor"
     )
-    unit = robot.entries[joint].unit("N m")
+    unit = robot.entries[joint].unit("N m").replace(" ", "\u00a0")
     return [
         (f"{percent(before)} → {percent(after)}", f"torque error of all joints, {data}"),
         (f"{errors}\u00a0{unit}", f"{robot.joints[joint]}, {reason}"),
@@ -125,16 +136,28 @@ def _cards(identification: Identification) -> list[tuple[str, str]]:
             f"{identification.analysis.identifiable_count} of {identification.model.base.count}",
             "directions identified",
         ),
-        (str(robot.n), "moving joint" if robot.n == 1 else "moving joints"),
+        *_mass_cards(identification),
         (
             f"{len(identification.equations)} × {robot.n}",
             f"equations below {number(identification.spectra.hertz, 3)}\u00a0Hz",
         ),
-        (
-            f"{number(identification.gamma[0], 2)}, {number(identification.gamma[1], 2)}",
-            "weight γ of the prior: links, joint drives",
-        ),
     ]
+
+
+def _mass_cards(identification: Identification) -> list[tuple[str, str]]:
+    """Number of link masses that the data decide, and the heaviest of them."""
+    links = link_estimates(identification)
+    decided = [link for link in links if not link.is_prior]
+    cards = [(f"{len(decided)} of {len(links)}", "link masses decided by the data, not the prior")]
+    if decided:
+        heaviest = max(decided, key=lambda link: link.mass)
+        cards.append(
+            (
+                f"{number(heaviest.mass, 3)} ± {number(heaviest.mass_deviation, 2)}\u00a0kg",
+                f"{heaviest.name}, of which the data decide {100.0 * heaviest.mass_share:.0f} %",
+            )
+        )
+    return cards
 
 
 # -- next experiment -------------------------------------------------------------------------------

@@ -1,0 +1,635 @@
+"""Torque columns of the catalogue's effects along a periodic motion, with exact gradients.
+
+A column is the torque per unit of a coefficient, as in `excite.effects`, whose nonlinear parameters
+are fixed at their fitted values. Most are functions of one sample of (q, q̇, q̈), of the torque of
+the links and of the motor's, and are written in CasADi. Effects with memory get further signals
+along the period: the rate of the motor's torque (delay), the deflection of a spring behind the
+motor by a linear filter (elasticity), and the state of presliding friction (hysteresis). Thermal
+drift multiplies friction by a function of the run time. A payload's columns are those of the
+regressor.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from .._types import FloatArray
+from ..robot.inertial_parameters import Parameters
+from ..robot.limits import Limits
+from ..robot.robot import Robot
+from .casadi_batch import MappedFunction
+from .casadi_model import link_torque
+from .design_objective import SampledMotion
+from .presliding import PreslidingState, presliding_state
+
+SPEED_ROUNDING = 1e-4
+"""Speed ε below which √(q̇² + ε²) replaces |q̇| [rad/s]: a fiftieth of the Coulomb width."""
+LOAD_ROUNDING = 1e-4
+"""The same for the load, over its scale [1]."""
+CURVE_POINTS = 200
+"""Positions at which the mean of a friction wave is taken, as in `effects.position_friction`."""
+SLIP_RATIO = 3.0
+"""Slip distance of a Maxwell-slip element over that of the one before, as in
+`effects.hysteresis`."""
+RATE_BAND = 0.5
+"""Band of the derivative of the motor's torque over half the sampling rate [1]: a Gaussian that
+leaves 1/7 there, so that the derivative of a jump does not ring."""
+MULTIPLES = {2: "twice", 3: "thrice"}
+"""Multiples of a spatial frequency by their keys in the values, as in `effects.effect`."""
+MEAN_INERTIA_POSES = 32
+"""Random poses over which a link's inertia about its joint is averaged [1]."""
+LINEARISED = {
+    "delay": "first order in the delay, of the torque below half the optimiser's sampling rate",
+    "elasticity": "linear oscillator with the mean inertia about the joint",
+    "encoder_error": "first order in the position error",
+    "gravity_tilt": "first order in the tilt",
+    "stribeck": "fixed speed and exponent",
+    "hysteresis": "fixed travel",
+    "nonlinear_viscous": "fixed exponent",
+    "torque_saturation": "fixed power",
+    "torque_ripple": "fixed spatial frequency",
+    "position_friction": "fixed spatial frequency",
+    "thermal_drift": "fixed time constant and mean friction",
+    "load_friction": "fixed power of the load",
+    "coupling": "fixed ratio",
+}
+"""How the nonlinear form of each effect becomes columns."""
+
+
+@dataclass(frozen=True)
+class SymbolicEffect:
+    """A form of an effect with fixed nonlinear parameters.
+
+    Attributes:
+        effect: Name of the effect in the catalogue.
+        joint: Index of the joint that carries it; None for an effect of no single joint.
+        values: Nonlinear parameters by name, as in `effects.effect.CandidateModel`.
+        other: Index of a second joint that it depends on.
+    """
+
+    effect: str
+    joint: int | None
+    values: Mapping[str, float] = field(default_factory=dict)
+    other: int | None = None
+
+
+@dataclass(frozen=True)
+class RobotConstants:
+    """Robot with the parameters by which columns are computed.
+
+    Attributes:
+        robot: The robot.
+        parameters: Layout of its standard parameters.
+        psi: Standard parameters: identified ones where there are any. Shape (P,).
+        widths: Widths of the smooth Coulomb friction. Shape (n,) [rad/s or m/s].
+        limits: Limits of the robot.
+    """
+
+    robot: Robot
+    parameters: Parameters
+    psi: FloatArray
+    widths: FloatArray
+    limits: Limits
+
+    @cached_property
+    def mean_inertia(self) -> FloatArray:
+        """Mean inertia of the links about each joint. Shape (n,) [kg m²]."""
+        model = self.robot.model.copy()
+        for i in range(self.parameters.bodies):
+            model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(
+                self.psi[10 * i : 10 * i + 10]
+            )
+        data, rng = model.createData(), np.random.default_rng(0)
+        bounds = np.where(np.isfinite(self.limits.position), self.limits.position, [-np.pi, np.pi])
+        poses = rng.uniform(bounds[:, 0], bounds[:, 1], (MEAN_INERTIA_POSES, self.robot.n))
+        out = np.zeros(self.robot.n)
+        for pose in self.robot.expand(poses):
+            mass = np.array(pin.crba(model, data, pose))
+            full = np.triu(mass) + np.triu(mass, 1).T
+            out += np.diag(self.robot.spread.T @ full @ self.robot.spread)
+        return np.maximum(out / MEAN_INERTIA_POSES, 1e-9)
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Symbols of one sample.
+
+    Attributes:
+        q: Positions. Shape (n,).
+        dq: Velocities. Shape (n,).
+        ddq: Accelerations. Shape (n,).
+        load: Torque of the links. Shape (n,).
+        motor: Torque of the base model with actuators. Shape (n,).
+    """
+
+    q: ca.SX
+    dq: ca.SX
+    ddq: ca.SX
+    load: ca.SX
+    motor: ca.SX
+
+
+@dataclass(frozen=True)
+class PeriodicFilter:
+    """Signal that is a linear function of a torque over the period.
+
+    Attributes:
+        source: "load" or "motor".
+        joint: Index of the joint.
+        response: Returns the complex frequency response at angular frequencies [rad/s].
+    """
+
+    source: str
+    joint: int
+    response: Callable[[FloatArray], FloatArray]
+
+    def matrix(self, count: int, period: float) -> FloatArray:
+        """Return the linear map of N samples over one period. Shape (N, N)."""
+        omega = np.asarray(2.0 * np.pi / period * np.fft.fftfreq(count, 1.0 / count), float)
+        spectrum = self.response(omega)
+        if count % 2 == 0:  # the alternating wave has no phase
+            spectrum[count // 2] = spectrum[count // 2].real
+        impulse = np.fft.ifft(spectrum).real
+        place = (np.arange(count)[:, None] - np.arange(count)) % count
+        return np.asarray(impulse[place])
+
+
+@dataclass(frozen=True)
+class FrictionState:
+    """Signal that is the state of presliding friction.
+
+    Attributes:
+        joint: Index of the joint.
+        reach: Travel of the element [rad or m].
+        slips: True for a Maxwell-slip element, False for Dahl's model.
+    """
+
+    joint: int
+    reach: float
+    slips: bool
+
+
+PeriodSignal = PeriodicFilter | FrictionState
+"""A signal that depends on the whole period."""
+Column = tuple[int | None, ca.SX]
+"""Joint and its torque; None and the torque of all joints, shape (n,)."""
+
+
+class _Builder:
+    """Collect the columns of effects and the signals that they need."""
+
+    def __init__(self, constants: RobotConstants) -> None:
+        """Create the symbols."""
+        self.constants = constants
+        n = constants.robot.n
+        self.signals = Signals(*(ca.SX.sym(name, n) for name in Signals.__annotations__))
+        self.period_signals: list[PeriodSignal] = []
+        self.symbols: list[ca.SX] = []
+
+    def signal(self, signal: PeriodSignal) -> ca.SX:
+        """Return the symbol of a signal over the period."""
+        self.period_signals.append(signal)
+        self.symbols.append(ca.SX.sym(f"signal{len(self.symbols)}"))
+        return self.symbols[-1]
+
+    def sign(self, joint: int) -> ca.SX:
+        """Return the smooth sign of a joint's velocity."""
+        return ca.tanh(self.signals.dq[joint] / self.constants.widths[joint])
+
+    def speed(self, joint: int) -> ca.SX:
+        """Return the smooth magnitude of a joint's velocity."""
+        return ca.sqrt(self.signals.dq[joint] ** 2 + SPEED_ROUNDING**2)
+
+    def actuator(self, kind: str, joint: int) -> float:
+        """Return an actuator parameter of a joint; 0 where the model has none."""
+        layout = self.constants.parameters
+        if kind not in layout.drive:
+            return 0.0
+        return float(self.constants.psi[layout.block(kind)][joint])
+
+
+def _local(
+    function: Callable[[_Builder, int, Mapping[str, float]], list[ca.SX]],
+) -> Callable[[_Builder, SymbolicEffect], list[Column]]:
+    """Return the columns of an effect whose torque acts on its own joint only."""
+
+    def columns(builder: _Builder, effect: SymbolicEffect) -> list[Column]:
+        assert effect.joint is not None
+        joint = effect.joint
+        return [(joint, torque) for torque in function(builder, joint, effect.values)]
+
+    return columns
+
+
+def _weakening(speed: ca.SX, values: Mapping[str, float]) -> ca.SX:
+    """Return the Stribeck curve, as `effects.friction.velocity_weakening`."""
+    x = (speed / values["velocity"]) ** values["exponent"]
+    return 1.0 / (1.0 + (np.e - 1.0) * x) if "rational" in values else ca.exp(-x)
+
+
+def _multiples(values: Mapping[str, float]) -> list[int]:
+    """Return the multiples of a spatial frequency that an effect has."""
+    return [1, *(k for k, key in MULTIPLES.items() if key in values)]
+
+
+def _waves(values: Mapping[str, float], angle: ca.SX) -> list[ca.SX]:
+    """Return cosine and sine of a spatial frequency and its multiples."""
+    return [f(k * values["order"] * angle) for k in _multiples(values) for f in (ca.cos, ca.sin)]
+
+
+def _load_friction(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    scale = values["scale"]
+    load = (b.signals.motor if "driven" in values else b.signals.load)[j] / scale
+    size = ca.sqrt(load**2 + LOAD_ROUNDING**2)
+    friction = b.sign(j) * scale * size ** values["power"]
+    if "velocity" not in values:
+        return [friction]
+    return [friction, friction * _weakening(b.speed(j), values)]
+
+
+def _position_friction(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    positions = np.linspace(values["low"], values["high"], CURVE_POINTS)
+    out = []
+    for k in range(1, int(values["waves"]) + 1):
+        order = k * values["order"]
+        for f, g in ((ca.cos, np.cos), (ca.sin, np.sin)):
+            mean = float(g(order * positions).mean())
+            out.append(b.sign(j) * (f(order * b.signals.q[j]) - mean))
+    return out
+
+
+def _spring(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    q = b.signals.q[j]
+    if "bend" in values:
+        return [ca.fmin(q - values["bend"], 0.0), ca.fmax(q - values["bend"], 0.0)]
+    if "order" in values:
+        distance = q - values["about"]
+        angle = values["order"] * distance
+        return [distance, ca.cos(angle) - 1.0, ca.sin(angle)]
+    forms = (
+        [q],
+        [ca.cos(q), ca.sin(q)],
+        [q, q**2],
+        [q, q**2, q**3],
+        [ca.cos(q), ca.sin(q), ca.cos(2 * q), ca.sin(2 * q)],
+    )
+    return forms[int(values["form"])]
+
+
+def _torque_ripple(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    if "load" not in values:
+        return _waves(values, b.signals.q[j])
+    angle, load = values["order"] * b.signals.q[j], b.signals.load[j] / values["load"]
+    waves = [ca.cos(angle), ca.sin(angle)]
+    return [*waves, *(load * wave for wave in waves)]
+
+
+def _saturation(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    x = b.signals.motor[j]
+    if "level" in values:
+        bend = values["bend"]
+        size = ca.sqrt((x / values["level"]) ** 2 + LOAD_ROUNDING**2)
+        return [x * (1.0 - (1.0 + size**bend) ** (-1.0 / bend))]
+    size = ca.sqrt((x / values["largest"]) ** 2 + LOAD_ROUNDING**2)
+    return [x * size ** (values["power"] - 1.0)]
+
+
+def _coupling(b: _Builder, effect: SymbolicEffect) -> list[Column]:
+    assert effect.joint is not None and effect.other is not None
+    j, ratio, s = effect.joint, effect.values["ratio"], b.signals
+    speed = s.dq[j] + ratio * s.dq[effect.other]
+    torques = [speed, ca.tanh(speed / b.constants.widths[j]), ratio * s.ddq[effect.other]]
+    return [(j, torque) for torque in (torques[:2] if "light" in effect.values else torques)]
+
+
+def _hysteresis(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    reach = values["reach"]
+    if "springs" not in values:
+        return [b.signal(FrictionState(j, reach, False)) - b.sign(j)]
+    count = int(values["springs"])
+    reaches = reach * SLIP_RATIO ** (np.arange(count) - count // 2)
+    return [b.signal(FrictionState(j, float(r), True)) - b.sign(j) for r in reaches]
+
+
+def _thermal(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    """Friction of the joint, which a function of the run time multiplies."""
+    return [values["coulomb"] * b.sign(j) + values["viscous"] * b.signals.dq[j]]
+
+
+def _band_limited_rate(omega: FloatArray) -> FloatArray:
+    """Return the response of the time derivative, below half the highest frequency.
+
+    Coulomb friction jumps between two samples; its derivative would have no limit.
+    """
+    cutoff = RATE_BAND * float(np.abs(omega).max())
+    return np.asarray(1j * omega * np.exp(-0.5 * (omega / cutoff) ** 2))
+
+
+def _delay(b: _Builder, effect: SymbolicEffect) -> list[Column]:
+    joints = range(b.constants.robot.n) if effect.joint is None else [effect.joint]
+    out = ca.SX.zeros(b.constants.robot.n)
+    for j in joints:
+        out[j] = -b.signal(PeriodicFilter("motor", j, _band_limited_rate))
+    return [(None, out)]
+
+
+def _lagging_link(
+    b: _Builder, joint: int, lag: Sequence[ca.SX], *, carries_rotor: bool
+) -> list[Column]:
+    """Return −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈) for a position error δ of a joint, with its rates."""
+    s, n, constants = b.signals, b.constants.robot.n, b.constants
+    phi = ca.SX(constants.psi[: 10 * constants.parameters.bodies])
+    torque = link_torque(constants.robot, s.q, s.dq, s.ddq, phi)
+    unit = np.eye(n)[joint]
+    direction = ca.vertcat(*(ca.SX(unit) * rate for rate in lag))
+    out = -ca.jtimes(torque, ca.vertcat(s.q, s.dq, s.ddq), direction)
+    if carries_rotor:
+        out[joint] -= b.actuator("rotor_inertia", joint) * lag[2]
+        out[joint] -= b.actuator("viscous", joint) * lag[1]
+    return [(None, out)]
+
+
+def _elasticity(b: _Builder, effect: SymbolicEffect) -> list[Column]:
+    """Deflection δ of a linear oscillator: (M s² + D s + K) δ = τ_load, D = 2 ζ √(K M)."""
+    assert effect.joint is not None
+    stiffness, ratio = effect.values["stiffness"], effect.values["damping"]
+    inertia = float(b.constants.mean_inertia[effect.joint])
+    damping = 2.0 * ratio * np.sqrt(stiffness * inertia)
+
+    def rate(order: int) -> Callable[[FloatArray], FloatArray]:
+        return lambda omega: np.asarray(
+            (1j * omega) ** order / (stiffness - inertia * omega**2 + 1j * omega * damping)
+        )
+
+    lag = [b.signal(PeriodicFilter("load", effect.joint, rate(order))) for order in range(3)]
+    return _lagging_link(b, effect.joint, lag, carries_rotor=False)
+
+
+def _encoder_error(b: _Builder, effect: SymbolicEffect) -> list[Column]:
+    assert effect.joint is not None
+    q, dq, ddq = (x[effect.joint] for x in (b.signals.q, b.signals.dq, b.signals.ddq))
+    out: list[Column] = []
+    for k in _multiples(effect.values):
+        order = k * effect.values["order"]
+        cosine, sine = ca.cos(order * q), ca.sin(order * q)
+        for wave, slope in ((cosine, -sine), (sine, cosine)):
+            rate = order * slope * dq
+            acceleration = order * slope * ddq - order**2 * wave * dq**2
+            out += _lagging_link(b, effect.joint, [wave, rate, acceleration], carries_rotor=True)
+    return out
+
+
+def _gravity_tilt(b: _Builder, effect: SymbolicEffect) -> list[Column]:
+    """Torque per rotation of the base about x and y: δg = g × φ."""
+    s, constants = b.signals, b.constants
+    gravity = np.array(constants.robot.model.gravity.linear)
+    lift = ca.SX.sym("lift", 3)
+    phi = ca.SX(constants.psi[: 10 * constants.parameters.bodies])
+    by_lift = ca.jacobian(link_torque(constants.robot, s.q, s.dq, s.ddq, phi, lift), lift)
+    leaning = -ca.mtimes(by_lift, ca.SX(pin.skew(gravity)))
+    return [(None, leaning[:, axis]) for axis in range(2)]
+
+
+_COLUMNS: dict[str, Callable[[_Builder, SymbolicEffect], list[Column]]] = {
+    "rotor_inertia": _local(lambda b, j, v: [b.signals.ddq[j]]),
+    "torque_offset": _local(lambda b, j, v: [ca.SX.ones(1)]),
+    "friction": _local(lambda b, j, v: [b.sign(j), b.signals.dq[j]]),
+    "asymmetric_viscous": _local(lambda b, j, v: [b.speed(j)]),
+    "stribeck": _local(lambda b, j, v: [b.sign(j) * _weakening(b.speed(j), v)]),
+    "nonlinear_viscous": _local(lambda b, j, v: [b.sign(j) * b.speed(j) ** v["exponent"]]),
+    "drag": _local(lambda b, j, v: [b.signals.dq[j] * b.speed(j)]),
+    "load_friction": _local(_load_friction),
+    "position_friction": _local(_position_friction),
+    "spring": _local(_spring),
+    "torque_ripple": _local(_torque_ripple),
+    "torque_gain": _local(lambda b, j, v: [b.signals.motor[j]]),
+    "torque_saturation": _local(_saturation),
+    "hysteresis": _local(_hysteresis),
+    "thermal_drift": _local(_thermal),
+    "coupling": _coupling,
+    "delay": _delay,
+    "elasticity": _elasticity,
+    "encoder_error": _encoder_error,
+    "gravity_tilt": _gravity_tilt,
+}
+SYMBOLIC_EFFECTS = (*_COLUMNS, "payload")
+"""Effects of the catalogue that have columns here. Backlash, base compliance, contact and kinematic
+errors have none: their torque is no smooth function of the motion, or needs other measurements."""
+
+
+@dataclass(frozen=True)
+class ColumnValues:
+    """Columns along a motion and what their gradient needs.
+
+    Attributes:
+        columns: Torque per coefficient at N samples. Shape (N, n, K) [N m].
+        motion: The motion.
+        inputs: Arguments of the functions of one sample.
+        matrices: Linear map of each `PeriodicFilter`, by its place among the signals.
+        states: State of each `FrictionState`, by its place.
+    """
+
+    columns: FloatArray
+    motion: SampledMotion
+    inputs: Sequence[FloatArray]
+    matrices: Mapping[int, FloatArray]
+    states: Mapping[int, PreslidingState]
+
+
+class EffectColumns:
+    """Columns of several effects; picklable.
+
+    Attributes:
+        effects: The effects.
+        slices: Columns of each effect.
+        count: Number K of columns.
+    """
+
+    def __init__(self, constants: RobotConstants, effects: Sequence[SymbolicEffect]) -> None:
+        """Build the CasADi functions.
+
+        Args:
+            constants: Robot with its parameters.
+            effects: Effects, all of `SYMBOLIC_EFFECTS`.
+        """
+        self.constants, self.effects = constants, tuple(effects)
+        n = constants.robot.n
+        builder = _Builder(constants)
+        torques: list[ca.SX] = []
+        slices, self._payload = [], dict[int, int]()
+        for effect in effects:
+            begin = len(torques)
+            if effect.effect == "payload":
+                link = int(effect.values["link"])
+                for k in range(int(effect.values["count"])):
+                    self._payload[begin + k] = 10 * link + k
+                    torques.append(ca.SX.zeros(n))
+            else:
+                for joint, torque in _COLUMNS[effect.effect](builder, effect):
+                    full = torque
+                    if joint is not None:
+                        full = ca.SX.zeros(n)
+                        full[joint] = torque
+                    torques.append(full)
+            slices.append(slice(begin, len(torques)))
+        self.slices, self.count = tuple(slices), len(torques)
+        self._signals = tuple(builder.period_signals)
+        s = builder.signals
+        extra = ca.vertcat(*builder.symbols) if builder.symbols else ca.SX.sym("none", 1)
+        inputs = [s.q, s.dq, s.ddq, s.load, s.motor, extra]
+        columns = ca.horzcat(*torques) if torques else ca.SX.zeros(n, 1)
+        seed = ca.SX.sym("seed", n * max(self.count, 1))
+        gradient = ca.jtimes(ca.vec(columns.T), ca.vertcat(*inputs), seed, True)
+        parts = ca.vertsplit(gradient, np.cumsum([0, *(x.numel() for x in inputs)]).tolist())
+        self._function = ca.Function("columns", inputs, [ca.densify(ca.vec(columns.T))])
+        self._adjoint = ca.Function(
+            "columns_adjoint", [*inputs, seed], [ca.densify(g) for g in parts]
+        )
+        self._mapped: dict[int, tuple[MappedFunction, MappedFunction]] = {}
+        self._matrices: dict[tuple[int, float], dict[int, FloatArray]] = {}
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_mapped": {}, "_matrices": {}}
+
+    def _functions(self, count: int) -> tuple[MappedFunction, MappedFunction]:
+        """Return the functions over N samples."""
+        if count not in self._mapped:
+            self._mapped[count] = (
+                MappedFunction(self._function, count),
+                MappedFunction(self._adjoint, count),
+            )
+        return self._mapped[count]
+
+    def _filters(self, count: int, period: float) -> dict[int, FloatArray]:
+        """Return the linear map of each filter over N samples of a period."""
+        key = count, period
+        if key not in self._matrices:
+            self._matrices[key] = {
+                i: signal.matrix(count, period)
+                for i, signal in enumerate(self._signals)
+                if isinstance(signal, PeriodicFilter)
+            }
+        return self._matrices[key]
+
+    @property
+    def _link_parameters(self) -> FloatArray:
+        """ψ of the links alone. Shape (P,)."""
+        out = self.constants.psi.copy()
+        out[10 * self.constants.parameters.bodies :] = 0.0
+        return out
+
+    @property
+    def _coulomb(self) -> FloatArray:
+        """Coulomb friction of each joint. Shape (n,) [N m]."""
+        layout = self.constants.parameters
+        if "coulomb" not in layout.drive:
+            return np.zeros(self.constants.robot.n)
+        return np.asarray(self.constants.psi[layout.block("coulomb")])
+
+    @property
+    def _smooth_parameters(self) -> FloatArray:
+        """ψ without Coulomb friction, whose width is not that of the regressor. Shape (P,)."""
+        out, layout = self.constants.psi.copy(), self.constants.parameters
+        if "coulomb" in layout.drive:
+            out[layout.block("coulomb")] = 0.0
+        return out
+
+    def _signal_values(self, motion: SampledMotion) -> ColumnValues:
+        """Return the arguments of the functions and the signals' records, without columns."""
+        load = motion.regressor @ self._link_parameters
+        motor = motion.regressor @ self._smooth_parameters
+        motor += self._coulomb * np.tanh(motion.dq / self.constants.widths)
+        count = len(motion.q)
+        extra = np.zeros((count, max(len(self._signals), 1)))
+        matrices, states = self._filters(count, motion.period), {}
+        for i, signal in enumerate(self._signals):
+            j = signal.joint
+            if isinstance(signal, PeriodicFilter):
+                extra[:, i] = matrices[i] @ (load if signal.source == "load" else motor)[:, j]
+            else:
+                states[i] = presliding_state(
+                    motion.q[:, j],
+                    motion.dq[:, j],
+                    motion.period / count,
+                    signal.reach,
+                    slips=signal.slips,
+                )
+                extra[:, i] = states[i].z
+        inputs = [motion.q, motion.dq, motion.ddq, load, motor, extra]
+        return ColumnValues(np.zeros(0), motion, inputs, matrices, states)
+
+    def evaluate(self, motion: SampledMotion) -> ColumnValues:
+        """Evaluate the columns along one period of a motion.
+
+        Thermal drift's columns are its friction, which `time_factors` multiply.
+
+        Args:
+            motion: The motion.
+        """
+        record = self._signal_values(motion)
+        count, n = motion.q.shape
+        out = self._functions(count)[0](*record.inputs)[0].reshape(count, n, -1).copy()
+        for k, column in self._payload.items():
+            out[:, :, k] = motion.regressor[:, :, column]
+        return dataclasses.replace(record, columns=out[:, :, : self.count])
+
+    def gradients(
+        self, values: ColumnValues, seed: FloatArray
+    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+        """Return the gradients of Σ seed·C.
+
+        Args:
+            values: Result of `evaluate`.
+            seed: Gradient with respect to the columns. Shape (N, n, K).
+
+        Returns:
+            Gradient with respect to the regressor, shape (N, n, P), and the direct ones with
+            respect to q, q̇ and q̈, shapes (N, n).
+        """
+        motion = values.motion
+        parts = self._functions(len(motion.q))[1](
+            *values.inputs, np.ascontiguousarray(seed).reshape(len(motion.q), -1)
+        )
+        by_q, by_dq, by_ddq, by_load, by_motor, by_extra = (part.copy() for part in parts)
+        by_extra = by_extra.reshape(len(motion.q), -1)
+        for i, signal in enumerate(self._signals):
+            if isinstance(signal, PeriodicFilter):
+                target = by_load if signal.source == "load" else by_motor
+                target[:, signal.joint] += values.matrices[i].T @ by_extra[:, i]
+            else:
+                position, velocity = values.states[i].gradients(by_extra[:, i])
+                by_q[:, signal.joint] += position
+                by_dq[:, signal.joint] += velocity
+        by_regressor = (
+            by_load[:, :, None] * self._link_parameters
+            + by_motor[:, :, None] * self._smooth_parameters
+        )
+        widths = self.constants.widths
+        slope = (1.0 - np.tanh(motion.dq / widths) ** 2) / widths
+        by_dq += by_motor * self._coulomb * slope
+        for k, column in self._payload.items():
+            by_regressor[:, :, column] += seed[:, :, k]
+        return by_regressor, (by_q, by_dq, by_ddq)
+
+    def time_factors(self, times: FloatArray) -> FloatArray | None:
+        """Return the factors of the run time on the columns; None where none depends on it.
+
+        Args:
+            times: Run time of each row. Shape (…) [s].
+
+        Returns:
+            Factors, 1 for most columns. Shape (…, K).
+        """
+        out, depends = np.ones((*times.shape, self.count)), False
+        for effect, place in zip(self.effects, self.slices, strict=True):
+            if effect.effect == "thermal_drift":
+                out[..., place] = (1.0 - np.exp(-times / effect.values["time_constant"]))[..., None]
+                depends = True
+        return out if depends else None

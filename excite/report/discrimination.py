@@ -1,0 +1,117 @@
+"""Sections of a design's report on effects: what the recording is expected to tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..designer.discrimination_result import DiscriminationResult
+from ..designer.experiment_menu import DECISIVE_LOG_ODDS, Experiment
+from ..designer.isolability_forecast import SMALLEST_SEVERITY, PairForecast
+from .content import Section, Table, TableCell
+
+MAX_SHOWN_LOG_ODDS = 20.0
+"""Expected log-odds above which odds are not written out [nat]."""
+
+
+def odds(log_odds: float) -> str:
+    """Return odds as text, such as "150 : 1"."""
+    if log_odds > MAX_SHOWN_LOG_ODDS:
+        return "certain"
+    return f"{np.exp(log_odds):.2g} : 1"
+
+
+def _cell(log_odds: float) -> TableCell:
+    """Return expected log-odds, coloured by whether they decide."""
+    return TableCell(f"{log_odds:.1f}", "good" if log_odds >= DECISIVE_LOG_ODDS else "warn")
+
+
+def _menu_row(experiment: Experiment, count: int, best: Experiment) -> list[str | TableCell]:
+    """Return a row of the menu."""
+    name = experiment.name + (" ← recommended" if experiment is best else "")
+    time = f"{experiment.seconds:.0f} s"
+    if experiment.log_odds is None:
+        return [name, time, f"not possible: {experiment.obstacle}", *["–"] * count]
+    return [
+        name,
+        time,
+        "yes" if experiment.decides else "no",
+        *(_cell(value) for value in experiment.log_odds.tolist()),
+    ]
+
+
+def discrimination_section(result: DiscriminationResult) -> Section:
+    """Return the section on the comparisons of a discriminating motion and the menu.
+
+    Args:
+        result: The expected decisions.
+    """
+    least = int(np.argmin(result.designed))
+    best = result.recommendation
+    answer = (
+        f"The least certain decision ({result.question_of(result.comparisons[least])}) has "
+        f"expected log-odds of {result.designed[least]:.1f} after this motion, "
+        f"{result.reference[least]:.1f} after a D-optimal one. "
+    )
+    answer += (
+        f"The cheapest experiment that decides: {best.name}."
+        if best.decides
+        else f"No experiment of the list decides everything; the best is: {best.name}."
+    )
+    pairs = [
+        (
+            f"({number}) {result.question_of(c)}",
+            f"{100.0 * c.weight:.0f} %",
+            _cell(float(result.reference[number - 1])),
+            _cell(float(result.designed[number - 1])),
+        )
+        for number, c in enumerate(result.comparisons, start=1)
+    ]
+    count = len(result.comparisons)
+    menu = [_menu_row(experiment, count, best) for experiment in result.menu]
+    notes = [f"{effect}: {how}" for effect, how in result.linearised.items()]
+    notes += [f"no motion decides: {result.question_of(c)}" for c in result.undecidable]
+    notes += list(result.omitted)
+    nominal = sorted({e.form.effect for e in result.explanations if e.nominal})
+    if nominal:
+        notes.append(f"the size is a usual one, as the diagnosis states none: {', '.join(nominal)}")
+    data = {
+        "pairs": Table(("comparison", "weight", "D-optimal", "this motion"), pairs, (1, 2, 3)),
+        "menu": Table(
+            (
+                "experiment",
+                "robot time",
+                "decides",
+                *(f"({number})" for number in range(1, count + 1)),
+            ),
+            menu,
+            (1, *range(3, 3 + count)),
+        ),
+        "notes": notes,
+        "decisive": f"{DECISIVE_LOG_ODDS:g}",
+    }
+    question = "Which explanation will the recording confirm?"
+    return Section("discrimination", question, answer, data)
+
+
+def isolability_section(pairs: Sequence[PairForecast]) -> Section:
+    """Return the section on effects that the recording will not tell apart.
+
+    Args:
+        pairs: Forecasts, the least decided first.
+    """
+    open_pairs = [pair for pair in pairs if not pair.is_decided]
+    kinds = dict.fromkeys((pair.first, pair.second) for pair in open_pairs)
+    answer = (
+        f"{len(open_pairs)} of {len(pairs)} often confused pairs would stay open: "
+        f"{'; '.join(f'{a} and {b}' for a, b in kinds)}."
+        if open_pairs
+        else f"None of {len(pairs)} often confused pairs would stay open."
+    )
+    rows = [(pair.joint, pair.first, pair.second, odds(pair.log_odds)) for pair in open_pairs]
+    data = {
+        "table": Table(("joint", "effect", "rival", "expected odds"), rows, (3,)),
+        "severity": f"{SMALLEST_SEVERITY:g}",
+    }
+    return Section("isolability", "Which effects will it not tell apart?", answer, data)

@@ -1,0 +1,223 @@
+#!/usr/bin/env python
+"""Measure motions that discriminate between confusable effects: Markdown tables.
+
+--separation: for five robots and the confusable pairs of effects, the separation of a motion
+designed to discriminate over those of a D-optimal and of random feasible motions of equal length
+under the same limits. Both effects have the same size along the D-optimal motion; the separation of
+a pair is the smaller one of both directions. The load effects act at the second joint.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+
+os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import numpy as np
+
+from excite._types import FloatArray
+from excite.designer import initial_guess, optimize
+from excite.designer.criteria import Criterion
+from excite.designer.discrimination import Comparison, SeparationObjective
+from excite.designer.discrimination_design import (
+    CandidateExplanation,
+    ExplanationSet,
+    competing_pairs,
+    sampled_motion,
+)
+from excite.designer.effect_columns import RobotConstants, SymbolicEffect
+from excite.designer.evaluator import Evaluator
+from excite.designer.explanations import EffectSpecification, friction_of, symbolic_effect
+from excite.designer.optimize import DesignSetup
+from excite.designer.options import DesignOptions
+from excite.errors import ExciteError, ExciteWarning
+from excite.robot import limits, robot
+from excite.robot.inertial_parameters import COULOMB_WIDTH
+from excite.trajectory.fourier import FourierSeries
+
+ROBOTS = ("ur10e", "panda", "iiwa14", "tx40", "fr3")
+"""Built-in robots of the table."""
+JOINT = 1
+"""Index of the joint that carries the effects: the shoulder, which carries load."""
+FRICTIONS = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction")
+"""Effects that real joints have at once and a diagnosis fits jointly."""
+RANDOM_MOTIONS = 9
+"""Random feasible motions, of whose separations the median counts."""
+
+
+def pairs(constants: RobotConstants) -> dict[str, tuple[SymbolicEffect, SymbolicEffect]]:
+    """Return the confusable pairs of effects at one joint.
+
+    Seven are those of which one recording cannot split (canonical correlations 0.63-0.99), the
+    eighth is the pair that only a fast motion splits: elasticity and delay.
+
+    Args:
+        constants: The robot.
+    """
+    coulomb, viscous = friction_of(constants, JOINT)
+
+    def usual(effect: str) -> SymbolicEffect:
+        return symbolic_effect(EffectSpecification(effect, JOINT, {}), constants)
+
+    def thermal(dry: float, wet: float) -> SymbolicEffect:
+        values = {"time_constant": 600.0, "coulomb": dry, "viscous": wet}
+        return SymbolicEffect("thermal_drift", JOINT, values)
+
+    return {
+        "cubic ~ drag": (usual("nonlinear_viscous"), usual("drag")),
+        "spring ~ counterbalance": (
+            SymbolicEffect("spring", JOINT, {"form": 0.0}),
+            SymbolicEffect("spring", JOINT, {"form": 1.0}),
+        ),
+        "load ~ position friction": (usual("load_friction"), usual("position_friction")),
+        "thermal viscous ~ Coulomb": (thermal(0.0, viscous), thermal(coulomb, 0.0)),
+        "presliding ~ delay": (usual("hysteresis"), usual("delay")),
+        "Stribeck ~ v|v|": (usual("stribeck"), usual("drag")),
+        "gain ~ saturation": (usual("torque_gain"), usual("torque_saturation")),
+        "elasticity ~ delay": (usual("elasticity"), usual("delay")),
+    }
+
+
+def competition(
+    constants: RobotConstants, forms: Sequence[SymbolicEffect], nuisance: bool
+) -> tuple[tuple[CandidateExplanation, ...], tuple[Comparison, ...]]:
+    """Return the explanations of a pair and its two comparisons.
+
+    Args:
+        constants: The robot.
+        forms: The pair.
+        nuisance: Fit the other frictions of the joint jointly, as a diagnosis does.
+    """
+    named = {form.effect for form in forms}
+    others = [effect for effect in FRICTIONS if effect not in named] if nuisance else []
+    frictions = [
+        symbolic_effect(EffectSpecification(effect, JOINT, {}), constants) for effect in others
+    ]
+    candidates = tuple(CandidateExplanation(form, None, 0.5) for form in (*forms, *frictions))
+    indices = tuple(range(2, len(candidates)))
+    return candidates, tuple(competing_pairs([0, 1], [0.5, 0.5], lambda a, b: indices))
+
+
+def separation(setup: DesignSetup, objective: SeparationObjective, motion: FourierSeries) -> float:
+    """Return the smaller separation of both directions along a motion, densely sampled."""
+    problem = setup.problem
+    dense = sampled_motion(problem.robot, problem.parameters, motion)
+    return float(objective.separations(dense).min())
+
+
+def random_separations(setup: DesignSetup, objective: SeparationObjective) -> FloatArray:
+    """Return the separations of random feasible motions."""
+    evaluator, out = Evaluator(setup.problem), []
+    for seed in range(RANDOM_MOTIONS):
+        rng = np.random.default_rng(seed)
+        poses = initial_guess.find_static_poses(evaluator, rng)
+        pose = poses[rng.integers(min(len(poses), 1 + len(poses) // 4))]
+        x = initial_guess.scale_random_motion(evaluator, pose, rng)
+        out.append(separation(setup, objective, setup.problem.fourier(x)))
+    return np.array(out)
+
+
+def compare(name: str, given: argparse.Namespace) -> list[tuple[str, float, float, float, float]]:
+    """Return pair, D-optimal, random and discriminating separation, and seconds, for each pair."""
+    machine = robot.load(name)
+    table = limits.resolve(machine)
+    options = DesignOptions(
+        criterion=Criterion.D,
+        period=given.period,
+        harmonics=given.harmonics,
+        samples=40 * given.harmonics,
+        starts=given.starts,
+        seed=given.seed,
+        jobs=given.jobs,
+    )
+    setup = optimize.set_up(machine, table, options)
+    begun = time.perf_counter()
+    reference = optimize.solve(setup).motion
+    reference_time = time.perf_counter() - begun
+    standard = setup.problem.parameters
+    constants = RobotConstants(
+        machine, standard, standard.nominal, np.full(machine.n, COULOMB_WIDTH), table
+    )
+    out = []
+    for title, forms in pairs(constants).items():
+        if given.pair not in title:
+            continue
+        question = ExplanationSet(constants, *competition(constants, forms, given.nuisance))
+        objective = question.objective(setup.problem, setup.base, reference)
+        problem = dataclasses.replace(setup.problem, objective=objective, warm_start=reference)
+        begun = time.perf_counter()
+        design = optimize.solve(dataclasses.replace(setup, problem=problem))
+        seconds = reference_time + time.perf_counter() - begun
+        values = [
+            separation(setup, objective, reference),
+            float(np.median(random_separations(setup, objective))),
+            separation(setup, objective, design.motion),
+        ]
+        out.append((title, *values, seconds))
+    return out
+
+
+def report_separation(given: argparse.Namespace) -> None:
+    """Print the table of separations and the medians of the ratios."""
+    head = ["robot", "pair", "random", "D-optimal", "discriminating", "over random", "over D"]
+    head.append("design [s]")
+    print("| " + " | ".join(head) + " |\n|---|---|" + "---:|" * (len(head) - 2), flush=True)
+    ratios, times = [], []
+    for name in given.robots:
+        for title, d_optimal, random, best, seconds in compare(name, given):
+            ratios.append((best / random, best / d_optimal))
+            times.append(seconds)
+            cells = [name, title, f"{random:.3g}", f"{d_optimal:.3g}", f"{best:.3g}"]
+            cells += [f"{ratio:.2f}" for ratio in ratios[-1]] + [f"{seconds:.1f}"]
+            print("| " + " | ".join(cells) + " |", flush=True)
+    if not ratios:
+        return
+    over = np.array(ratios)
+    middle, quarters = np.median(over, axis=0), np.quantile(over, (0.25, 0.75), axis=0)
+    print(
+        f"\nMedian over {len(over)} cases: {middle[0]:.1f} over random "
+        f"({quarters[0, 0]:.1f}-{quarters[1, 0]:.1f}), {middle[1]:.2f} over D-optimal "
+        f"({quarters[0, 1]:.2f}-{quarters[1, 1]:.2f}); design {np.median(times):.1f} s, "
+        f"longest {max(times):.1f} s."
+    )
+
+
+def main() -> int:
+    """Run the benchmark; return the exit code."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--separation", action="store_true", help="the table of separations")
+    parser.add_argument("--robots", nargs="+", default=ROBOTS, metavar="ROBOT")
+    parser.add_argument(
+        "--nuisance",
+        action="store_true",
+        help="fit the other frictions of the joint jointly, as a diagnosis does",
+    )
+    parser.add_argument("--pair", default="", help="only pairs whose title has this text")
+    parser.add_argument(
+        "--period", type=float, default=5.0, help="period, of which there are two [s]"
+    )
+    parser.add_argument("--harmonics", type=int, default=5)
+    parser.add_argument("--starts", type=int, default=4)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=-1, help="processes (-1: one per core)")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore", ExciteWarning)
+    if not given.separation:
+        print("bench_discriminate: nothing to measure; give --separation", file=sys.stderr)
+        return 2
+    try:
+        report_separation(given)
+    except ExciteError as error:
+        print(f"bench_discriminate: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

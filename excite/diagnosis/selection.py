@@ -26,6 +26,8 @@ MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
 OPTIMISED_CANDIDATES = 4
 """Candidates whose nonlinear parameters are optimised before the best is chosen."""
+MIN_CANDIDATE_EVIDENCE = 5.0
+"""Log Bayes factor before the weights are renewed from which a candidate is tried."""
 MAX_MODELS = 2
 """Models of one effect at one joint, as the modes of a base or the waves of a curve."""
 MAX_REJECTIONS = 3
@@ -207,7 +209,7 @@ def find_rare_effects(
                 key
                 for key, evidence in scores.items()
                 if key not in rejected
-                and _is_probable(evidence)
+                and evidence > MIN_CANDIDATE_EVIDENCE
                 and [f.key for f in found].count(key) < MAX_MODELS
             ),
             key=lambda key: -scores[key],
@@ -255,8 +257,3 @@ def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:
         for shape in (model.models[e],)
     ]
     return all(shape.is_plausible(c) for shape, c in plain)
-
-
-def _is_probable(log_bayes_factor: float) -> bool:
-    """Tell whether an effect is more probable than not."""
-    return bool(probability.probability(log_bayes_factor, probability.RARE_LOG_ODDS) > 0.5)

@@ -1,12 +1,12 @@
-"""Does the joint model name the frictions of dense, half-dense and plain simulated robots?
+"""Does the diagnosis name the frictions of dense, half-dense and plain simulated robots?
 
     python scripts/bench_joint_model.py [--count 6] [--first 0] [--families dense half null]
 
 Every robot has three random motions of 26 s; two are fitted, the third is held out. On a dense
 robot every joint has all frictions, on a half-dense one each with probability ½ (so that naming
 them without looking is wrong half of the time), on a plain one ("null") none is hidden. The table
-counts effect and joint of what the model says is needed; an effect counts as present if the
-residual grows by at least one noise floor without it, given all others.
+counts effect and joint of the findings; an effect counts as present if the residual of the joint
+model grows by at least one noise floor without it, given all others.
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ import numpy as np
 from concealed_trial.case_plan import CaseSpec
 from concealed_trial.generate_cases import case_settings
 from concealed_trial.random_excitation import draw_excitation
-from joint_diagnosis import prepare
 
+from excite import api
 from excite._types import FloatArray
-from excite.diagnosis import joint_model, posterior, selection
-from excite.diagnosis.regression import rms
+from excite.diagnosis import posterior
 from excite.robot.robot import locate
 from excite.simulator import dense_robot
 from excite.simulator.effect_instance import EffectInstance, with_effects
@@ -97,13 +96,13 @@ class CaseScore:
     """Counts of a case.
 
     Attributes:
-        named: Effects that the model needs, by effect and joint.
+        named: Findings, by effect and joint.
         right: Those among them that are there.
         strong: Effects worth at least one noise floor.
         strong_named: Those among them that are named.
         ratio: Held-out RMSE over the noise floor, geometric mean over the joints.
         base_ratio: The same of the base model.
-        seconds: Processor time of fit and selection [s].
+        seconds: Processor time of the diagnosis [s].
     """
 
     named: int
@@ -116,27 +115,28 @@ class CaseScore:
 
 
 def score_case(case: SimulatedCase) -> CaseScore:
-    """Fit the joint model to a case and compare it with the truth."""
+    """Diagnose a case and compare the findings with the truth."""
     train = [case.folder / f"{name}.csv" for name in ("train1", "train2")]
-    identified, motions = prepare(case.robot, train, [case.folder / "validate.csv"])
-    robot = identified.model.robot
     begin = time.process_time()
-    model = joint_model.fit(identified, motions[0])
-    left_out, evidence = posterior.select(model)
+    result = api.diagnose(
+        case.robot, train, [case.folder / "validate.csv"], with_report=False
+    ).diagnosis
     seconds = time.process_time() - begin
-    truth = {(e.name, robot.joints.index(e.joint)) for e in case.effects if e.joint is not None}
-    severity = {(e.name, e.joint): float((e.severity / case.noise).max()) for e in evidence}
-    named = {
-        (e.name, e.joint)
-        for e in evidence
-        if not set(e.effects) <= left_out
-        and float((e.severity / model.regression.sigma).max()) > selection.MIN_SEVERITY
+    model, joints = result.model, result.identified.model.robot.joints
+    truth = {(e.name, joints.index(e.joint)) for e in case.effects if e.joint is not None}
+    severity = {
+        key: float(
+            (
+                posterior.evidence_of(model, key, members, (), model.solution).severity / case.noise
+            ).max()
+        )
+        for key, members in posterior.effect_groups(model).items()
     }
+    named = {(e.effect, e.joint) for e in result.findings if e.joint is not None}
     strong = {key for key in truth if severity.get(key, np.inf) >= 1.0}
-    moving = np.concatenate([motion.moving for motion in motions[1]])
     before, after = (
-        float(np.exp(np.mean(np.log(rms(residual, moving) / case.noise))))
-        for residual in joint_model.held_out_residuals(identified, model, motions[1])
+        float(np.exp(np.mean(np.log(rmse / case.noise))))
+        for rmse in (result.held_out.rmse_before, result.held_out.rmse_after)
     )
     return CaseScore(
         len(named), len(named & truth), len(strong), len(named & strong), after, before, seconds

@@ -337,8 +337,9 @@ states. Each diagnosis is that of `excite diagnose ROBOT TRAIN… --validate HEL
 [--prior FILE]`, without the report.
 
 Below each diagnosis, compare the findings with the published facts, and the errors
-before (base model) and after (with the findings). The figures show the held-out
-residual of both models; the band is the noise floor.""",
+before (base model) and after (with all effects of the model), of which each effect
+explains a share. The figures show the held-out residual of both models; the band is the
+noise floor.""",
     ),
     (
         "code",
@@ -351,71 +352,71 @@ import numpy as np
 from IPython.display import display
 from matplotlib.figure import Figure
 
-from excite import recordings
-from excite.diagnosis import diagnosis
-from excite.diagnosis.diagnosis_file import document
-from excite.identification import prior as prior_file
-from excite.robot import base_parameters, inertial_parameters, limits, robot
+import excite
 
 warnings.simplefilter("ignore")
 REAL = Path(os.environ.get("EXCITE_RECORDINGS", "../../shared/recordings"))
 
 
-def diagnose(folder, urdf, train, held_out, prior=None, band=None):
-    machine = robot.load(str(REAL / folder / urdf))
-    table = limits.resolve(machine)
-    standard = inertial_parameters.standard_parameters(machine, table)
-    base = base_parameters.find(machine, standard, table)
+def diagnose(folder, urdf, train, held_out, prior=None):
     training, validation = (
-        [recordings.read(REAL / folder / f"{name}.csv", machine, table) for name in names]
-        for names in (train, held_out)
+        [REAL / folder / f"{name}.csv" for name in names] for names in (train, held_out)
     )
-    trusted = {}
-    if prior:
-        trusted = prior_file.read_trusted_parameters(REAL / folder / prior, machine, standard)
-    options = diagnosis.DiagnosisOptions(band, trusted)
-    return diagnosis.diagnose(machine, standard, base, training, validation, options)
+    return excite.diagnose(
+        REAL / folder / urdf,
+        training,
+        validation,
+        prior=None if prior is None else REAL / folder / prior,
+        with_report=False,
+    )
 
 
 def print_findings(result):
-    joints = result.identified.model.robot.joints
-    print(f"{result.name}; band {result.hertz:.0f} Hz, noise by {result.method}")
-    for finding in document(result)["findings"]:
+    document = result.document()
+    print(f"{document['verdict']}; band {document['band_hz']:.0f} Hz")
+    for finding in document["findings"]:
         values = ", ".join(
             f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}"
             for key, v in finding["parameters"].items()
         )
         place = finding["joint"] or "all joints"
         print(f"  {finding['effect']} at {place} (p {finding['probability']:.2f}): {values}")
-    for change in document(result)["between_recordings"]:
+    for change in document["between_recordings"]:
         values = ", ".join(
             f"{key} {change[key]['value']:+.3g} ± {change[key]['std']:.2g}"
             for key in ("coulomb", "viscous", "offset")
         )
         name = Path(change["recording"]).name
         print(f"  changed actuator at {change['joint']} in {name}: {values}")
-    rows = zip(joints, result.before, result.after, result.torque, strict=True)
-    for joint, before, after, torque in rows:
+    for joint, shares in document["budget"].items():
+        explained = ", ".join(
+            f"{effect} {100 * entry['share']:.0f} %" for effect, entry in shares.items()
+        )
+        errors = document["joints"][joint]
         print(
-            f"  {joint:10} held-out error {100 * before / torque:6.1f} %"
-            f" → {100 * after / torque:5.1f} %"
+            f"  {joint:10} held-out error {errors['rmse_before']:.3g}"
+            f" → {errors['rmse_after']:.3g}; share of it: {explained}"
         )
 
 
 def draw_residual(result, joint, seconds=None):
-    motion = result.motions[1][0]
+    held_out = result.diagnosis.held_out
+    motion = held_out.motions[0]
     shown = slice(0, len(motion)) if seconds is None else motion.time < motion.time[0] + seconds
     figure = Figure(figsize=(8, 3.0), layout="constrained")
     axes = figure.subplots()
     curves = zip(
-        result.residuals, ("0.6", "tab:blue"), ("base model", "with the findings"), strict=True
+        (held_out.base, held_out.final),
+        ("0.6", "tab:blue"),
+        ("base model", "with the effects"),
+        strict=True,
     )
     for residual, colour, label in curves:
         moving = np.where(motion.moving, residual[: len(motion)], np.nan)[shown, joint]
         axes.plot(motion.time[shown], moving, color=colour, linewidth=0.9, label=label)
-    floor = result.floor[joint]
+    floor = result.diagnosis.floor[joint]
     axes.axhspan(-floor, floor, color="tab:red", alpha=0.15, label="± noise floor")
-    name = result.identified.model.robot.joints[joint]
+    name = result.diagnosis.identified.model.robot.joints[joint]
     axes.set(xlabel="time [s]", ylabel="residual, held out", title=name)
     axes.legend(frameon=False, ncols=3)
     display(figure)""",
@@ -476,7 +477,8 @@ the compliance. Published: 4.6, 7.5 and 4.1 MN m/rad, and backlash.""",
     (
         "code",
         """figure = Figure(figsize=(9, 2.8), layout="constrained")
-for axes, gear in zip(figure.subplots(1, len(kuka.gears)), kuka.gears, strict=True):
+gears = kuka.diagnosis.gears
+for axes, gear in zip(figure.subplots(1, len(gears)), gears, strict=True):
     load = np.linspace(gear.load.min(), gear.load.max(), 101)
     axes.plot(gear.load, 1e3 * gear.deflection, ".", color="0.6", markersize=2)
     axes.plot(load, 1e3 * gear.curve(load), color="tab:orange")
@@ -508,8 +510,9 @@ how much of the residual they explain.""",
         """training, validation = ["speed_1rev_per_s_comp_off_then_on"], ["speed_test_b"]
 motor = diagnose("laas_cogging", "motor.urdf", training, validation)
 print_findings(motor)
-orders = [effect.shape.values.get("order") for effect in motor.parts]
-print("orders [1/turn]:", [round(order, 2) for order in orders if order])
+effects = motor.model()["effects"]
+orders = [e["values"]["order"] for e in effects if e["effect"] == "torque_ripple"]
+print("orders [1/turn]:", [round(order, 2) for order in sorted(orders)])
 draw_residual(motor, 0, seconds=2.0)""",
     ),
 ]

@@ -1,4 +1,4 @@
-"""Draw the README's figures: a designed motion with its information, and a residual atlas."""
+"""Draw the README's figures: a designed motion with its information, and a torque budget."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def main() -> None:
     """Draw both figures."""
     draw_design()
     if REAL_RECORDINGS.is_dir():
-        draw_residual_atlas(REAL_RECORDINGS / "tx40", "joint_5")
+        draw_torque_budget(REAL_RECORDINGS / "tx40")
     else:
         sys.exit(
-            f"{REAL_RECORDINGS}: no recordings, so the residual atlas was not drawn; "
+            f"{REAL_RECORDINGS}: no recordings, so the torque budget was not drawn; "
             "set EXCITE_RECORDINGS to their folder"
         )
 
 
-def draw_residual_atlas(folder: Path, joint: str) -> None:
-    """Write the residual atlas of a joint, as in the report of `excite diagnose`, to a file."""
+def draw_torque_budget(folder: Path) -> None:
+    """Write the torque budget of a robot, as in the report of `excite diagnose`, to a file."""
     with tempfile.TemporaryDirectory() as out:
         robot, train, held_out = (
             str(folder / name) for name in (f"{folder.name}.urdf", "train.csv", "validate.csv")
@@ -47,15 +47,15 @@ def draw_residual_atlas(folder: Path, joint: str) -> None:
         page = (Path(out) / "report.html").read_text()
     match = re.search(
         r'<svg viewBox="0 0 (\S+) (\S+)" role="img" '
-        rf'aria-label="Held-out residual of {joint} .*?</svg>',
+        r'aria-label="Torque budget of every joint".*?</svg>',
         page,
         re.DOTALL,
     )
     if match is None:
-        sys.exit(f"{folder}: the report has no picture of {joint}")
+        sys.exit(f"{folder}: the report has no torque budget")
     white = f'<rect width="{match[1]}" height="{match[2]}" fill="#fff"/>'
     head, body = match[0].split(">", 1)
-    (FOLDER / "notebooks" / f"{folder.name}_{joint}.svg").write_text(
+    (FOLDER / "notebooks" / f"{folder.name}_budget.svg").write_text(
         f'{head} xmlns="http://www.w3.org/2000/svg">{white}{body}\n'
     )
 

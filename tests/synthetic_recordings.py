@@ -11,10 +11,6 @@ import pinocchio as pin
 from conftest import loaded
 
 from excite._types import FloatArray
-from excite.diagnosis.columns import Columns
-from excite.diagnosis.half import Half, whitened
-from excite.effects.effect import CandidateModel
-from excite.effects.recorded_motion import RecordedMotion
 from excite.identification import consistency
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording, Sidecar
@@ -121,10 +117,11 @@ def synthetic_recording(
     fourier: FourierSeries,
     periods: float,
     noise: float,
+    rate: float = RATE,
     **side: object,
 ) -> Recording:
     """Return a recording along a Fourier series, with white torque noise."""
-    t = np.arange(round(periods * fourier.period * RATE) + 1) / RATE
+    t = np.arange(round(periods * fourier.period * rate) + 1) / rate
     s = fourier.samples(t)
     exact = rnea_torque(model, psi, s.q, s.dq, s.ddq)
     rng = np.random.default_rng(1)
@@ -162,29 +159,6 @@ def write_recording(recording: Recording, path: Path, decimals: int = 9) -> Path
         }
         path.with_suffix(".json").write_text(json.dumps(stated), encoding="utf-8")
     return path
-
-
-NO_KNOWN_COLUMNS = (np.zeros((0, 1)), np.zeros(0))
-"""Known columns and torque of a fold without any."""
-
-
-def unexpected_columns(track: RecordedMotion, shape: CandidateModel) -> FloatArray:
-    """Fail: the test does not expect this candidate to be evaluated."""
-    raise AssertionError("not asked for")
-
-
-def single_joint_fold(
-    gamma: FloatArray, torque: FloatArray, known: tuple[FloatArray, FloatArray], scale: float = 1.0
-) -> Half:
-    """Return a fold of a robot with one joint that never stands still."""
-    return whitened(
-        [gamma[:, None, :]], [torque], [np.ones(torque.shape, bool)], np.full(1, scale), known
-    )
-
-
-def single_joint_columns(first: FloatArray, second: FloatArray) -> tuple[Columns, Columns]:
-    """Return the columns of both folds for a robot with one joint."""
-    return Columns.of(first[:, None]), Columns.of(second[:, None])
 
 
 def validated(effect: dict[str, Any]) -> EffectDocument:

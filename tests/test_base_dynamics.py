@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
-from diagnosis_cases import diagnose_effect
+from diagnosis_cases import motions
 from scipy import integrate, linalg
 
 from excite._types import FloatArray
@@ -153,9 +153,7 @@ def test_matrix_exponential_agrees_with_scipy_for_steps_of_any_length(size):
 
 def test_base_stiffness_is_the_same_in_all_recordings(monkeypatch):
     """The inertia at zero joint positions determines it, not the poses of the recording."""
-    from synthetic_recordings import two_link_model
-
-    result, stiffnesses = diagnose_effect(two_link_model(), None), list[FloatArray]()
+    stiffnesses, recorded = list[FloatArray](), motions()
 
     def record_stiffness(
         inertia: FloatArray,
@@ -169,15 +167,14 @@ def test_base_stiffness_is_the_same_in_all_recordings(monkeypatch):
 
     monkeypatch.setattr(base_compliance, "simulate_base", record_stiffness)
     fixed = {"frequency": 5.0, "damping": 0.1, "way": 1.0, "stand": 0.2, "apart": 1.5}
-    candidate = next(iter(EFFECTS_BY_NAME["base_compliance"].candidates(result.motions[0])))
+    candidate = next(iter(EFFECTS_BY_NAME["base_compliance"].candidates(recorded)))
     model = dataclasses.replace(candidate, values=fixed)
-    motions = [motion for half in result.motions for motion in half]
-    for motion in motions:
+    for motion in recorded:
         motion.__dict__["base_dynamics"] = dataclasses.replace(
             motion.base_dynamics, by_place=0.0 * motion.base_dynamics.by_place
         )
         model.columns(motion)
-    inertia_at_zero = motions[0].upright_inertia[3:5]
+    inertia_at_zero = recorded[0].upright_inertia[3:5]
     for stiffness in stiffnesses:
         np.testing.assert_allclose(
             stiffness,
@@ -187,4 +184,4 @@ def test_base_stiffness_is_the_same_in_all_recordings(monkeypatch):
                 (len(stiffness), 1),
             ),
         )
-    assert len(stiffnesses) == len(motions) > 1
+    assert len(stiffnesses) == len(recorded) > 1

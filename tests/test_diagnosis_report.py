@@ -1,16 +1,16 @@
-"""The report of a diagnosis answers every question and states its results."""
+"""The report of a diagnosis: budget, findings, held-out errors, and the state of doubt."""
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-import json
 import re
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from synthetic_recordings import (
     FRICTION_WIDTH,
     perturbed_parameters,
@@ -20,36 +20,17 @@ from synthetic_recordings import (
 )
 from test_report import answer, check_page, section
 
-from excite.diagnosis import diagnosis, residual_atlas
+from excite.api.diagnosis_result import withhold_findings
+from excite.cli.diagnose import diagnosis_text
+from excite.diagnosis import diagnosis
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
-from excite.recordings import Recording, Remark, RemarkKind
+from excite.recordings import Remark, RemarkKind
 from excite.report import diagnosis_page
-from excite.report.figures.residual_atlas import p_value
-from excite.report.formatting import number
+from excite.report.formatting import number, significant, value_with_error
+from excite.report.torque_budget import joint_budgets
 
-QUESTIONS = {
-    "missing": "Does the model lack anything?",
-    "what": "Which effect is it?",
-    "where": "What does the residual depend on?",
-    "better": "Do the findings improve the prediction?",
-    "apart": "Which effects can these recordings not distinguish?",
-    "next": "What to do next?",
-    "made": "How was it made?",
-}
-
-
-def report_of(result: Diagnosis, stated: dict[str, Any], remarks: Sequence[Remark] = ()) -> str:
-    return diagnosis_page(result, stated, residual_atlas.compute_atlas(result), remarks)
-
-
-def noisy(result: Recording, seed: int) -> Recording:
-    """Add noise that is independent between recordings."""
-    assert result.tau is not None
-    return dataclasses.replace(
-        result,
-        tau=result.tau + 0.1 * np.random.default_rng(10 + seed).normal(size=result.tau.shape),
-    )
+DOUBT = {"recording": "out/train.csv", "kind": "torque sign", "text": "the sign is inverted"}
 
 
 @cache
@@ -59,171 +40,172 @@ def diagnosis_of(amplitude: float) -> Diagnosis:
     psi = perturbed_parameters(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
-        result = noisy(synthetic_recording(model, psi, random_fourier(2, seed), 3.0, 0.0), seed)
+        result = synthetic_recording(model, psi, random_fourier(2, seed), 3.0, 0.0)
         dq = np.gradient(result.q, 1.0 / result.rate, axis=0)[:, 1]
         extra = np.column_stack(
             [0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / FRICTION_WIDTH)]
         )
-        both.append(dataclasses.replace(result, source=name, tau=result.tau + extra))
-    options = diagnosis.DiagnosisOptions(
-        names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring")
-    )
-    return diagnosis.diagnose(
-        model.robot, model.parameters, model.base, both[:1], both[1:], options
-    )
-
-
-@cache
-def sloshing() -> Diagnosis:
-    """Diagnose two links with a sloshing liquid: an oscillator excited by acceleration."""
-    model = two_link_model()
-    psi = perturbed_parameters(model.parameters, np.random.default_rng(3))
-    both = []
-    for seed, name in ((1, "train.csv"), (2, "validate.csv")):
-        result = noisy(synthetic_recording(model, psi, random_fourier(2, seed), 3.0, 0.0), seed)
-        ddq = np.gradient(np.gradient(result.q[:, 1], 1.0 / result.rate), 1.0 / result.rate)
-        omega, damping, place, speed, felt = 2.0 * np.pi * 0.45, 0.04, 0.0, 0.0, []
-        for push in ddq:
-            speed -= (push + 2.0 * damping * omega * speed + omega**2 * place) / result.rate
-            place += speed / result.rate
-            felt.append(omega**2 * place + 2.0 * damping * omega * speed)
-        extra = np.column_stack([0.0 * ddq, 0.05 * np.array(felt) / np.std(felt)])
-        both.append(dataclasses.replace(result, source=name, tau=result.tau + extra))
+        noise = 0.1 * np.random.default_rng(10 + seed).normal(size=extra.shape)
+        both.append(dataclasses.replace(result, source=name, tau=result.torque + extra + noise))
     return diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:])
 
 
-def test_unexplained_residual_is_drawn_over_its_predictor() -> None:
-    result = sloshing()
-    assert (
-        result.unknown == [1]
-        and result.name == "unexplained"
-        and result.fitted[1][1] < 1.6 * result.noise_rms[1]
-    )
-    stated = document(result)
-    (unknown,) = stated["unknown"]
-    assert (
-        unknown["joint"] == "joint_2"
-        and unknown["where"]["regime"].startswith("past")
-        and "sharp stop" in unknown["experiment"]
-    )
-    json.loads(json.dumps(stated["unknown"], allow_nan=False))
-    text = report_of(result, stated)
+def report_of(amplitude: float, remarks: Sequence[Remark] = (), **changes: Any) -> str:
+    result = diagnosis_of(amplitude)
+    return diagnosis_page(result, {**document(result), **changes}, remarks)
+
+
+def test_finding_is_reported_with_budget_size_and_curve() -> None:
+    result, text = diagnosis_of(2.0), report_of(2.0)
     check_page(text)
-    effects = section(text, "what")
-    assert "Residual that no effect explains" in effects
-    assert "Unexplained residual over the quantity that predicts it" in effects
-    assert "joint_2" in answer(text, "what") and unknown["experiment"] in section(text, "next")
-
-
-def test_refuted_effect_is_stated() -> None:
-    stated = document(diagnosis_of(0.0))
-    assert "Refuted" not in report_of(diagnosis_of(0.0), stated)
-    stated["considered"][0]["evidence"]["foretold"] = 9.0
-    assert "residual of the others\nbecomes 3 times as large" in report_of(
-        diagnosis_of(0.0), stated
-    )
-
-
-def test_remarks_on_recordings_are_listed() -> None:
-    result = diagnosis_of(0.0)
-    assert "the data-quality checks have no remark" in answer(page(0.0), "made")
-    text = report_of(
-        result,
-        document(result),
-        remarks=[Remark(RemarkKind.GAP, "a gap of 12 rows", repaired=True)],
-    )
-    assert "the data-quality checks have 1 remark" in answer(
-        text, "made"
-    ) and "a gap of 12 rows" in section(text, "made")
-
-
-def test_predictable_residual_is_unknown_though_it_does_not_repeat() -> None:
-    result = sloshing()
-    noisier = dataclasses.replace(
-        result, floor=result.floor * [1.0, 1.5], noise_rms=result.noise_rms * [1.0, 1.5]
-    )  # as if periods differed by it
-    assert noisier.unknown == [1]
-    (unknown,) = document(noisier)["unknown"]
-    assert unknown["share"] >= noisier.residual_predictions[1].share
-    sights = {j: dataclasses.replace(s, share=0.0) for j, s in noisier.residual_predictions.items()}
-    unpredicted = dataclasses.replace(
-        noisier, residual_predictions=sights, doubted=0.0 * noisier.doubted
-    )
-    assert not unpredicted.unknown
-
-
-@cache
-def page(amplitude: float) -> str:
-    return report_of(diagnosis_of(amplitude), document(diagnosis_of(amplitude)))
-
-
-@pytest.mark.parametrize("amplitude", [0.0, 2.0])
-def test_report_is_self_contained_and_answers_every_question(amplitude: float) -> None:
-    text = page(amplitude)
-    check_page(text)
-    assert re.findall(r'<section id="(\w+)"', text) == list(QUESTIONS)
-    for key, question in QUESTIONS.items():
-        assert f"<h2>{question}</h2>" in section(text, key)
-        assert answer(text, key).endswith(".") and len(answer(text, key)) > 20, key
-
-
-def test_finding_is_shown_with_parameters_and_curves() -> None:
-    text, stated = page(2.0), document(diagnosis_of(2.0))
-    first = stated["findings"][0]
-    assert (first["effect"], first["joint"]) == ("stribeck", "joint_2") and first["evidence"][
-        "p_value"
-    ] is None
-    finding = document(diagnosis_of(2.0), residual_atlas.compute_atlas(diagnosis_of(2.0)))[
-        "findings"
-    ][0]
-    assert finding["evidence"]["p_value"] < 0.01
-    assert answer(text, "what").startswith("Stribeck at joint_2")
-    assert "amplitude" in section(text, "what") and "95 % interval" in section(
-        text, "what"
-    ).replace("\u00a0", " ")
-    assert first["experiment"] in section(text, "next")
-    assert "joint_2 against speed" in answer(text, "where")
-    assert answer(text, "better").startswith("Yes")
-    assert "with the findings" in section(text, "where")
-
-
-def test_interval_of_a_nonnegative_parameter_ends_at_zero() -> None:
-    result = diagnosis_of(2.0)
     stated = document(result)
-    first = stated["findings"][0]
-    parameter = {"value": 0.1, "std": 0.1, "unit": ""}
-    speed = {**first, "parameters": {"velocity": parameter}}
-    assert ">0 … 0.296<" in report_of(result, {**stated, "findings": [speed]})
-    spring = {**first, "effect": "spring", "parameters": {"stiffness": parameter}}
-    assert "0 … 0.296" not in report_of(result, {**stated, "findings": [spring]}).replace(
-        "−0.096 … 0.296", ""
-    )
+    finding = next(f for f in stated["findings"] if f["effect"] == "stribeck")
+    assert finding["joint"] == "joint_2"
+    assert re.findall(r'<section id="(\w+)"', text)[:2] == ["budget", "what"]
+    assert text.index('id="budget"') < text.index("<nav")  # the first screen
+    budget = section(text, "budget")
+    assert "Torque budget of every joint" in budget
+    first, second = joint_budgets(stated, result.identified.model.robot)
+    assert not first.is_improved and second.is_improved
+    assert second.parts[0].effect == "stribeck" and second.parts[0].share > 0.5
+    for joint in (first, second):
+        assert f"<li>{joint.joint}: error {joint.error}; " in budget.replace("\u00a0", " ")
+    assert "Stribeck friction" in second.causes
+    findings = section(text, "what").replace("\u00a0", " ")
+    assert "Stribeck friction" in findings and "Torque of the effects" in findings
+    low, high = finding["evidence"]["severity_interval"]
+    assert f"({significant(low)} … {significant(high)})" in findings
+    assert significant(second.after, 3) in section(text, "better")
+    assert "log Bayes factor" not in re.sub(r"<details.*?</details>", "", text, flags=re.S)
 
 
-def test_same_input_gives_the_same_bytes() -> None:
-    result = diagnosis_of(2.0)
-    assert report_of(result, document(result)) == page(2.0)
-
-
-def test_report_without_findings() -> None:
-    text, stated = page(0.0), document(diagnosis_of(0.0))
-    assert stated["verdict"] == "no-mismatch"
-    assert answer(text, "missing").startswith("No: ")
+def test_robot_without_mismatch() -> None:
+    text = report_of(0.0)
+    check_page(text)
+    assert document(diagnosis_of(0.0))["verdict"] == "no-mismatch"
+    assert "No mismatch: " in text
+    assert answer(text, "budget").startswith("From noise")
     assert answer(text, "what").startswith("No finding: ")
-    assert answer(text, "where").startswith("On nothing: ")
-    assert "with the findings" not in section(text, "where")
+    assert "nothing notable is missing" in section(text, "budget")
+    assert "--prior" in section(text, "considered")
 
 
-def test_absorbed_effects_are_named_and_markup_is_escaped() -> None:
-    result = dataclasses.replace(diagnosis_of(2.0), options=diagnosis.DiagnosisOptions())
+def test_doubt_withholds_findings_everywhere() -> None:
+    result = diagnosis_of(2.0)
+    withheld = withhold_findings(document(result), [DOUBT])
+    text = diagnosis_page(result, withheld)
+    check_page(text)
+    head = text[: text.index('<section id="budget"')]
+    assert "Findings are withheld" in head and "train.csv: the sign is inverted" in head
+    assert "Partly explained" not in head and "Unexplained" not in head
+    shown = re.sub(r"<details.*?</details>", "", text, flags=re.S)
+    assert "Stribeck" not in shown and "Torque of the effects" not in shown
+    for joint in joint_budgets(withheld, result.identified.model.robot):
+        assert joint.after == joint.before and joint.causes == "findings are withheld"
+    assert "the base model is saved" in answer(text, "better")
+    lines = diagnosis_text(withheld, result.identified.model.robot, [])
+    assert "the sign is inverted" in lines and "Stribeck" not in lines
+
+
+def test_uncertain_effect_of_the_model_is_marked() -> None:
+    result = diagnosis_of(2.0)
+    stated = document(result)
+    doubtful = [f for f in stated["findings"] if f["effect"] == "stribeck"]
+    certain = [f for f in stated["findings"] if f["effect"] != "stribeck"]
+    text = report_of(2.0, findings=certain, considered=[*doubtful, *stated["considered"]])
+    assert "perhaps Stribeck friction" in section(text, "budget")
+    assert "Pale, “perhaps”" in section(text, "budget")
+
+
+def test_small_contributions_are_summed() -> None:
+    result = diagnosis_of(2.0)
+    stated = copy.deepcopy(document(result))
+    stated["budget"]["joint_2"] = {
+        name: {"share": share, "std": 0.01}
+        for name, share in (("stribeck", 0.9), ("delay", 0.02), ("drag", 0.01), ("residual", 0.07))
+    }
+    joint = joint_budgets(stated, result.identified.model.robot)[1]
+    assert joint.causes == "Stribeck friction (97 %), others (3 %)"
+    worse = dataclasses.replace(joint, after=1.1 * joint.before)
+    assert "→" in worse.error and worse.causes == "the effects of the model do not hold here"
+
+
+def test_alternatives_come_with_the_experiment_that_separates_them() -> None:
+    stated = document(diagnosis_of(2.0))
+    first = {**stated["findings"][0], "effect": "hysteresis", "equivalents": ["delay"]}
+    text = report_of(2.0, findings=[first])
+    assert "or delay" in section(text, "what")
+    experiments = section(text, "next")
+    assert "To tell apart delay and presliding hysteresis (joint_2)" in experiments
+    assert "strokes of many small amplitudes" in experiments and "jerky" in experiments
+
+
+def test_unknown_torque_and_session_changes_have_sections() -> None:
+    unknown = {
+        "joint": "joint_1",
+        "where": {
+            "statement": "",
+            "regime": "past load",
+            "response": {
+                "over": "since a load [s]",
+                "relative": True,
+                "x": [0.0, 1.0],
+                "y": [1, 0],
+            },
+        },
+        "share": 0.3,
+        "probability": 0.8,
+        "experiment": "a sharp stop",
+    }
+    change = {"value": 0.2, "std": 0.05, "unit": "N m", "relative": 0.5}
+    session = {"recording": "out/validate.csv", "joint": "joint_2", "coulomb": change}
+    session |= {"viscous": {**change, "relative": 1e5}, "offset": change}
+    changes = {"unknown": [unknown], "between_recordings": [session], "verdict": "partly-explained"}
+    text = report_of(2.0, **changes)
+    check_page(text)
+    assert "30 % of the remaining squared error" in section(text, "unknown").replace("\u00a0", " ")
+    assert "a sharp stop" in section(text, "next")
+    row = section(text, "changes").replace("\u00a0", " ")
+    assert "0.200 ± 0.050 N m (+50 %)" in row and "e+" not in row and "10000000" not in row
+    lines = diagnosis_text(
+        {**document(diagnosis_of(2.0)), **changes}, diagnosis_of(2.0).identified.model.robot, []
+    )
+    assert "30 % of the remaining squared error, by past load" in lines
+    assert "coulomb 0.200 ± 0.050 N m (+50 %)" in lines
+
+
+def test_text_of_the_command() -> None:
+    result = diagnosis_of(2.0)
+    lines = diagnosis_text(document(result), result.identified.model.robot, [Path("report.html")])
+    assert lines.startswith("verdict: ")
+    joints, findings = (part.splitlines()[1:] for part in lines.split("\n\n")[1:3])
+    assert [line.split()[0] for line in joints] == ["joint_1", "joint_2"]
+    stated = {(f["joint"] or "whole") for f in document(result)["findings"]}
+    assert stated == {line.split()[0] for line in findings}
+    assert any("Stribeck" in line and "× residual" in line for line in findings)
+
+
+def test_remarks_are_listed_and_markup_is_escaped() -> None:
+    assert "the data-quality checks have no remark" in answer(report_of(0.0), "made")
+    result = diagnosis_of(0.0)
     model = result.identified.model
     evil = dataclasses.replace(model.robot, name="<b>x</b>")
     changed = dataclasses.replace(result.identified, model=dataclasses.replace(model, robot=evil))
-    text = report_of(dataclasses.replace(result, identified=changed), document(result))
+    text = diagnosis_page(
+        dataclasses.replace(result, identified=changed),
+        document(result),
+        [Remark(RemarkKind.GAP, "a gap of 12 rows", repaired=True)],
+    )
+    assert "1 remark" in answer(text, "made") and "a gap of 12 rows" in section(text, "made")
     assert "<b>x</b>" not in text and "&lt;b&gt;x" in text
-    assert "--prior" in section(text, "apart") and "payload" in section(text, "apart")
 
 
-def test_numbers_in_figures() -> None:
+def test_same_input_gives_the_same_bytes() -> None:
+    assert report_of(2.0) == report_of(2.0)
+
+
+def test_numbers() -> None:
     assert (number(0.005), number(-0.25), number(20.0)) == ("0.005", "−0.25", "20")
-    assert (p_value(0.001), p_value(0.034)) == ("p ≤ 0.001", "p = 0.034")
+    assert [significant(x) for x in (0.2, 0.996, -15.2, 163.0)] == ["0.20", "1.0", "−15", "160"]
+    assert value_with_error(1748.2, 781.0, "N m/rad") == "1750 ± 780 N m/rad"
+    assert value_with_error(0.2634, 0.0971, "1") == "0.263 ± 0.097"

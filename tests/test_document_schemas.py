@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tomllib
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,9 +31,10 @@ from synthetic_recordings import (
 from excite import _json, physical_ranges, recordings
 from excite.cli.main import main
 from excite.collision import scene_file
-from excite.diagnosis import fitted_effects
-from excite.effects import EFFECTS, recorded_motion
-from excite.effects.effect import CandidateModel, RecordingDelay
+from excite.diagnosis import fitted_effects, joint_model
+from excite.effects import EFFECTS, recorded_motion, torque_ripple
+from excite.effects.effect import CandidateModel, Effect, RecordingDelay
+from excite.effects.recorded_motion import RecordedMotion
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.identification import identification, prior, segments
 from excite.robot import inertial_parameters, limits
@@ -752,12 +753,19 @@ def variants(shape: CandidateModel) -> Iterator[CandidateModel]:
         yield shape.delayed(RecordingDelay(0.003, lagging=True), None)
 
 
+def dense_models(effect: Effect, tracks: Sequence[RecordedMotion]) -> list[CandidateModel]:
+    """Return the models of an effect that a diagnosis fits at every joint."""
+    if effect.name == "torque_ripple":
+        return [torque_ripple.wave_model(tracks, 1, 17.3)]
+    return [m for m in joint_model.dense_models(tracks) if m.effect == effect.name]
+
+
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_every_candidate_model_of_the_catalogue_fits_its_schema(effect, tracks, subject):
     """Every form of an effect is written to a model and read back."""
     file = DocumentFile(Path("model.json"), "a model", "diagnose again", "a model.json")
     forms: set[tuple[frozenset[str], float | None]] = set()
-    for shape in effect.candidates(tracks):
+    for shape in (*effect.candidates(tracks), *dense_models(effect, tracks)):
         for variant in variants(shape):
             form = (
                 frozenset(variant.values),

@@ -7,17 +7,13 @@ from collections.abc import Callable
 from itertools import accumulate
 
 import numpy as np
-import pinocchio as pin
 import pytest
-from diagnosis_cases import diagnose_effect
+from diagnosis_cases import motions, simulate_elastic_gear
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import integrate
-from scipy.interpolate import CubicSpline
-from synthetic_recordings import perturbed_parameters, pinocchio_model
 
 from excite._types import FloatArray
-from excite.diagnosis import interval
 from excite.effects import EFFECTS_BY_NAME, gear_dynamics, hysteresis
 from excite.effects.recorded_motion import Grid
 
@@ -82,81 +78,12 @@ def test_motion_in_a_backlash_gap_for_long_recordings_and_low_rates(dt):
     )
 
 
-def simulate_elastic_gear(
-    bodies: pin.Model, stiffness: float, damping: float, t: FloatArray, q: FloatArray, at_rest: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Simulate an elastic gear at the second joint with inverse dynamics of the link's motion.
-
-    Args:
-        bodies: The robot.
-        stiffness: Stiffness of the gear [N m/rad].
-        damping: Damping of the gear [N m s/rad].
-        t: Times. Shape (N,) [s].
-        q: Motor positions. Shape (N, 2) [rad].
-        at_rest: True if the link is initially at rest, else it moves with the motor.
-
-    Returns:
-        Deflection, shape (N,) [rad], and its torque on both joints, shape (N, 2) [N m].
-    """
-    data, zero, e = bodies.createData(), np.zeros(2), np.array([0.0, 1.0])
-    position = CubicSpline(t, q)
-    velocity, acceleration = position.derivative(), position.derivative(2)
-    mass = float(pin.crba(bodies, data, zero)[1, 1])  # inertia of the last link, in any pose
-
-    def derivative(time: float, state: FloatArray) -> FloatArray:
-        load = pin.rnea(
-            bodies,
-            data,
-            position(time) - e * state[0],
-            velocity(time) - e * state[1],
-            acceleration(time),
-        )[1]
-        return np.array([state[1], (load - stiffness * state[0] - damping * state[1]) / mass])
-
-    initial_motion = (zero, zero) if at_rest else (velocity(t[0]), acceleration(t[0]))
-    start = [
-        pin.rnea(bodies, data, q[0], *initial_motion)[1] / stiffness,
-        float(velocity(t[0])[1]) if at_rest else 0.0,
-    ]
-    deflection = integrate.solve_ivp(
-        derivative, (t[0], t[-1]), start, t_eval=t, rtol=1e-7, atol=1e-10
-    ).y.T
-    torque = np.empty_like(q)
-    for k, state in enumerate(deflection):
-        link = pin.rnea(
-            bodies,
-            data,
-            q[k] - e * state[0],
-            velocity(t[k]) - e * state[1],
-            acceleration(t[k]) - e * derivative(t[k], state)[1],
-        )
-        torque[k] = link - pin.rnea(bodies, data, q[k], velocity(t[k]), acceleration(t[k]))
-    return deflection[:, 0], torque
-
-
-@pytest.mark.parametrize("stiffness", [50.0, 60.0, 72.0])
-def test_the_stiffness_of_a_weakly_damped_gear_is_identified_between_grid_values(
-    subject, stiffness
-):
-    bodies = pinocchio_model(
-        subject, perturbed_parameters(subject.parameters, np.random.default_rng(4))
-    )
-    result = diagnose_effect(
-        subject,
-        lambda t, q, dq, tau: simulate_elastic_gear(bodies, stiffness, 0.05, t, q, False)[1],
-    )
-    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("elasticity", 1)]
-    estimate, _ = interval.finding_parameters(result.design, result.verdict, 0)["stiffness"]
-    assert estimate == pytest.approx(stiffness, rel=0.05)
-    assert result.verdict.findings[0].evidence["left"] < 0.25
-
-
 @pytest.mark.parametrize("over", [0.75, 0.9, 1.3])
 def test_a_stiffness_with_a_resonance_above_the_cutoff_is_corrected_by_its_coefficient(
-    subject, over
+    over,
 ):
     """A softer gear with a smaller coefficient looks the same for an excitation near resonance."""
-    motion = diagnose_effect(subject, None).motions[0][0]
+    motion = motions()[0]
     t, q = motion.times, motion.segment.q
     excited = dataclasses.replace(
         motion,
@@ -184,8 +111,8 @@ def test_a_stiffness_with_a_resonance_above_the_cutoff_is_corrected_by_its_coeff
 
 
 @pytest.mark.parametrize("rests", [False, True])
-def test_the_initial_state_of_an_elastic_gear(subject, rests):
-    motion = diagnose_effect(subject, None).motions[1][0]
+def test_the_initial_state_of_an_elastic_gear(rests):
+    motion = motions()[-1]
     assert gear_dynamics.starts_in_motion(motion, 1)  # slowly: the link may be at rest or move
     t, K, ratio = (
         np.arange(len(motion.coarse_samples)) / motion.band.rate_of(Grid.COARSE),
@@ -193,9 +120,7 @@ def test_the_initial_state_of_an_elastic_gear(subject, rests):
         0.02,
     )
     damping = 2.0 * ratio * float(np.sqrt(K * gear_dynamics.link_inertia(motion, 1).mean()))
-    exact = simulate_elastic_gear(
-        motion.fitted_robot.model, K, damping, t, motion.coarse_samples.q, rests
-    )[0]
+    exact = simulate_elastic_gear(K, damping, t, motion.coarse_samples.q, rests)[0]
     matching, other = (
         gear_dynamics.elastic_deflection(motion, 1, K, ratio, which) for which in (rests, not rests)
     )
@@ -207,10 +132,9 @@ def test_the_initial_state_of_an_elastic_gear(subject, rests):
     )
 
 
-def test_backlash_needs_a_load_that_changes_sign(subject):
-    motions = [motion for fold in diagnose_effect(subject, None).motions for motion in fold]
-    assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].candidates(motions)} == {0, 1}
-    preloaded = [dataclasses.replace(motion) for motion in motions]
+def test_backlash_needs_a_load_that_changes_sign():
+    assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].candidates(motions())} == {0, 1}
+    preloaded = [dataclasses.replace(motion) for motion in motions()]
     for motion in preloaded:
         motion.__dict__["rigid_torque"] = motion.rigid_torque + np.array([1e4, 0.0])
     assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].candidates(preloaded)} == {1}

@@ -17,7 +17,9 @@ from synthetic_recordings import (
 from excite._types import FloatArray
 from excite.diagnosis import noise
 from excite.effects import recorded_motion
+from excite.effects.recorded_motion import RecordedMotion
 from excite.identification import identification, segments
+from excite.identification.identification import Identification
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
 from excite.trajectory.fourier import FourierSeries
@@ -34,24 +36,28 @@ def noise_and_residual(
     recording = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
     q = recording.q + change * np.random.default_rng(7).normal(size=recording.q.shape)
     recording = dataclasses.replace(recording, q=np.round(q / step) * step if step else q)
-    done = identification.identify(
-        subject.robot,
-        subject.parameters,
-        subject.base,
-        [recording],
-        [recording],
-        identification.IdentificationOptions(band=20.0),
-        lambda _: None,
+    done = identified(subject, recording)
+    motions = motions_of(done.model, recording, done.psi)
+    residuals = [motion.residual for motion in motions]
+    estimate = noise.estimate_noise(done.model, motions, residuals, [recording])
+    return estimate.floor, np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
+
+
+def identified(subject: IdentificationModel, recording: Recording) -> Identification:
+    """Identify the robot from a recording."""
+    options = identification.IdentificationOptions(band=20.0)
+    return identification.identify(
+        subject.robot, subject.parameters, subject.base, [recording], (), options
     )
-    theta = subject.base.matrix @ done.psi
-    body = recorded_motion.fitted_robot(subject.robot, subject.parameters, done.psi)
-    tracks = recorded_motion.recorded_motions(
-        done.model, body, theta, list(segments.extract_segments([recording], average=False)), 20.0
-    )
-    residual = np.concatenate([t.torque - t.gamma @ theta for t in tracks])
-    return noise.estimate_noise(done, (tracks, tracks), [recording]).floor, np.sqrt(
-        np.mean(residual**2, axis=0)
-    )
+
+
+def motions_of(
+    model: IdentificationModel, recording: Recording, psi: FloatArray
+) -> list[RecordedMotion]:
+    """Return the motions of a recording with the base model of given parameters."""
+    robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
+    pieces = list(segments.extract_segments([recording], average=False))
+    return recorded_motion.recorded_motions(model, robot, model.base.matrix @ psi, pieces, 20.0)
 
 
 @pytest.mark.parametrize(
@@ -109,49 +115,18 @@ def test_the_residual_due_to_timestamp_jitter_grows_with_the_motion(subject, by,
     fast = dataclasses.replace(
         fast, sidecar=dataclasses.replace(fast.sidecar, periodic=(0.0, PERIOD))
     )  # too short to repeat
-    options = identification.IdentificationOptions(band=20.0)
-    done = identification.identify(
-        subject.robot, subject.parameters, subject.base, [slow], [fast], options, lambda _: None
-    )
-    theta, body = (
-        subject.base.matrix @ psi,
-        recorded_motion.fitted_robot(subject.robot, subject.parameters, psi),
-    )
-    folds = [
-        recorded_motion.recorded_motions(
-            done.model,
-            body,
-            theta,
-            list(segments.extract_segments([recording], average=False)),
-            20.0,
-        )
-        for recording in (slow, fast)
-    ]
-    estimate = noise.estimate_noise(done, folds, [slow, fast])
-    level = (
-        np.mean(np.concatenate([t.residual for fold in folds for t in fold]) ** 2, axis=0)
-        / estimate.floor**2
-    )
+    model = identified(subject, slow).model
+    motions = [motion for r in (slow, fast) for motion in motions_of(model, r, psi)]
+    residuals = [motion.residual for motion in motions]
+    estimate = noise.estimate_noise(model, motions, residuals, [slow, fast])
+    level = np.mean(np.concatenate(residuals) ** 2, axis=0) / estimate.floor**2
     assert (level > 2.0).all() == (by > 0.0)  # the floor is that of the slow recording
-    largest, (low, high) = 1.0 + estimate.clock / estimate.floor**2, estimate.bounds
-    assert (
-        (0.85 * low < level).all() and (level < 1.2 * largest).all() and (largest < limit).all()
-    ), (
-        level,
-        largest,
-    )
-    assert high == pytest.approx(np.minimum(largest, 1.0 + noise.MAX_DOUBTFUL_NOISE), rel=1e-3)
+    largest = (estimate.noise_rms / estimate.floor) ** 2
+    assert (level > 0.85).all() and (level < 1.2 * largest).all() and (largest < limit).all()
 
 
-def test_noise_bounds_follow_the_noise_of_the_encoders():
+def test_quantisation_noise_is_part_of_what_a_right_model_leaves():
     estimate = noise.NoiseEstimate(
-        np.array([1.0, 2.0]),
-        "periods",
-        np.array([0.0, 2.0]),
-        np.array([0.6, 0.0]),
-        (),
-        (np.zeros((1, 2)),) * 2,
+        np.array([1.0, 2.0]), "periods", np.array([0.0, 2.0]), np.array([0.6, 0.0])
     )
-    low, high = estimate.bounds
-    assert low == pytest.approx([0.64, 1.0])
-    assert high == pytest.approx([1.36, 1.5])
+    np.testing.assert_allclose(estimate.noise_rms**2, [1.0 + 2.0 * 0.36, 4.0 + 2.0])

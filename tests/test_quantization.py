@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_cases import recordings_of
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_recordings import true_parameters
+from synthetic_recordings import true_parameters, write_recording
 
+import excite
 from excite import recordings
 from excite.diagnosis import noise
 from excite.effects import recorded_motion
@@ -205,8 +208,17 @@ def test_simulated_quantization_residual_has_the_size_of_the_actual_one(tmp_path
     exact, coarse = tracked(1e-9), tracked(RESOLUTION)
     assert coarse[0].segment.smoothed.all() and not exact[0].segment.smoothed.any()
     actual = np.concatenate([a.residual - b.residual for a, b in zip(coarse, exact, strict=True)])
-    simulated = np.concatenate(
-        [half for draw in noise.quantization_residuals(model, (coarse, coarse)) for half in draw]
-    )
+    simulated = np.concatenate(noise.quantization_residuals(model, coarse))
     ratio = np.sqrt(np.mean(simulated**2, axis=0) / np.mean(actual**2, axis=0))
     assert (ratio > 0.45).all() and (ratio < 1.8).all()  # less: smoothing is assumed for both
+
+
+def test_rounded_positions_are_no_effect(tmp_path):
+    files = []
+    for recording in recordings_of(None, (2, 8, 5)):
+        rounded = dataclasses.replace(recording, q=quantized(recording.q, 1, 2e-4))
+        files.append(write_recording(rounded, tmp_path / recording.source))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = excite.diagnose("two_link", files[:2], files[2:], with_report=False)
+    assert not result.findings and result.document()["verdict"] == "no-mismatch"

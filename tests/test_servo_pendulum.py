@@ -117,4 +117,4 @@ def test_load_friction_is_reported_with_static_friction(tmp_path: Path):
     assert (finding["effect"], finding["joint"]) == ("load_friction", "servo")
     # 0.22 in fast motion, 0.33 in slow motion
     assert 0.15 < finding["parameters"]["mu"]["value"] < 0.6
-    assert result.after[0] < 0.65 * result.before[0]
+    assert result.held_out.rmse_after[0] < 0.65 * result.held_out.rmse_before[0]

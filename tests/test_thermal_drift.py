@@ -3,180 +3,148 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
 from diagnosis_cases import (
+    COULOMB,
+    VISCOUS,
+    added_torque,
     at_joint,
-    diagnose_effect,
+    diagnose,
     effect_entry,
+    found,
+    friction_sign,
     model_with_effects,
+    motions,
+    noise_ratios,
+    parameters,
     recordings_of,
 )
 from scipy import integrate
-from synthetic_recordings import FRICTION_WIDTH, perturbed_parameters
 
-from excite.diagnosis import diagnosis, fitted_effects, interval
+from excite._types import FloatArray
+from excite.diagnosis import fitted_effects
+from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME, thermal_drift
 from excite.effects.effect import CandidateModel
 from excite.effects.recorded_motion import Grid, RecordedMotion
 from excite.errors import UnusableInput
-from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
 
 PER_DEGREE = -0.02
 """Relative change of friction per degree [1/K]."""
-TEMPERATURES = (24.0, 30.0), (38.0, 33.0)
-"""Temperature of the first joint at the start and at the end of both recordings [°C]."""
+TEMPERATURES = {2: (24.0, 30.0), 8: (30.0, 33.0), 5: (38.0, 33.0)}
+"""Temperature of the first joint at start and end of each recording, by its seed [°C]."""
 
 
-def warmer_recordings(subject: IdentificationModel, dry: bool) -> list[Recording]:
-    """Return two recordings, the second warmer; only the first joint has a sensor.
+def speed_of(recording: Recording) -> FloatArray:
+    """Return the speed of the first joint, shape (N,)."""
+    return np.asarray(np.gradient(recording.q[:, 0], recording.t))
+
+
+def warmer_recordings(dry: bool) -> list[Recording]:
+    """Return recordings, the last of which is the warmest; only the first joint has a sensor.
 
     dry: Coulomb friction changes as viscous friction does.
     """
-    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
-    coulomb, viscous = (
-        float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous")
-    )
     out = []
-    for recording, (start, end) in zip(recordings_of(subject, None), TEMPERATURES, strict=True):
-        degrees = start + (end - start) * (recording.t - recording.t[0]) / (
-            recording.t[-1] - recording.t[0]
-        )
-        speed = np.gradient(recording.q[:, 0], recording.t)
-        changed = (
-            PER_DEGREE
-            * (degrees - TEMPERATURES[0][0])
-            * (viscous * speed + dry * coulomb * np.tanh(speed / FRICTION_WIDTH))
-        )
+    for recording, (start, end) in zip(
+        recordings_of(None, tuple(TEMPERATURES)), TEMPERATURES.values(), strict=True
+    ):
+        degrees = start + (end - start) * recording.t / recording.t[-1]
+        speed = speed_of(recording)
+        friction = VISCOUS[0] * speed + dry * COULOMB[0] * friction_sign(speed)
+        changed = PER_DEGREE * (degrees - TEMPERATURES[2][0]) * friction
         warm = np.column_stack([degrees, np.full(len(degrees), np.nan)])
         out.append(
-            dataclasses.replace(
-                recording, tau=recording.torque + at_joint(0, changed), temperature=warm
-            )
+            dataclasses.replace(added_torque(recording, at_joint(0, changed)), temperature=warm)
         )
     return out
 
 
+@cache
+def diagnosed_warmer(dry: bool) -> Diagnosis:
+    """Return the diagnosis of recordings at several temperatures."""
+    return diagnose(warmer_recordings(dry))
+
+
 @pytest.mark.parametrize("dry", [True, False])
-def test_temperature_dependent_friction_is_reported_and_predicts_a_warmer_recording(subject, dry):
-    train, held_out = warmer_recordings(subject, dry)
-    result = diagnosis.diagnose(
-        subject.robot, subject.parameters, subject.base, [train], [held_out]
-    )
-    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [
-        ("thermal_drift", 0)
-    ] and not result.unknown
-    assert result.after[0] < 1.3 * result.floor[0] and result.before[0] > 1.5 * result.floor[0]
-    finding = document(result)["findings"][0]
+def test_temperature_dependent_friction_predicts_a_warmer_recording(dry):
+    result = diagnosed_warmer(dry)
+    before, after = noise_ratios(result)
+    assert found(result) == [("thermal_drift", 0)] and not result.unmodelled
+    assert after[0] < 1.3 and before[0] > 1.5
+
+
+@pytest.mark.parametrize("dry", [True, False])
+def test_the_temperature_and_not_time_is_the_cause(dry):
+    (finding, *_) = document(diagnosed_warmer(dry))["findings"]
     assert finding["where"]["statement"] == "joint 'joint_1': friction changes with temperature"
-    assert (
-        finding["where"]["regime"] == "temperature" and "time_constant" not in finding["parameters"]
-    )
-    change, std = interval.finding_parameters(result.design, result.verdict, 0)["change"]
-    span = TEMPERATURES[1][0] - TEMPERATURES[0][0]
+    assert finding["where"]["regime"] == "temperature"
+    assert "time_constant" not in finding["parameters"]
+    change = finding["parameters"]["change"]
+    span = 33.0 - 24.0  # of the training recordings
+    assert PER_DEGREE * span - 2.0 * change["std"] < change["value"] < 0.0
     if dry:
-        assert change == pytest.approx(PER_DEGREE * span, rel=0.1)
-    assert PER_DEGREE * span - 2.0 * std < change < 0.0
+        assert change["value"] == pytest.approx(PER_DEGREE * span, rel=0.1)
 
 
-def test_without_temperature_columns_no_such_effect_is_reported(subject):
-    train, held_out = (
-        dataclasses.replace(recording, temperature=None)
-        for recording in warmer_recordings(subject, True)
-    )
-    result = diagnosis.diagnose(
-        subject.robot, subject.parameters, subject.base, [train], [held_out]
-    )
-    assert all("reference" not in shape.values for shape in result.design.shapes)
-    assert result.after[0] > 1.3 * result.floor[0]
-
-
-def test_a_prediction_needs_the_temperature_column(subject):
+def test_a_prediction_needs_the_temperature_column():
     values = {"reference": 30.0, "coulomb": 1.5, "viscous": 0.8}
-    model, warm = (
-        model_with_effects(
-            subject, (effect_entry("thermal_drift", "joint_1", values, PER_DEGREE),)
-        ),
-        warmer_recordings(subject, True)[1],
-    )
-    without = fitted_effects.predict(model_with_effects(subject, ()), warm)[1]
+    model = model_with_effects(effect_entry("thermal_drift", "joint_1", values, PER_DEGREE))
+    warm = warmer_recordings(True)[-1]
+    without = fitted_effects.predict(model_with_effects(), warm)[1]
     assert np.abs(fitted_effects.predict(model, warm)[1] - without).max() > 0.05
     with pytest.raises(UnusableInput, match=r"5\.csv: .*no column temp\.joint_1"):
         fitted_effects.predict(model, dataclasses.replace(warm, temperature=None))
 
 
-def test_self_heating_follows_the_power_of_friction(subject):
+def test_self_heating_follows_the_power_of_friction():
     """T ϑ̇ = p/p̄ − ϑ over motions that start and end at rest; a model of run time alone would have
     another time constant."""
-    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
-    coulomb, viscous = (
-        float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous")
-    )
-    constant, change, recordings, powers = 4.0, -0.5, [], []
-    for recording in recordings_of(subject, None):
-        speed = np.gradient(recording.q[:, 0], recording.t)
-        friction = coulomb * np.tanh(speed / FRICTION_WIDTH) + viscous * speed
-        recordings.append((recording, friction, friction * speed))
-        powers.append(float(np.mean(friction * speed)))
-    heated_recordings = []
-    for recording, friction, power in recordings:
+    constant, change, heated = 4.0, -0.5, []
+    recordings = recordings_of(None)
+    frictions = [COULOMB[0] * friction_sign(v) + VISCOUS[0] * v for v in map(speed_of, recordings)]
+    powers = [f * speed_of(r) for f, r in zip(frictions, recordings, strict=True)]
+    usual = float(np.mean(np.concatenate(powers)))
+    for recording, friction, power in zip(recordings, frictions, powers, strict=True):
+        t = recording.t
         warm = integrate.solve_ivp(
-            lambda t, x, recording=recording, power=power: (
-                (np.interp(t, recording.t, power) / np.mean(powers) - x) / constant
-            ),
-            (recording.t[0], recording.t[-1]),
+            lambda at, x, t=t, power=power: (np.interp(at, t, power) / usual - x) / constant,
+            (t[0], t[-1]),
             [0.0],
-            t_eval=recording.t,
+            t_eval=t,
             max_step=0.05,
         ).y[0]
-        heated_recordings.append(
-            dataclasses.replace(
-                recording, tau=recording.torque + at_joint(0, change * warm * friction)
-            )
-        )
-    result = diagnosis.diagnose(
-        subject.robot,
-        subject.parameters,
-        subject.base,
-        [heated_recordings[0]],
-        [heated_recordings[1]],
-    )
-    (finding,) = result.verdict.chosen
-    assert (finding.effect, finding.joint) == (
-        "thermal_drift",
-        0,
-    ) and "power" in result.design.shapes[finding.shape].values
-    assert document(result)["findings"][0]["where"]["statement"].endswith(
-        "its own power heats the joint"
-    )
-    estimates = interval.finding_parameters(result.design, result.verdict, 0)
-    assert estimates["time_constant"][0] == pytest.approx(constant, rel=0.1) and estimates[
-        "change"
-    ][0] == pytest.approx(change, rel=0.1)
-    assert result.after[0] < 1.3 * result.floor[0]
+        heated.append(added_torque(recording, at_joint(0, change * warm * friction)))
+    result = diagnose(heated)
+    assert found(result) == [("thermal_drift", 0)] and noise_ratios(result)[1][0] < 1.3
+    statement = document(result)["findings"][0]["where"]["statement"]
+    assert statement.endswith("its own power heats the joint")
+    estimates = parameters(result, "thermal_drift", 0)
+    assert estimates["time_constant"][0] == pytest.approx(constant, rel=0.1)
 
 
-def heated(subject: IdentificationModel, constant: float) -> tuple[RecordedMotion, CandidateModel]:
-    motion = diagnose_effect(subject, None).motions[0][0]
+def self_heating(motion: RecordedMotion, constant: float) -> CandidateModel:
+    """Return the model of self-heating of the first joint with a time constant [s]."""
     shapes = EFFECTS_BY_NAME["thermal_drift"].candidates([motion])
-    return motion, next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(
-        constant
-    )
+    shape = next(s for s in shapes if s.joint == 0 and "power" in s.values)
+    assert shape.nonlinear is not None
+    return shape.nonlinear.at(constant)
 
 
 @pytest.mark.parametrize("constant", [1.0, 4.0, 15.0])
-def test_plausible_self_heating_keeps_friction_positive(subject, constant):
+def test_plausible_self_heating_keeps_friction_positive(constant):
     """Fast at first, then slow: the joint is much warmer than at its mean power."""
-    motion, _ = heated(subject, constant)
+    motion = motions()[0]
     q = motion.segment.q.copy()
     slow = len(q) // 3
     q[slow:] = q[slow] + 0.1 * (q[slow:] - q[slow])
     uneven = dataclasses.replace(motion, segment=dataclasses.replace(motion.segment, q=q))
-    shapes = EFFECTS_BY_NAME["thermal_drift"].candidates([uneven])
-    shape = next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(constant)
+    shape = self_heating(uneven, constant)
     warm = thermal_drift.warming_by_losses(uneven, shape)
     for c in np.linspace(-4.0, -0.01, 200):
         if shape.is_plausible(np.array([c])):
@@ -184,19 +152,19 @@ def test_plausible_self_heating_keeps_friction_positive(subject, constant):
 
 
 @pytest.mark.parametrize("power", [True, False])
-def test_self_heating_continues_over_a_gap_of_the_recording(subject, power):
-    motion, shape = heated(subject, 6.0)
+def test_self_heating_continues_over_a_gap_of_the_recording(power):
+    motion = motions()[0]
+    shape = self_heating(motion, 6.0)
     if not power:
-        shape = dataclasses.replace(
-            shape, values={k: v for k, v in shape.values.items() if k != "power"}
-        )
-    middle, start = len(motion.segment) // 2, motion.segment.start
+        values = {key: value for key, value in shape.values.items() if key != "power"}
+        shape = dataclasses.replace(shape, values=values)
+    segment, middle = motion.segment, len(motion.segment) // 2
     later = dataclasses.replace(
-        motion.segment,
-        q=motion.segment.q[middle:],
-        torque=motion.segment.torque[middle:],
+        segment,
+        q=segment.q[middle:],
+        torque=segment.torque[middle:],
         start=float(motion.times[middle]),
-        recording_start=start,
+        recording_start=segment.start,
     )
     complete, after = (
         shape.columns(
@@ -204,8 +172,8 @@ def test_self_heating_continues_over_a_gap_of_the_recording(subject, power):
                 motion, segment=piece, grid=Grid.RECORDED, kept=slice(0, len(piece))
             )
         )[:, 0, 0]
-        for piece in (motion.segment, later)
+        for piece in (segment, later)
     )
-    inside = slice(200, -200)  # without the ends, which the filter affects
+    inside = slice(80, -80)  # without the ends, which the filter affects
     error = complete[middle:][inside] - after[inside]
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(after[inside] ** 2))

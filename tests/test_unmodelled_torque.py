@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from excite.diagnosis import unmodelled
-from excite.diagnosis.residual_curves import MotionRows
-from excite.diagnosis.unmodelled import MIN_SHARE, MIN_STANDARD_ERRORS
+from excite.diagnosis.motion_rows import MotionRows, block_starts, travel_since_reversal
 
 RATE, SECONDS = 50.0, 40.0
 COUNT = int(RATE * SECONDS)
+MIN_SHARE = 0.05
+"""Share of a residual that noise alone does not predict."""
+MIN_STANDARD_ERRORS = 1.5
+"""Share over its standard error of what is predicted for sure."""
 
 
 def multisine(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -227,7 +230,19 @@ def test_a_single_joint_and_a_joint_at_rest(linear):
         load=0.0 * motion.load,
         motor_torque=0.0 * motion.motor_torque,
     )
-    assert (
-        not predict(noise, at_rest).counts and np.isfinite(predict(noise, at_rest).response.y).all()
-    )
-    assert not predict(0.0 * noise, motion).counts
+    assert predict(noise, at_rest).share < MIN_SHARE
+    assert np.isfinite(predict(noise, at_rest).response.y).all()
+    assert predict(0.0 * noise, motion).share < MIN_SHARE
+
+
+def test_blocks_of_a_motion_last_about_a_second():
+    clock = np.arange(0.0, 10.0, 0.025)
+    np.testing.assert_allclose(np.diff(clock[block_starts(clock, 1.0)]), 1.0)
+
+
+def test_travel_since_reversal_ignores_small_speed_reversals():
+    t = np.linspace(0.0, 2.0 * np.pi, 401)
+    q, dq = np.sin(t), np.cos(t) + 0.001 * (-1.0) ** np.arange(401)
+    distance = travel_since_reversal(q, dq)
+    assert distance.max() == pytest.approx(2.0, abs=0.01)
+    assert distance[130] < 0.15 < distance[60]

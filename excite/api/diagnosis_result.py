@@ -9,11 +9,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from .. import _json
 from .._system.output_files import output_files, output_folder
 from .._system.progress import Progress, logger
-from ..diagnosis import diagnosis, fitted_effects, residual_atlas
+from ..diagnosis import diagnosis
 from ..diagnosis.diagnosis_file import document as diagnosis_document
+from ..diagnosis.diagnosis_file import joint_entry
 from ..identification import identified_model
 from ..identification import prior as prior_module
 from ..recordings import Recording, recording_cost
@@ -40,18 +43,13 @@ class DiagnosisResult:
         diagnosis: Findings, unexplained torque, and the errors on held-out recordings.
         recordings: Recordings that the model is fitted to.
         validation: Held-out recordings.
-        with_report: True if the residual is analysed for a report.
+        with_report: True if a report is written.
     """
 
     diagnosis: diagnosis.Diagnosis
     recordings: tuple[Recording, ...]
     validation: tuple[Recording, ...]
     with_report: bool = True
-
-    @cached_property
-    def atlas(self) -> residual_atlas.Atlas | None:
-        """Residual over every quantity that it may depend on; None without a report."""
-        return residual_atlas.compute_atlas(self.diagnosis) if self.with_report else None
 
     @property
     def doubts(self) -> list[dict[str, Any]]:
@@ -60,7 +58,7 @@ class DiagnosisResult:
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        document = diagnosis_document(self.diagnosis, self.atlas)
+        document = diagnosis_document(self.diagnosis)
         return withhold_findings(document, self.doubts) if self.doubts else document
 
     def document(self) -> dict[str, Any]:
@@ -75,12 +73,11 @@ class DiagnosisResult:
     def model(self) -> dict[str, Any]:
         """Return the content of `model.json`: parameters with and without the findings."""
         plain = self.diagnosis.identified
-        refitted = None if self.doubts else self.diagnosis.refitted
-        out = identified_model.model_document(refitted or plain, self.recordings)
-        out["effects"] = [
-            fitted_effects.entry(part, plain.model.robot)
-            for part in (() if self.doubts else self.diagnosis.parts)
-        ]
+        out = (
+            identified_model.model_document(plain, self.recordings)
+            if self.doubts
+            else self.diagnosis.final.document(self.recordings)
+        )
         out["without_effects"] = dict(
             zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)
         )
@@ -90,11 +87,10 @@ class DiagnosisResult:
         """Return the report as HTML."""
         from .. import report  # slow to import
 
-        atlas = self.atlas or residual_atlas.compute_atlas(self.diagnosis)
         remarks = [
             r for recording in (*self.recordings, *self.validation) for r in recording.remarks
         ]
-        return report.diagnosis_page(self.diagnosis, self._document, atlas, remarks)
+        return report.diagnosis_page(self.diagnosis, self._document, remarks)
 
     def contents(self) -> dict[str, str]:
         """Return the files of the diagnosis by name."""
@@ -130,7 +126,7 @@ class DiagnosisResult:
 def withhold_findings(
     document: Mapping[str, Any], doubts: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return a diagnosis without findings at single joints, because a recording is in doubt.
+    """Return a diagnosis without findings and changes at joints, because a recording is in doubt.
 
     If a column may hold another quantity than assumed, a residual is no evidence about a joint. The
     withheld findings are listed among those that were considered.
@@ -148,8 +144,23 @@ def withhold_findings(
         **document,
         "verdict": "unexplained" if verdict == "no-mismatch" else verdict,
         "findings": kept,
-        "considered": [*withheld, *document["considered"]],
+        "considered": [
+            {**entry, "modelled": False} for entry in (*withheld, *document["considered"])
+        ],
         "unknown": [],
+        "between_recordings": [],
+        "joints": {
+            joint: joint_entry(
+                entry["noise_floor"],
+                entry["noise_floor_method"],
+                entry["rmse_before"],
+                entry["rmse_before"],
+            )
+            for joint, entry in document["joints"].items()
+        },
+        "model_check": {j: entry["rmse_before"] for j, entry in document["joints"].items()},
+        "budget": {joint: {"residual": {"share": 1.0, "std": 0.0}} for joint in document["joints"]},
+        "parameters": [],
         "doubts": [dict(doubt) for doubt in doubts],
     }
 
@@ -180,7 +191,7 @@ def diagnose(
         trajectory: The `trajectory.json` that was executed, or several: each recording takes
             period, window and commanded positions from the one that it holds.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
-        with_report: Analyse the residual for the report, which takes a third of the time.
+        with_report: Write a report.
         progress: Called with each line of progress; None: the logger "excite" at level INFO.
 
     Raises:
@@ -200,5 +211,6 @@ def diagnose(
     )
     recording_cost.require_diagnosable([*train, *held_out], report)
     options = diagnosis.DiagnosisOptions(band, trusted)
-    result = diagnosis.diagnose(loaded, standard, base, train, held_out, options, report)
+    with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+        result = diagnosis.diagnose(loaded, standard, base, train, held_out, options, report)
     return DiagnosisResult(result, tuple(train), tuple(held_out), with_report)

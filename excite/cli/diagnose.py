@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,16 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
+from ..report.formatting import significant
+from ..report.torque_budget import (
+    change_words,
+    effect_words,
+    joint_budgets,
+    parameter_words,
+    probability_words,
+    sorted_findings,
+)
+from ..robot.robot import Robot
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
@@ -31,68 +42,84 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
     written = output.replace(result.contents())
     document = result.document()
-    return 0, with_files(document, written), _text(document, written)
+    robot_of_model = result.diagnosis.identified.model.robot
+    return 0, with_files(document, written), diagnosis_text(document, robot_of_model, written)
 
 
-def _change_text(change: dict[str, Any]) -> str:
-    share = change.get("relative")
-    return f"{change['value']:+.3g} ± {change['std']:.2g} {change['unit']}" + (
-        "" if share is None else f" ({100 * share:+.0f} %)"
-    )
+def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) -> str:
+    """Return a diagnosis in lines of text.
 
-
-def _gear_text(joint: str, gear: dict[str, Any]) -> str:
-    estimates = {
-        "stiffness": gear["stiffness"],
-        "lost motion": gear["lost_motion"],
-        "difference of the readings": gear["read_apart"],
-    }
-    words = [
-        f"{name} {v['value']:.3g} ± {v['std']:.2g} {v['unit']}"
-        for name, v in estimates.items()
-        if v is not None
-    ]
-    return f"two encoders at {joint}: {', '.join(words)}"
-
-
-def _text(document: dict[str, Any], written: list[Path]) -> str:
+    Args:
+        document: Content of `diagnosis.json`.
+        robot: The robot.
+        written: Files that were written.
+    """
     lines = [f"verdict: {document['verdict']}"]
     doubts = document.get("doubts", [])
     if doubts:
-        lines.append(
-            "the recordings are doubted; until that is resolved, no effect at a single joint is "
-            "reported:"
-        )
+        lines += ["", "the recordings are in doubt, so findings at single joints are withheld:"]
         lines += [f"  {Path(doubt['recording']).name}: {doubt['text']}" for doubt in doubts]
-    for finding in document["findings"]:
-        place = finding["joint"] or "the whole robot"
-        values = ", ".join(
-            f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}"
-            for key, v in finding["parameters"].items()
+    budgets = joint_budgets(document, robot)
+    lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
+    lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
+    if document["findings"]:
+        lines += [
+            "",
+            "findings: probability, size over the residual torque, parameters with standard errors",
+        ]
+        lines += _aligned([_finding(finding) for finding in sorted_findings(document)])
+    if document["unknown"]:
+        lines += ["", "torque that repeats with the motion and that no effect explains:"]
+        lines += _aligned(
+            [
+                (
+                    u["joint"],
+                    f"{100 * u['share']:.0f} % of the remaining squared error, by "
+                    f"{u['where']['regime']}",
+                    f"probability {probability_words(u['probability'])}",
+                )
+                for u in document["unknown"]
+            ]
         )
-        alternatives = finding["equivalents"]
-        alternatives_text = f" (or {', '.join(alternatives)})" if alternatives else ""
-        missing = finding.get("not_shown", [])
-        missing_text = f"; not shown: {', '.join(missing)}" if missing else ""
-        lines.append(
-            f"{finding['effect']}{alternatives_text} at {place}, "
-            f"probability {finding['probability']:.2f}: {values}{missing_text}"
+    if document["between_recordings"]:
+        lines += ["", "friction and offsets that differ between the recordings:"]
+        lines += _aligned(
+            [
+                (
+                    c["joint"],
+                    Path(c["recording"]).name,
+                    ", ".join(f"{kind} {change_words(c[kind])}" for kind in KINDS),
+                )
+                for c in document["between_recordings"]
+            ]
         )
-    physics = [u for u in document["unknown"] if u["where"]["regime"] != "recording"]
-    lines += [
-        f"unknown at {entry['joint']}: {100 * entry['share']:.0f} % of the residual is repeatable"
-        for entry in physics
+    if document["encoders"]:
+        lines += ["", "two encoders:"]
+        lines += _aligned([(j, _gear(gear)) for j, gear in document["encoders"].items()])
+    return "\n".join([*lines, "", *written_lines(written)])
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines with the columns of a table."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  " + "  ".join(map(str.ljust, row, widths)).rstrip()  # the last column is not padded
+        for row in rows
     ]
-    for change in document["between_recordings"]:
-        values = ", ".join(f"{kind} {_change_text(change[kind])}" for kind in KINDS)
-        lines.append(
-            f"different friction or offset at {change['joint']} in "
-            f"{Path(change['recording']).name}: {values}"
-        )
-    lines += [_gear_text(joint, gear) for joint, gear in document["encoders"].items()]
-    lines.append(f"{'joint':25}{'before':>11}{'after':>11}{'noise':>11}")
-    lines += [
-        f"{j:25}{v['rmse_before']:11.4g}{v['rmse_after']:11.4g}{v['noise_floor']:11.4g}"
-        for j, v in document["joints"].items()
-    ]
-    return "\n".join([*lines, *written_lines(written)])
+
+
+def _finding(finding: Mapping[str, Any]) -> tuple[str, ...]:
+    """Joint, effect with its alternatives, probability, size and parameters."""
+    return (
+        finding["joint"] or "whole robot",
+        " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"])),
+        probability_words(finding["probability"]),
+        f"{significant(finding['evidence']['severity'])} × residual",
+        parameter_words(finding["parameters"]),
+    )
+
+
+def _gear(gear: Mapping[str, Any]) -> str:
+    """Gear parameters with standard errors."""
+    names = ("stiffness", "lost_motion", "read_apart")
+    return parameter_words({name: gear[name] for name in names if gear[name] is not None})

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..identification import segments
+from ..identification import position_bandwidth, segments
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO
 from ..identification.segments import RecordingSegment
+from ..robot.robot import Robot
 
 MIN_CUTOFF = 20.0
 """Smallest cutoff frequency [Hz]."""
@@ -29,18 +30,29 @@ MIN_REMAINING_SHARE = 0.02
 CUTOFF_MARGIN = 1.2
 """Cutoff over the frequency of the highest line."""
 MAX_RATE_SHARE = 0.4
-"""Largest share of the sample rate that the bandwidth of the motion may take."""
+"""Largest cutoff, or bandwidth of the motion, over the sample rate."""
 
 
-def needed_hertz(pieces: Sequence[RecordingSegment]) -> float:
-    """Return the cutoff frequency that the longest segment needs [Hz].
+def chosen_hertz(pieces: Sequence[RecordingSegment], robot: Robot) -> float:
+    """Return the cutoff frequency that the longest segment needs and its positions permit [Hz].
+
+    Args:
+        pieces: Segments of the recordings.
+        robot: The robot.
+    """
+    longest = max(pieces, key=len)
+    carried = position_bandwidth.position_bandwidth(longest, robot)
+    return min(_needed_hertz(longest), carried, MAX_RATE_SHARE * longest.rate)
+
+
+def _needed_hertz(longest: RecordingSegment) -> float:
+    """Cutoff frequency that a segment needs [Hz].
 
     It includes the harmonics of the motion, and spectral lines above it that carry much of a
     joint's torque, as of a gear or motor that turns steadily.
     """
     from scipy import signal  # slow to import
 
-    longest = max(pieces, key=len)
     if longest.rate <= 2.5 * MIN_CUTOFF:
         return MIN_CUTOFF
     needed = MOTION_MULTIPLE * segments.motion_bandwidth(longest)

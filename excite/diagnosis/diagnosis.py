@@ -1,71 +1,56 @@
-"""Diagnosis of a robot from recordings: the effects that the base model lacks."""
+"""Diagnosis of a robot from recordings: the effects that the base model lacks.
+
+The training recordings decide everything: the joint model (`joint_model`), its rare effects
+(`selection`), which effects are needed (`posterior`), their probabilities (`probability`), what
+remains (`unmodelled`) and the saved model (`final_model`). The held-out recordings are read once,
+at the end, by the saved model.
+"""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from .._types import BoolArray, FloatArray
 from ..effects import recorded_motion
-from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..errors import UnusableInput
-from ..identification import identification, segments, simulation_error
+from ..identification import identification, segments
 from ..identification.identification import Identification
-from ..identification.simulation_error import SimulationError
 from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from . import (
     bandwidth,
-    belief,
-    course,
-    equations,
-    fitted_effects,
+    budget,
+    cross_validation,
+    estimates,
+    final_model,
     gear_encoders,
-    held_out_test,
-    hypothesis,
-    judge,
-    late,
+    joint_model,
+    model_check,
     noise,
-    residual_curves,
-    search,
+    posterior,
+    selection,
     session_changes,
     unmodelled,
 )
-from .course import Course, Progress
-from .fitted_effects import FittedEffect
+from .budget import TorqueBudget
+from .estimates import EffectEstimate
+from .final_model import FinalModel
 from .gear_encoders import GearEstimate
-from .judge import Finding, Verdict
-from .search import EffectRegression
+from .joint_model import JointModel
+from .regression import rms
 from .session_changes import SessionChange
-from .unmodelled import ResidualPrediction
+from .unmodelled import UnmodelledTorque
 
+Progress = Callable[[str], None]
+"""Receives a line of text at each stage."""
 EXPLAINED_RMSE_RATIO = 1.2
-"""RMSE over the expected RMSE up to which a joint counts as explained (the contract's value)."""
-MAX_UNKNOWN_NOISE_SHARE = 0.15
-"""RMSE over the torque from which a residual counts if no repeated period shows the noise."""
-UNEXPECTED_RMSE_RATIO = 1.6
-"""RMSE over a right model's from which a residual counts though no flexible model predicts it. The
-largest ratio in 90 simulated robots without any effect is 1.44, with timestamp jitter."""
-MIN_PREDICTED_SHARE = 0.03
-"""Torque that a doubted finding explains or a flexible model predicts, over the torque, from which
-it counts if no repeated period shows the noise."""
-DOUBTED = 0.5
-"""RMS that doubted findings explain, over the noise floor, from which the joint is reported as
-unknown. In 65 simulated robots without any effect there was no doubted finding."""
-MIN_GENUINE_SHARE = 0.75
-"""Share of a doubted finding's gain that encoder quantisation must not mimic if the finding is to
-count."""
-MAX_UNEXPLAINED_SHARE = 0.0625
-"""Share of the mean square beyond the noise that may remain unexplained next to a finding before
-the joint is reported as unknown: a quarter in RMS."""
-MAX_HELD_OUT_SHARE = 0.2
-"""The same on the held-out recordings, beyond what a right model would leave."""
+"""RMSE over the noise floor up to which a joint counts as explained (the contract's value)."""
 
 
 @dataclass(frozen=True)
@@ -85,170 +70,88 @@ class DiagnosisOptions:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
-    """Result of a diagnosis. Arrays of shape (n,) have one value a joint.
+class HeldOutErrors:
+    """Errors of the base model and of the saved model on held-out recordings.
 
     Attributes:
-        identified: The base model.
+        motions: The held-out motions, with the saved base model.
+        torque: Measured torque, shape (N, n) [N m].
+        base: Residual of the base model, shape (N, n) [N m].
+        final: Residual of the saved model, shape (N, n) [N m].
+        moving: Rows that count, shape (N, n).
+        rmse_before: RMSE of the base model, shape (n,) [N m].
+        rmse_after: RMSE of the saved model, shape (n,) [N m].
+    """
+
+    motions: tuple[RecordedMotion, ...]
+    torque: FloatArray
+    base: FloatArray
+    final: FloatArray
+    moving: BoolArray
+    rmse_before: FloatArray
+    rmse_after: FloatArray
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of a diagnosis.
+
+    Attributes:
+        identified: The base model without effects.
         options: Options.
         hertz: Cutoff frequency [Hz].
-        motions: Motions of the training and of the held-out recordings.
-        design: The effect regression.
-        verdict: Findings.
-        floor: RMS noise below the cutoff [N m], shape (n,).
+        model: The joint model of the training recordings.
+        effects: All effects that were considered, the most probable first.
+        final: The model that is saved.
+        floor: RMS noise below the cutoff, shape (n,) [N m].
         method: How the noise was found: "periods" or "differences".
-        before: RMSE of the base model on the held-out recordings [N m], shape (n,).
-        after: RMSE of the model with the findings there [N m], shape (n,).
-        residuals: Held-out torque minus that of either model [N m], shapes (N, n).
-        refitted: Base model of the recordings without the findings.
-        ahead: Errors of positions simulated from held-out torque by the base model, and by it with
-            the findings; None if no window is long enough.
-        expected: RMSE that a right model would have on the held-out recordings: noise, encoder
-            quantisation, and the uncertainty of the base parameters [N m], shape (n,).
-        fitted: RMSE of the base model fitted to all recordings, alone and with the findings
-            [N m], shapes (n,).
-        noise_rms: The same of a right model [N m], shape (n,).
-        residual_predictions: By joint: prediction of the residual by a flexible model.
-        doubted: RMS torque that doubted findings explain [N m], shape (n,).
+        noise_rms: RMS that a right model may leave, with encoder quantisation and timestamp jitter,
+            shape (n,) [N m].
+        residual: RMS residual of the joint model on the training recordings, shape (n,) [N m].
+        unmodelled: Torque that no effect explains, by joint.
+        held_out: Errors on the held-out recordings.
+        budget: What each effect explains of the held-out torque.
+        changes: Changes of friction between recordings.
         gears: Gear parameters of joints with two encoders.
-        changes: Changes of the joint actuators between recordings.
-        change_rms: RMS of the held-out residual that these changes explain [N m], shape (n,).
     """
 
     identified: Identification
     options: DiagnosisOptions
     hertz: float
-    motions: tuple[list[RecordedMotion], list[RecordedMotion]]
-    design: EffectRegression
-    verdict: Verdict
+    model: JointModel
+    effects: tuple[EffectEstimate, ...]
+    final: FinalModel
     floor: FloatArray
     method: str
-    before: FloatArray
-    after: FloatArray
-    residuals: tuple[FloatArray, FloatArray]
-    refitted: Identification | None = None
-    ahead: tuple[SimulationError | None, SimulationError | None] = (None, None)
-    expected: FloatArray = field(default_factory=lambda: np.zeros(0))
-    fitted: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0))
-    noise_rms: FloatArray = field(default_factory=lambda: np.zeros(0))
-    residual_predictions: Mapping[int, ResidualPrediction] = field(default_factory=dict)
-    doubted: FloatArray = field(default_factory=lambda: np.zeros(0))
-    gears: tuple[GearEstimate, ...] = ()
+    noise_rms: FloatArray
+    residual: FloatArray
+    unmodelled: tuple[UnmodelledTorque, ...]
+    held_out: HeldOutErrors
+    budget: TorqueBudget
     changes: tuple[SessionChange, ...] = ()
-    change_rms: FloatArray = field(default_factory=lambda: np.zeros(1))
+    gears: tuple[GearEstimate, ...] = ()
 
     @property
-    def parts(self) -> tuple[FittedEffect, ...]:
-        """The fitted effects that are added to the base model."""
-        return fitted_effects.parts(self.design, self.verdict.together)
+    def findings(self) -> tuple[EffectEstimate, ...]:
+        """The effects that are asserted."""
+        return tuple(effect for effect in self.effects if effect.asserted)
 
     @property
-    def credible_doubts(self) -> tuple[Finding, ...]:
-        """Doubted findings that encoder quantisation cannot mimic: some effect is there."""
-        return _credible_doubts(self.design, self.verdict)
-
-    @property
-    def moving(self) -> BoolArray:
-        """Rows at which the held-out torque is judged, shape (N, n)."""
-        return _moving_rows(self.motions[1])
-
-    @property
-    def has_effect(self) -> BoolArray:
-        """Joints on which a finding acts, shape (n,)."""
-        together = self.verdict.together
-        acting = [
-            hypothesis.acting(self.design, together, f.main.shape)
-            for f in self.verdict.findings
-            if together is not None
-        ]
-        return np.any([np.zeros(len(self.floor), bool), *acting], axis=0)
-
-    @property
-    def torque(self) -> FloatArray:
-        """RMS of the held-out torque at these rows [N m], shape (n,)."""
-        torque = np.concatenate([motion.torque for motion in self.motions[1]])
-        return np.sqrt(search.mean_square(torque, self.moving))
-
-    @property
-    def rmse_without_changes(self) -> FloatArray:
-        """RMSE on the held-out recordings without session changes [N m], shape (n,)."""
-        return np.asarray(np.sqrt(np.maximum(self.after**2 - self.change_rms**2, 0.0)))
-
-    @property
-    def systematic(self) -> FloatArray:
-        """Systematic share 1 − (floor/before)², shape (n,)."""
-        return np.maximum(1.0 - (self.floor / np.maximum(self.before, 1e-300)) ** 2, 0.0)
-
-    @property
-    def unexplained(self) -> FloatArray:
-        """Unexplained share 1 − (floor/after)², shape (n,)."""
-        return np.maximum(1.0 - (self.floor / np.maximum(self.after, 1e-300)) ** 2, 0.0)
-
-    @property
-    def unknown(self) -> list[int]:
-        """Joints with unmodelled torque, or whose actuator has changed in the held-out session."""
-        return [
-            int(j) for j in np.flatnonzero(self.has_unmodelled_torque | self.has_session_change)
-        ]
-
-    @property
-    def has_unmodelled_torque(self) -> BoolArray:
-        """Joints with a residual that no finding explains, shape (n,).
-
-        The residual counts if a flexible model predicts it, or a doubted finding explains it, or it
-        is far larger than the noise (or 20 % larger where a finding acts), or held-out torque is
-        predicted worse than without findings. In addition it must be a large part of the residual
-        of the base model. Joints at which several findings are unlikely to be all right count too.
-        What session changes explain is not included.
-        """
-        base_rmse, rmse = self.fitted
-        counts = (rmse > UNEXPECTED_RMSE_RATIO * self.noise_rms) | (
-            self.doubted > DOUBTED * self.floor
-        )
-        floor = self.floor.copy()
-        exceeds_expected = self.rmse_without_changes > UNEXPECTED_RMSE_RATIO * self.expected
-        counts |= (self.after**2 > held_out_test.WORSE * self.before**2) & exceeds_expected
-        # a finding that leaves more than noise is not, or not all, of what is there
-        counts |= self.has_effect & (rmse > EXPLAINED_RMSE_RATIO * self.noise_rms)
-        explained = self.doubted.copy()
-        for j, prediction in self.residual_predictions.items():
-            # what is predicted is not noise, though it may differ in each period, as the
-            # oscillation of a load does by its initial state
-            if prediction.counts:
-                predicted = np.sqrt(prediction.share) * rmse[j]
-                floor[j] = min(floor[j], np.sqrt(1.0 - prediction.share) * rmse[j])
-                explained[j] = max(explained[j], predicted)
-                counts[j] |= predicted > hypothesis.SMALLEST * floor[j]
-        if self.method != "periods":  # the floor is a lower bound: only a large residual counts
-            motions = [motion for half in self.motions for motion in half]
-            torque = np.sqrt(
-                np.mean(np.concatenate([motion.torque for motion in motions]) ** 2, axis=0)
-            )
-            counts &= (rmse > MAX_UNKNOWN_NOISE_SHARE * torque) | (
-                explained > MIN_PREDICTED_SHARE * torque
-            )
-        held_out_share = _unexplained_share(self.before, self.rmse_without_changes, self.expected)
-        on_held_out = exceeds_expected & (held_out_share > MAX_HELD_OUT_SHARE)
-        on_all = _unexplained_share(base_rmse, rmse, floor) > MAX_UNEXPLAINED_SHARE
-        return np.asarray(
-            (counts & (on_held_out | on_all)) | belief.unsure(self.verdict, len(floor))
+    def considered(self) -> tuple[EffectEstimate, ...]:
+        """The effects that are not asserted but had some evidence."""
+        return tuple(
+            effect
+            for effect in self.effects
+            if not effect.asserted and (effect.needed or effect.log_bayes_factor > 0.0)
         )
 
     @property
-    def has_session_change(self) -> BoolArray:
-        """Joints whose held-out torque differs by a session change, shape (n,)."""
-        out = np.zeros(len(self.floor), bool)
-        held_out = {motion.segment.source for motion in self.motions[1]}
-        for change in self.changes:
-            out[change.joint] |= change.source in held_out and change.is_significant
-        return out & (self.after > EXPLAINED_RMSE_RATIO * self.noise_rms)
-
-    @property
-    def name(self) -> str:
+    def verdict(self) -> str:
         """Verdict: "no-mismatch", "explained", "partly-explained" or "unexplained"."""
-        if not self.verdict.findings:
-            return "unexplained" if self.unknown else "no-mismatch"
-        if self.unknown or bool((self.after > EXPLAINED_RMSE_RATIO * self.expected).any()):
+        if not self.findings:
+            return "unexplained" if self.unmodelled else "no-mismatch"
+        allowed = EXPLAINED_RMSE_RATIO * np.maximum(self.noise_rms, self.residual)
+        if self.unmodelled or bool((self.held_out.rmse_after > allowed).any()):
             return "partly-explained"
         return "explained"
 
@@ -283,259 +186,100 @@ def diagnose(
             "give one that is not among the training recordings"
         )
     pieces = [list(segments.extract_segments(group, average=False)) for group in (train, validate)]
-    hertz = options.band or bandwidth.needed_hertz([*pieces[0], *pieces[1]])
+    hertz = options.band or bandwidth.chosen_hertz(pieces[0], robot)
     settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
-    identified = identification.identify(
-        robot, parameters, base, train, validate, settings, progress
-    )
-    psi = equations.kept(identified.psi, options.trusted)
+    identified = identification.identify(robot, parameters, base, train, (), settings, progress)
+    psi = joint_model.initial_parameters(identified)
     fitted_robot = recorded_motion.fitted_robot(robot, parameters, psi)
-    halves = tuple(
+    halves = [
         recorded_motion.recorded_motions(
             identified.model, fitted_robot, base.matrix @ psi, group, hertz
         )
         for group in pieces
-    )
+    ]
     for group, motions in zip((train, validate), halves, strict=True):
         if not motions:
             raise UnusableInput(
                 f"{group[0].source}: the recording is too short for a cutoff frequency of "
                 f"{hertz:g} Hz; record at least two seconds"
             )
-    noise_estimate = noise.estimate_noise(identified, halves, [*train, *validate])
-    progress("columns of the catalogue")
-    selection = course.run(
-        identified, (halves[0], halves[1]), noise_estimate, options.trusted, options.names, progress
+    progress("fitting all frictions jointly, then rare effects")
+    model, rare = selection.find_rare_effects(
+        identified, halves[0], bool(options.trusted), options.names, progress
     )
-    regression, noise_estimate, scale = selection.one, selection.noisy, selection.scale
-    verdict = held_out_test.tested(
-        regression,
-        selection.verdict,
-        _moving_rows(halves[1]),
-        (noise_estimate.floor / scale) ** 2,
-    )
-    refitted = None
-    if verdict.findings:
-        progress("base model of the recordings without the findings")
-        regression, verdict, refitted = _refit_base(
-            regression,
-            verdict,
-            identified,
-            halves,
-            (train, validate),
-            settings,
-            options,
-            noise_estimate.floor,
-            scale,
-        )
-    out = _assess(
-        dataclasses.replace(selection, one=regression, verdict=verdict),
-        identified,
-        refitted,
-        (halves[0], halves[1]),
-        options,
-        hertz,
-    )
-    out = dataclasses.replace(out, gears=gear_encoders.gears(halves, (train, validate)))
-    if out.refitted is None:
-        return out
-    progress("simulating ahead")
-    cleaned = [fitted_effects.removed(out.parts, r, halves[1]) for r in validate]
-    return dataclasses.replace(
-        out,
-        ahead=(
-            _simulation_error(identified, validate, hertz),
-            _simulation_error(out.refitted, cleaned, hertz),
-        ),
-    )
-
-
-def _refit_base(
-    regression: EffectRegression,
-    verdict: Verdict,
-    identified: Identification,
-    halves: Sequence[list[RecordedMotion]],
-    recordings: tuple[Sequence[Recording], Sequence[Recording]],
-    settings: identification.IdentificationOptions,
-    options: DiagnosisOptions,
-    floor: FloatArray,
-    scale: FloatArray,
-) -> tuple[EffectRegression, Verdict, Identification]:
-    """Fit the base model to the recordings without the findings, and the findings to that model."""
-    model, effects = identified.model, fitted_effects.parts(regression, verdict.together)
-    cleaned = [
-        [fitted_effects.removed(effects, r, motions) for r in group]
-        for group, motions in zip(recordings, halves, strict=True)
-    ]
-    refitted = identification.identify(
-        model.robot, model.parameters, model.base, cleaned[0], cleaned[1], settings, lambda _: None
-    )
-    fitted_robot = recorded_motion.fitted_robot(
-        model.robot, model.parameters, equations.kept(refitted.psi, options.trusted)
-    )
-    renewed = [
-        [dataclasses.replace(motion, fitted_robot=fitted_robot) for motion in motions]
-        for motions in halves
-    ]
-    effect_names = {f.main.effect for f in verdict.findings}
-    regression, verdict = _refit_findings(
-        regression,
-        verdict,
-        equations.shapes(renewed, bool(options.trusted), floor, effect_names),
-        equations.builder(renewed, scale),
-    )
-    return regression, verdict, refitted
-
-
-def _assess(
-    selection: Course,
-    identified: Identification,
-    refitted: Identification | None,
-    motions: tuple[list[RecordedMotion], list[RecordedMotion]],
-    options: DiagnosisOptions,
-    hertz: float,
-) -> Diagnosis:
-    """Compute probabilities, and the errors of the findings on the held-out recordings."""
-    regression, estimate, scale = selection.one, selection.noisy, selection.scale
-    floor = estimate.floor
-    verdict = belief.weighed(regression, selection.verdict, (floor / scale) ** 2, estimate.bounds)
-    selection = dataclasses.replace(selection, verdict=verdict)
-    before, after = held_out_test.residuals(regression, verdict.together, scale)
-    fitted = course.rms(regression, (), scale), course.rms(regression, verdict.named, scale)
-    noise_rms = estimate.noise_rms
-    expected = np.sqrt(noise_rms**2 + held_out_test.reach(regression, scale) ** 2)
-    moving = _moving_rows(motions[1])
-    rmse = [np.sqrt(search.mean_square(r, moving)) for r in (before, after)]
-    is_large = (
-        (fitted[1] ** 2 > MAX_UNEXPLAINED_SHARE * fitted[0] ** 2)
-        | (rmse[1] > UNEXPECTED_RMSE_RATIO * expected)
-        | belief.unsure(verdict, len(floor))
-        | selection.differing
-    )
-    remaining = search.remaining(regression, verdict.named) * scale
-    predictions = _predict_residuals(remaining, motions, np.flatnonzero(is_large))
-    credible = _credible_doubts(regression, verdict)
-    with_doubts = (*verdict.named, *(part.shape for f in credible for part in f.parts))
-    rms_with_doubts = course.rms(regression, with_doubts, scale)
-    doubted = np.sqrt(np.maximum(fitted[1] ** 2 - rms_with_doubts**2, 0.0))
-    changes = (
-        session_changes.changes(regression, selection.shapes, motions)
-        if selection.differing
-        else ()
-    )
-    without_changes = search.mean_square(
-        held_out_test.levelled(regression, after / scale) * scale, moving
-    )
+    progress("evidence of each effect")
+    left_out, evidence = posterior.select(model)
+    left_out = cross_validation.without_unpredictive(model, left_out, evidence)
+    effects = estimates.estimate_effects(model, rare, left_out, evidence)
+    progress("base model of the recordings without the effects")
+    final = final_model.fit(identified, model, left_out, train, progress)
+    residual = model.regression.residual(model.regression.without(left_out))
+    residual = np.where(model.regression.moving, residual, 0.0)
+    parts = recorded_motion.split_by_motion(residual, model.motions)
+    floor = noise.estimate_noise(identified.model, model.motions, parts, train)
+    remaining = unmodelled.find(model, residual, floor)
+    effects = estimates.with_unmodelled(effects, model, remaining)
+    progress("held-out recordings")
+    renewed, torques = final_model.effect_torques(final, halves[1])
+    held_out = _held_out_errors(final, train, validate, halves[1], renewed)
     return Diagnosis(
         identified,
         options,
         hertz,
-        motions,
-        regression,
-        verdict,
-        floor,
-        estimate.method,
-        rmse[0],
-        rmse[1],
-        (before, after),
-        refitted if verdict.findings else None,
-        expected=expected,
-        fitted=fitted,
-        noise_rms=noise_rms,
-        residual_predictions=predictions,
-        doubted=doubted,
-        changes=changes,
-        change_rms=np.sqrt(np.maximum(rmse[1] ** 2 - without_changes, 0.0)),
+        model,
+        tuple(effects),
+        final,
+        floor.floor,
+        floor.method,
+        floor.noise_rms,
+        rms(residual, model.regression.moving),
+        tuple(remaining),
+        held_out,
+        budget.torque_budget(identified, halves[0], final, effects, held_out, torques),
+        tuple(_changes(final, held_out)),
+        gear_encoders.gears(halves, (train, validate)),
     )
 
 
-def _credible_doubts(regression: EffectRegression, verdict: Verdict) -> tuple[Finding, ...]:
-    """Doubted findings that encoder quantisation cannot mimic."""
-    return tuple(
-        f
-        for f in verdict.doubted
-        if belief.genuine(regression, f.main.effect, f.main.joint, f.gain) > MIN_GENUINE_SHARE
+def _held_out_errors(
+    final: FinalModel,
+    train: Sequence[Recording],
+    validate: Sequence[Recording],
+    motions: Sequence[RecordedMotion],
+    renewed: Sequence[RecordedMotion],
+) -> HeldOutErrors:
+    """Errors of the base model and of the model that is read back from the saved file."""
+    base = np.concatenate([motion.residual for motion in motions])
+    torque = np.concatenate([motion.torque for motion in motions])
+    moving = np.concatenate([motion.moving for motion in motions])
+    saved = model_check.read_back(final.document(train))
+    residual = np.where(moving, model_check.residuals(saved, validate, motions), 0.0)
+    base = np.where(moving, base, 0.0)
+    return HeldOutErrors(
+        tuple(renewed),
+        torque,
+        base,
+        residual,
+        moving,
+        rms(base, moving),
+        rms(residual, moving),
     )
 
 
-def _predict_residuals(
-    residual: FloatArray,
-    motions: tuple[list[RecordedMotion], list[RecordedMotion]],
-    joints: Iterable[int],
-) -> dict[int, ResidualPrediction]:
-    """Predictions of the residual of both folds, (N, n) [N m], at some joints."""
-    rows = residual_curves.motion_rows([*motions[0], *motions[1]])
-    first = np.arange(len(rows)) < sum(len(motion) for motion in motions[0])
-    out = {}
-    for j in joints:
-        moving = rows.moving[:, j]
-        out[int(j)] = unmodelled.predict_residual(
-            rows, (moving & first, moving & ~first), residual[:, j], int(j)
-        )
-    return out
-
-
-def _simulation_error(
-    fitted: Identification, recordings: Sequence[Recording], hertz: float
-) -> SimulationError | None:
-    """Error of positions simulated from recorded torque.
-
-    Effects act as along the recorded motion: their torque is subtracted from the recorded one.
-    """
-    groups, share = simulation_error.cut_windows(
-        list(segments.extract_segments(recordings, average=False)), hertz
-    )
-    if not groups:
-        return None
-    return simulation_error.compute_simulation_error(
-        fitted.model, fitted.psi, fitted.psi, groups, share
-    )
-
-
-def _refit_findings(
-    regression: EffectRegression,
-    verdict: Verdict,
-    candidates: Sequence[CandidateModel],
-    build: search.Build,
-) -> tuple[EffectRegression, Verdict]:
-    """Fit the findings to columns of a base model that they no longer distort.
-
-    Findings that predict no better there are dropped; if other effects would be found, nothing
-    changes.
-    """
-    assert verdict.together is not None
-    findings = {(f.main.effect, f.main.joint) for f in verdict.findings}
-    renewed = late.renewed(
-        regression, verdict.together, [s for s in candidates if (s.effect, s.joint) in findings]
-    )
-    small = search.design(regression.halves, renewed, build)
-    small, better = late.followed(
-        *judge.judged(dataclasses.replace(small, measured=regression.measured)), again=True
-    )
-    better_findings = {(f.main.effect, f.main.joint) for f in better.findings}
-    if better.together is None or (
-        better_findings != findings and better.together.gain < verdict.together.gain
-    ):
-        return regression, verdict
-    start = len(regression.shapes)
-    wider = search.appended(
-        dataclasses.replace(regression, build=build),
-        [small.shapes[i] for i in better.together.shapes],
-    )
-    if len(wider.shapes) != start + len(better.together.shapes):
-        return regression, verdict
-    if better_findings == findings:
-        return wider, judge.moved(wider, verdict, better, start)
-    return wider, judge.instead(wider, verdict, range(start, len(wider.shapes)))
-
-
-def _moving_rows(motions: Sequence[RecordedMotion]) -> BoolArray:
-    """Rows of some motions that are judged, shape (N, n)."""
-    return np.concatenate([motion.moving for motion in motions])
-
-
-def _unexplained_share(before: FloatArray, after: FloatArray, floor: FloatArray) -> FloatArray:
-    """Share of the mean square beyond the noise that remains, shape (n,)."""
-    return np.asarray(
-        np.maximum(after**2 - floor**2, 0.0) / np.maximum(before**2 - floor**2, 0.1 * floor**2)
-    )
+def _changes(final: FinalModel, held_out: HeldOutErrors) -> list[SessionChange]:
+    """Changes of friction between the recordings that are significant."""
+    solution = final.regression.residual(final.solution)
+    moving = final.regression.moving
+    found = [
+        *(
+            session_changes.changes(final.motions, solution, moving)
+            if len(session_changes.sources(final.motions)) > 1
+            else []
+        ),
+        *session_changes.changes(held_out.motions, held_out.final, held_out.moving),
+    ]
+    return [
+        change
+        for change in found
+        if change.wald > session_changes.WALD_THRESHOLD and change.share > session_changes.MIN_SHARE
+    ]

@@ -6,23 +6,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy import special
 
 from ..effects import EFFECTS_BY_NAME
-from ..effects.effect import CandidateModel
 from ..robot.parameter_names import percent
-from . import session_changes
-from .belief import doubt, unsure
-from .diagnosis import DOUBTED, Diagnosis
+from . import effect_curves, motion_rows, session_changes, unmodelled
+from .diagnosis import Diagnosis
+from .estimates import EffectEstimate
 from .gear_encoders import GearEstimate
-from .hypothesis import Hypothesis
-from .interval import finding_parameters
-from .judge import Finding
-from .residual_atlas import Atlas
 from .session_changes import SessionChange
-from .unmodelled import BASES
+from .unmodelled import UnmodelledTorque
 
-MAX_RIVALS = 5
-"""Largest number of rival effects that are listed with a finding."""
 SCHEMA = "excite.diagnosis/1"
 """Schema of the document."""
 REGIMES = {
@@ -46,63 +40,175 @@ REGIMES = {
     "coupling": "other joints",
 }
 """Quantity over which an effect shows, by effect."""
+CONSIDERED = 20
+"""Effects that are listed though they are not asserted."""
 
 
-def document(diagnosis: Diagnosis, atlas: Atlas | None = None) -> dict[str, Any]:
+def document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the content of `diagnosis.json`.
 
     Args:
         diagnosis: The diagnosis.
-        atlas: Its residual atlas, for the p-values; they are null without.
     """
     joints = diagnosis.identified.model.robot.joints
+    held_out, floor = diagnosis.held_out, diagnosis.floor
     rows = {
-        joint: {
-            "noise_floor": float(diagnosis.floor[i]),
-            "noise_floor_method": diagnosis.method,
-            "rmse_before": float(diagnosis.before[i]),
-            "rmse_after": float(diagnosis.after[i]),
-            "systematic_share": float(diagnosis.systematic[i]),
-            "unexplained_share": float(diagnosis.unexplained[i]),
-        }
+        joint: joint_entry(
+            float(floor[i]),
+            diagnosis.method,
+            float(held_out.rmse_before[i]),
+            float(held_out.rmse_after[i]),
+        )
         for i, joint in enumerate(joints)
     }
-    findings = [_finding(diagnosis, i, atlas) for i in range(len(diagnosis.verdict.findings))]
     return {
         "schema": SCHEMA,
-        "verdict": diagnosis.name,
-        "findings": sorted(findings, key=lambda f: -f["probability"]),
+        "verdict": diagnosis.verdict,
+        "findings": [_entry(diagnosis, effect) for effect in diagnosis.findings],
         "joints": rows,
-        "unknown": [_unknown(diagnosis, j) for j in diagnosis.unknown],
-        "considered": [
-            *(_doubted(diagnosis, f) for f in diagnosis.verdict.doubted),
-            *(_considered(diagnosis, h) for h in diagnosis.verdict.considered),
-        ],
+        "unknown": [_unknown(diagnosis, entry) for entry in diagnosis.unmodelled],
+        "considered": [_entry(diagnosis, effect) for effect in diagnosis.considered[:CONSIDERED]],
         "band_hz": diagnosis.hertz,
-        "simulation": _simulation(diagnosis),
-        "between_recordings": [
-            _change(diagnosis, change) for change in diagnosis.changes if change.is_significant
-        ],
+        "budget": _budget(diagnosis),
+        "model_check": dict(zip(joints, held_out.rmse_after.tolist(), strict=True)),
+        "between_recordings": [_change(diagnosis, change) for change in diagnosis.changes],
         "encoders": {joints[gear.joint]: _gear(diagnosis, gear) for gear in diagnosis.gears},
         "parameters": _parameters(diagnosis),
     }
 
 
-def _simulation(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """RMS error of positions simulated from held-out torque, without and with the findings."""
-    before, after = diagnosis.ahead
-    if before is None or after is None:
-        return None
-    joints = diagnosis.identified.model.robot.joints
-    rows = zip(joints, before.fitted[-1].tolist(), after.fitted[-1].tolist(), strict=True)
+def joint_entry(floor: float, method: str, before: float, after: float) -> dict[str, Any]:
+    """Return an element of "joints".
+
+    Args:
+        floor: Noise floor [N m].
+        method: How it was found.
+        before: Held-out RMSE of the base model [N m].
+        after: That of the saved model [N m].
+    """
+    shares = [max(1.0 - (floor / max(rmse, 1e-300)) ** 2, 0.0) for rmse in (before, after)]
     return {
-        "seconds": float(before.lag[-1]),
-        "joints": {j: {"before": a, "after": b} for j, a, b in rows},
+        "noise_floor": floor,
+        "noise_floor_method": method,
+        "rmse_before": before,
+        "rmse_after": after,
+        "systematic_share": shares[0],
+        "unexplained_share": shares[1],
     }
 
 
+def _joint(diagnosis: Diagnosis, joint: int | None) -> str | None:
+    """Name of a joint."""
+    return None if joint is None else diagnosis.identified.model.robot.joints[joint]
+
+
+def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
+    """Element of "findings" or "considered"."""
+    effect, shape = EFFECTS_BY_NAME[estimate.effect], estimate.models[0]
+    place = "all joints" if estimate.joint is None else f"joint '{_joint(diagnosis, shape.joint)}'"
+    regime = "temperature" if "reference" in shape.values else REGIMES.get(estimate.effect, "all")
+    where: dict[str, Any] = {
+        "statement": f"{place}: {shape.signature or effect.signature}",
+        "regime": regime,
+        "time": None if shape.interval is None else list(shape.interval),
+    }
+    if shape.interval is not None:
+        where["recording"] = shape.source
+    shown = {
+        key: value
+        for key, value in estimate.parameters.items()
+        if np.isfinite(value[0]) and value[1] < abs(value[0])
+    }
+    out: dict[str, Any] = {
+        "effect": estimate.effect,
+        "joint": _joint(diagnosis, estimate.joint),
+        "probability": estimate.probability,
+        "equivalents": list(estimate.equivalents),
+        "where": where,
+        "parameters": _stated(diagnosis, estimate, shown),
+        "evidence": {
+            "severity": estimate.severity,
+            "severity_interval": list(estimate.severity_interval),
+            "severity_beyond_others": estimate.unique_severity,
+            "log_bayes_factor": max(estimate.log_bayes_factor, -1e9),
+            "systematic_share": _systematic_share(diagnosis, estimate.joint),
+            "p_value": _p_value(estimate),
+        },
+        "experiment": effect.experiment,
+        "modelled": estimate.needed,
+        "curve": _curve(diagnosis, estimate, regime),
+    }
+    if shape.other is not None:
+        out["from"] = _joint(diagnosis, shape.other)
+    if hidden := sorted(set(estimate.parameters) - set(shown)):
+        out["not_shown"] = hidden
+    return out
+
+
+def _curve(diagnosis: Diagnosis, estimate: EffectEstimate, regime: str) -> dict[str, Any] | None:
+    """Torque of an effect of the model over the quantity on which it depends."""
+    if not estimate.needed:
+        return None
+    rows = motion_rows.motion_rows(diagnosis.model.motions)
+    curve = effect_curves.effect_curve(diagnosis.model, estimate, rows, regime)
+    if curve is None:
+        return None
+    return {
+        "over": curve.over,
+        "unit": curve.unit,
+        "opposes_motion": curve.along,
+        "x": curve.x.tolist(),
+        "torque": curve.y.tolist(),
+        "std": curve.std.tolist(),
+    }
+
+
+def _stated(
+    diagnosis: Diagnosis, estimate: EffectEstimate, shown: Mapping[str, tuple[float, float]]
+) -> dict[str, dict[str, Any]]:
+    """Parameters in the units of the joint, N and m if prismatic; an angle is always in rad."""
+    units = dict(EFFECTS_BY_NAME[estimate.effect].units)
+    if estimate.joint is not None:
+        entry = diagnosis.identified.model.robot.entries[estimate.joint]
+        units |= {key: entry.unit(unit) for key, unit in units.items() if key != "angle"}
+    return {
+        key: {"value": value, "std": std, "unit": units.get(key, "")}
+        for key, (value, std) in shown.items()
+    }
+
+
+def _systematic_share(diagnosis: Diagnosis, joint: int | None) -> float:
+    """Systematic share of a joint's error, or the largest of all joints."""
+    before = np.maximum(diagnosis.held_out.rmse_before, 1e-300)
+    share = np.maximum(1.0 - (diagnosis.floor / before) ** 2, 0.0)
+    return float(share.max() if joint is None else share[joint])
+
+
+def _p_value(estimate: EffectEstimate) -> float | None:
+    """p-value of a likelihood-ratio test: twice the log Bayes factor is at most χ² of k degrees."""
+    if not np.isfinite(estimate.log_bayes_factor):
+        return None
+    freedom = sum(len(c) for c in estimate.coefficients)
+    return float(special.chdtrc(freedom, max(2.0 * estimate.log_bayes_factor, 0.0)))
+
+
+def _budget(diagnosis: Diagnosis) -> dict[str, dict[str, dict[str, float]]]:
+    """Shares of each joint's held-out torque beyond the base model."""
+    budget = diagnosis.budget
+    out = {}
+    for i, joint in enumerate(diagnosis.identified.model.robot.joints):
+        entry = {
+            name: {"share": float(share[i]), "std": float(budget.std[name][i])}
+            for name, share in budget.shares.items()
+            if share[i]
+        }
+        std = float(np.sqrt(sum(value["std"] ** 2 for value in entry.values())))
+        out[joint] = {**entry, "residual": {"share": float(budget.residual[i]), "std": std}}
+    return out
+
+
 def _change(diagnosis: Diagnosis, change: SessionChange) -> dict[str, Any]:
-    """Change of a joint actuator in a recording since the first recording."""
+    """Change of a joint actuator in a recording, from the mean of the fitted recordings."""
     entry = diagnosis.identified.model.robot.entries[change.joint]
     units = (entry.unit("N m"), entry.unit("N m s/rad"), entry.unit("N m"))
     values = zip(
@@ -111,7 +217,7 @@ def _change(diagnosis: Diagnosis, change: SessionChange) -> dict[str, Any]:
     changes: dict[str, dict[str, Any]] = {
         kind: {"value": value, "std": std, "unit": unit} for kind, value, std, unit in values
     }
-    fitted = diagnosis.refitted or diagnosis.identified
+    fitted = diagnosis.final.identified
     for kind in ("coulomb", "viscous"):
         mean = float(fitted.psi[fitted.model.parameters.block(kind)][change.joint])
         changes[kind]["relative"] = changes[kind]["value"] / mean if mean > 0.0 else None
@@ -138,16 +244,13 @@ def _gear(diagnosis: Diagnosis, gear: GearEstimate) -> dict[str, Any]:
 
 
 def _parameters(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Base parameters without and with the findings, the most significant change first."""
-    if diagnosis.refitted is None or not diagnosis.verdict.findings:
+    """Base parameters without and with the effects, the most significant change first."""
+    if not diagnosis.final.effects:
         return []
-    base, plain, refitted = (
-        diagnosis.identified.model.base,
-        diagnosis.identified,
-        diagnosis.refitted,
-    )
-    without, with_ = base.matrix @ plain.psi, base.matrix @ refitted.psi
-    spread = base.matrix @ refitted.posterior.covariance @ base.matrix.T
+    plain, final = diagnosis.identified, diagnosis.final.identified
+    base = plain.model.base
+    without, with_ = base.matrix @ plain.psi, base.matrix @ final.psi
+    spread = base.matrix @ final.posterior.covariance @ base.matrix.T
     std = np.sqrt(np.maximum(np.diag(spread), 0.0))
     moved = np.abs(with_ - without) / np.maximum(std, 1e-12 * np.maximum(np.abs(with_), 1e-12))
     names = [plain.model.parameters.names[i] for i in base.independent]
@@ -166,175 +269,36 @@ def _parameters(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     )
 
 
-def _joint(diagnosis: Diagnosis, joint: int | None) -> str | None:
-    """Name of a joint."""
-    return None if joint is None else diagnosis.identified.model.robot.joints[joint]
-
-
-def _where(diagnosis: Diagnosis, shape: CandidateModel) -> dict[str, Any]:
-    """Place of a finding: statement, regime and time."""
-    place = "all joints" if shape.joint is None else f"joint '{_joint(diagnosis, shape.joint)}'"
-    where: dict[str, Any] = {
-        "statement": f"{place}: {shape.signature or EFFECTS_BY_NAME[shape.effect].signature}",
-        "regime": "temperature"
-        if "reference" in shape.values
-        else REGIMES.get(shape.effect, "all"),
-        "time": None if shape.interval is None else list(shape.interval),
-    }
-    if shape.interval is not None:
-        where["recording"] = shape.source
-    return where
-
-
-def _finding(diagnosis: Diagnosis, number: int, atlas: Atlas | None) -> dict[str, Any]:
-    """Element of "findings"."""
-    finding = diagnosis.verdict.findings[number]
-    hypothesis = finding.main
-    shape, effect = diagnosis.design.shapes[hypothesis.shape], EFFECTS_BY_NAME[hypothesis.effect]
-    values = finding_parameters(diagnosis.design, diagnosis.verdict, number)
-    out: dict[str, Any] = {
-        "effect": hypothesis.effect,
-        "joint": _joint(diagnosis, hypothesis.joint),
-        "probability": finding.probability,
-        "equivalents": list(finding.equivalents),
-        "where": _where(diagnosis, shape),
-        "parameters": _reported(diagnosis, shape, values),
-        "evidence": {
-            "severity": hypothesis.size,
-            **_share(diagnosis, hypothesis),
-            "p_value": _p_value(atlas, hypothesis),
-            **_rivals(finding),
-        },
-        "experiment": effect.experiment,
-    }
-    if shape.other is not None:
-        out["from"] = _joint(diagnosis, shape.other)
-    if hidden := sorted(
-        set(shape.parameters(hypothesis.trial.coefficients)) & set(effect.units) - set(values)
-    ):
-        out["not_shown"] = hidden
-    return out
-
-
-def _reported(
-    diagnosis: Diagnosis, shape: CandidateModel, values: Mapping[str, tuple[float, float | None]]
-) -> dict[str, dict[str, Any]]:
-    """Parameters in the units of the joint, N and m if prismatic; an angle is always in rad."""
-    units = dict(EFFECTS_BY_NAME[shape.effect].units)
-    if shape.joint is not None:
-        entry = diagnosis.identified.model.robot.entries[shape.joint]
-        units |= {key: entry.unit(unit) for key, unit in units.items() if key != "angle"}
-    return {
-        key: {"value": v, "std": s, "unit": units.get(key, "")}
-        for key, (v, s) in values.items()
-        if np.isfinite(v)
-    }
-
-
-def _rivals(finding: Finding) -> dict[str, Any]:
-    """Gain of a finding, gains of the best rival effects, and the evidence for its probability."""
-    best = sorted(finding.rivals.items(), key=lambda entry: -entry[1])
-    return {"held_out_gain": finding.gain, "rivals": dict(best[:MAX_RIVALS]), **finding.evidence}
-
-
-def _share(diagnosis: Diagnosis, hypothesis: Hypothesis) -> dict[str, float]:
-    """Systematic share of the joint's residual, or the largest of all joints."""
-    share = diagnosis.systematic
-    return {
-        "systematic_share": float(
-            share.max() if hypothesis.joint is None else share[hypothesis.joint]
-        )
-    }
-
-
-def _p_value(atlas: Atlas | None, hypothesis: Hypothesis) -> float | None:
-    """Smallest p-value of the joint's curves in the atlas, or of all curves."""
-    if atlas is None:
-        return None
-    curves = atlas.panels if hypothesis.joint is None else atlas.of(hypothesis.joint)
-    return min((curve.p_before for curve in curves), default=None)
-
-
-def _considered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
-    """Element of "considered" for an effect that was not accepted."""
-    shape, effect = diagnosis.design.shapes[hypothesis.shape], EFFECTS_BY_NAME[hypothesis.effect]
-    values = shape.parameters(hypothesis.trial.coefficients)
-    return {
-        "effect": hypothesis.effect,
-        "joint": _joint(diagnosis, hypothesis.joint),
-        "probability": 0.0,
-        "equivalents": [],
-        "where": _where(diagnosis, shape),
-        "parameters": _reported(diagnosis, shape, {key: (v, None) for key, v in values.items()}),
-        "evidence": {"severity": hypothesis.size, "held_out_gain": hypothesis.trial.gain},
-        "experiment": effect.experiment,
-    }
-
-
-def _doubted(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
-    """Element of "considered" for a finding of low probability; it may still be in the model."""
-    stated, together = _considered(diagnosis, finding.main), diagnosis.verdict.together
-    modelled = together is not None and finding.main.shape in together.shapes
-    changed = {
-        "probability": finding.probability,
-        "equivalents": list(finding.equivalents),
-        "modelled": modelled,
-    }
-    return stated | changed | {"evidence": {**stated["evidence"], **_rivals(finding)}}
-
-
-def _unknown(diagnosis: Diagnosis, joint: int) -> dict[str, Any]:
-    """Element of "unknown": a joint with unmodelled torque or a session change."""
-    name = diagnosis.identified.model.robot.joints[joint]
-    share = float(diagnosis.unexplained[joint])
-    prediction = diagnosis.residual_predictions[joint]
-    where: dict[str, Any] = {
-        "statement": f"joint '{name}': torque that no effect of the catalogue explains",
-        "regime": "all",
-    }
-    experiment = "that joint alone, slowly back and forth over its range, then faster"
-    n = len(diagnosis.floor)
-    if unsure(diagnosis.verdict, n)[joint] and not prediction.counts:
-        where["statement"] = (
-            f"joint '{name}': torque that several effects explain together, "
-            "which are probably not all right"
-        )
-    doubted = [f for f in diagnosis.credible_doubts if f.main.joint in (joint, None)]
-    if doubted and diagnosis.doubted[joint] > DOUBTED * diagnosis.floor[joint]:
-        likeliest = max(doubted, key=lambda f: f.probability).main.effect
-        where["statement"] += f"; most similar to {likeliest}, but not similar enough"
-        experiment = EFFECTS_BY_NAME[likeliest].experiment
-    if prediction.counts:
-        where["statement"] += (
-            f"; {prediction.regime} predicts {percent(prediction.share)} of it on held-out data"
-        )
-        where |= {"regime": prediction.regime, "foreseen": prediction.share}
-        share = max(share, prediction.share)
-        response = prediction.response
-        over = (
-            response.over
-            if response.other is None
-            else f"{diagnosis.identified.model.robot.joints[response.other]}: {response.over}"
-        )
-        where["response"] = {
-            "over": over,
-            "relative": response.relative,
-            "x": response.x.tolist(),
-            "y": response.y.tolist(),
-        }
-        experiment = BASES[prediction.regime].experiment
-    if diagnosis.has_session_change[joint]:
-        change = "friction or offset differs in the held-out recordings"
-        if diagnosis.has_unmodelled_torque[joint]:
-            where["statement"] += f"; in addition, {change}"
-        else:
-            where = {"statement": f"joint '{name}': {change}", "regime": "recording"}
-            experiment = session_changes.EXPERIMENT
-    probability = max(0.5 + 0.5 * share, doubt(diagnosis.verdict, n)[joint])
+def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
+    """Element of "unknown": a joint with torque that no effect explains."""
+    name = diagnosis.identified.model.robot.joints[entry.joint]
+    prediction = entry.prediction
+    response = prediction.response
+    by = (
+        "another period of the motion"
+        if prediction.regime == unmodelled.REPETITION
+        else prediction.regime
+    )
+    over = (
+        response.over
+        if response.other is None
+        else f"{diagnosis.identified.model.robot.joints[response.other]}: {response.over}"
+    )
     return {
         "joint": name,
-        "where": where,
-        "share": share,
-        "probability": float(np.clip(probability, 0.5, 0.99)),
-        "experiment": experiment,
+        "where": {
+            "statement": f"joint '{name}': torque that no effect of the catalogue explains; "
+            f"{by} predicts {percent(prediction.share)} of the residual",
+            "regime": prediction.regime,
+            "foreseen": prediction.share,
+            "response": {
+                "over": over,
+                "relative": response.relative,
+                "x": response.x.tolist(),
+                "y": response.y.tolist(),
+            },
+        },
+        "share": prediction.share,
+        "probability": entry.probability,
+        "experiment": unmodelled.experiment(prediction.regime),
     }

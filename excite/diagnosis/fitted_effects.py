@@ -20,7 +20,6 @@ from ..identification.segments import RecordingSegment
 from ..recordings import Recording
 from ..robot.robot import Robot
 from ..schemas.effects import EffectDocument
-from .search import EffectRegression, Trial
 
 
 @dataclass(frozen=True)
@@ -29,17 +28,6 @@ class FittedEffect:
 
     shape: CandidateModel
     coefficients: FloatArray
-
-
-def parts(regression: EffectRegression, together: Trial | None) -> tuple[FittedEffect, ...]:
-    """Return the fitted effects of a trial; none if there is no trial."""
-    if together is None:
-        return ()
-    coefficients = regression.split(together.shapes, together.coefficients)
-    return tuple(
-        FittedEffect(regression.shapes[i], c)
-        for i, c in zip(together.shapes, coefficients, strict=True)
-    )
 
 
 def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArray:
@@ -51,22 +39,13 @@ def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArra
         kept=slice(0, len(segment)),
         time=segment.start + np.arange(len(segment)) / segment.rate,
     )
+    for name in ("motor_torque", "measured_torque"):
+        if name in motion.cache:
+            at_samples.cache[name] = motion.cache[name]
     out = np.zeros(segment.q.shape)
     for part in effects:
         out += part.shape.columns(at_samples) @ part.coefficients
     return out
-
-
-def removed(
-    effects: Sequence[FittedEffect], recording: Recording, motions: Sequence[RecordedMotion]
-) -> Recording:
-    """Return a recording whose torque, in the segments of `motions`, is without the effects."""
-    tau = recording.torque.copy()
-    for motion in motions:
-        if motion.segment.source == recording.source:
-            first = int(np.argmin(np.abs(recording.t - motion.segment.start)))
-            tau[first : first + len(motion.segment)] -= torque(effects, motion)
-    return dataclasses.replace(recording, tau=tau)
 
 
 def entry(effect: FittedEffect, robot: Robot) -> dict[str, Any]:

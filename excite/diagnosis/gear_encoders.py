@@ -19,7 +19,7 @@ from .._types import FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion
 from ..recordings import Recording
 from .blocks import sandwiched
-from .residual_curves import BLOCK, block_starts
+from .motion_rows import BLOCK, block_starts
 
 SIGN_WIDTH_RATIO = 0.03
 """Width of the smooth sign of torque and speed over their largest value: manufacturers state a

@@ -12,6 +12,7 @@ at once. All of it is fitted jointly with the base model, before anything is jud
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ from scipy.interpolate import CubicSpline
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import (
+    EFFECTS_BY_NAME,
     hysteresis,
     load_friction,
     nonlinear_viscous,
@@ -33,6 +35,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
+from . import session_changes
 from .regression import RIDGE, Columns, JointRegression, Solution, independent_share, rms
 
 ROUNDS = 4
@@ -41,8 +44,14 @@ RIPPLE_ROUNDS = (1, 2)
 """Rounds that are followed by a search for ripple: not before the first fit of the frictions."""
 MAX_DELAY_STEP = 0.01
 """Prior standard deviation of the delay [s]."""
+MIN_DELAY = 1e-5
+"""Delay of the clock below which there is none [s]."""
+MIN_DELAY_EVIDENCE = 5.0
+"""Log Bayes factor from which a delay of the clock enters the model."""
 MIN_LEVEL_SHARE = 0.3
 """Least friction level of a joint, over the median of all joints."""
+MIN_TORQUE_SHARE = 0.1
+"""Least friction level of a joint, over the standard deviation of its torque."""
 MAX_WIDTH_STEP = 0.7
 """Largest change of the logarithm of a Coulomb width in a round."""
 MIN_RIPPLE_EVIDENCE = 5.0
@@ -50,13 +59,23 @@ MIN_RIPPLE_EVIDENCE = 5.0
 MAX_RIPPLE_ORDER = 300.0
 """Largest spatial frequency that is searched [1/rad]."""
 ORDER_STEPS = 4.0
-"""Grid points over the width of a peak in the order spectrum."""
+"""Length of the Fourier transform over the range of the angle."""
+NEAR_ORDERS = 9
+"""Orders around a peak of the spectrum from the best of which the refinement starts."""
 GAUSS_NEWTON_STEPS = 6
 """Steps of the refinement of an order."""
+MAX_WAVES = 12
+"""Waves of a joint at most."""
 MAX_ORDER_STEP = 0.3
 """Largest step of an order, over the width of a peak in the order spectrum."""
 ORDER_TOLERANCE = 1e-4
 """Step at which the refinement of an order ends, in the same unit."""
+ANGLE_BIN = np.pi / 2400.0
+"""Width of the bins of angle in the order spectrum [rad], an eighth of the shortest wave."""
+SPEED_CLASSES = 8
+"""Classes of speed in the order spectrum."""
+MIN_WAVE_ROWS = 0.05
+"""Smallest share of rows in which a wave lies below the cutoff frequency."""
 MIN_WAVES = 3.0
 """Periods over the range of a joint from which a torque counts as periodic."""
 DENSE_EFFECTS = (stribeck, nonlinear_viscous, hysteresis, load_friction)
@@ -74,6 +93,8 @@ class JointModel:
         delays: Time by which the torque of each joint is recorded late, shape (n,) [s].
         level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
         psi: Standard parameters, shape (P,).
+        free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
+        known: Torque of the others, which is not part of the regression, shape (N, n) [N m].
     """
 
     motions: tuple[RecordedMotion, ...]
@@ -82,6 +103,8 @@ class JointModel:
     delays: FloatArray
     level: FloatArray
     psi: FloatArray
+    free: IntArray
+    known: FloatArray
 
     @property
     def n(self) -> int:
@@ -125,6 +148,11 @@ def model_columns(
             std / np.maximum(size, 1e-3 * size.max())
             if not any(model.nonnegative)
             else np.full(k, std)
+        ) * np.array(
+            (
+                *(model.prior_shares or (1.0,) * (k - model.form_columns)),
+                *(1.0,) * model.form_columns,
+            )
         )
     else:
         prior = np.full(k, std) * np.array(model.prior_shares or (1.0,) * k)
@@ -152,7 +180,7 @@ def fit(
         rare: Further effects.
     """
     coulomb = _coulomb_columns(identified)
-    psi, widths = identified.psi, identified.model.widths
+    psi, widths = initial_parameters(identified), identified.model.widths
     recorded = [motion.segment.torque for motion in motions]
     delays = np.zeros(motions[0].n)
     waves: list[CandidateModel] = []
@@ -172,8 +200,10 @@ def fit(
                 motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
             break
         x = fitted.solution.coefficients
-        p, n = identified.model.base.count, fitted.n
+        p, n = len(fitted.free), fitted.n
         delays = delays + x[p + n]
+        if not _is_probable(fitted, float(delays[0])):
+            delays = np.zeros(n)
         widths = widths * np.exp(np.clip(x[p : p + n], -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
         psi = consistent_parameters(identified, fitted)
         if step == 0:
@@ -183,12 +213,34 @@ def fit(
     return fitted
 
 
+def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
+    """Return the log Bayes factor for a delay of the clock, and its standard deviation [s].
+
+    ln B = ½ I d² − ½ ln(1 + I σ²), with the information I of the data and the prior N(0, σ²).
+
+    Args:
+        fitted: A joint model.
+        seconds: The delay d [s].
+    """
+    place = np.zeros((int(np.count_nonzero(fitted.solution.active)), 1))
+    place[len(fitted.free) + fitted.n] = 1.0  # all base coefficients are active
+    square = float(fitted.solution.solve(place)[len(fitted.free) + fitted.n, 0])
+    information = max(1.0 / square - 1.0 / MAX_DELAY_STEP**2, 0.0)
+    factor = 0.5 * information * seconds**2 - 0.5 * np.log1p(information * MAX_DELAY_STEP**2)
+    return float(factor), float(np.sqrt(square))
+
+
+def _is_probable(fitted: JointModel, seconds: float) -> bool:
+    """Tell whether a delay of the clock is more probable than not."""
+    return delay_evidence(fitted, seconds)[0] > MIN_DELAY_EVIDENCE
+
+
 def modelled_torque(model: JointModel) -> list[FloatArray]:
     """Return the torque of the model at every sample of its motions, shapes (M, n) [N m].
 
     Effects of measured torque are computed from it: measured noise would be correlated with itself.
     """
-    total = model.regression.torque - model.regression.residual()
+    total = model.known + model.regression.torque - model.regression.residual()
     parts = recorded_motion.split_by_motion(total, model.motions)
     return [
         np.column_stack([np.interp(m.times, m.time, x) for x in part.T])
@@ -198,8 +250,8 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
 
 def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateModel:
     """Return a rare effect with the discrepancy of its form, in units of its fitted torque."""
-    if model.joint is None or model not in fitted.models:
-        return model
+    if model not in fitted.models or EFFECTS_BY_NAME[model.effect].prior_only:
+        return model  # rigid bodies have exactly the form of their model
     coefficients = fitted.coefficients(fitted.models.index(model))
     return with_form_error(model, fitted.motions, coefficients)
 
@@ -213,14 +265,20 @@ def _fit_round(
     weights: tuple[FloatArray, float] | None,
 ) -> JointModel:
     """Fit the coefficients of given models, and the weights of the rows."""
-    torque = np.concatenate([motion.torque for motion in motions])
+    free = free_parameters(identified)
+    known = np.concatenate([known_torque(motion, free) for motion in motions])
+    torque = np.concatenate([motion.torque for motion in motions]) - known
     moving = np.concatenate([motion.moving for motion in motions])
     if weights is None:
         residual = np.concatenate([motion.residual for motion in motions])
         weights = rms(residual, moving), independent_share(residual, moving)
     level = friction_level(motions)
     regression = JointRegression.of_base(
-        torque, moving, _base_columns(motions, level), _base_prior(identified, len(level)), *weights
+        torque,
+        moving,
+        _base_columns(motions, level, free),
+        _base_prior(identified, motions, free),
+        *weights,
     )
     kept = []
     for model in models:
@@ -229,7 +287,7 @@ def _fit_round(
             regression.add(columns)
             kept.append(model)
     reweight(regression)
-    return JointModel(tuple(motions), tuple(kept), regression, delays, level, psi)
+    return JointModel(tuple(motions), tuple(kept), regression, delays, level, psi, free, known)
 
 
 def reweight(regression: JointRegression) -> None:
@@ -241,64 +299,82 @@ def reweight(regression: JointRegression) -> None:
         )
 
 
-def held_out_residuals(
-    identified: Identification, model: JointModel, motions: Sequence[RecordedMotion]
-) -> tuple[FloatArray, FloatArray]:
-    """Predict the torque of motions that the model was not fitted to.
-
-    Args:
-        identified: The base model.
-        model: The joint model.
-        motions: The motions, with the base model.
-
-    Returns:
-        Residual of the base model and of the joint model, shapes (N, n) [N m]; zero at standstill.
-    """
-    moved = [m.with_torque(_moved(m, m.segment.torque, model.delays)) for m in motions]
-    present = renewed(identified, moved, model.psi, model.motions[0].widths)
-    moving = np.concatenate([motion.moving for motion in motions])
-    p = identified.model.base.count
-    coefficients = model.solution.coefficients[: p + model.n + 1].copy()
-    coefficients[-1] = 0.0  # the delay is in the time stamps
-    predicted = _base_columns(present, model.level) @ coefficients
-    for effect, shape in enumerate(model.models):
-        columns = np.concatenate([shape.columns(motion) for motion in present])
-        predicted += columns @ model.coefficients(effect)
-    torque = np.concatenate([motion.torque for motion in present])
-    base = np.concatenate([motion.residual for motion in motions])
-    return np.where(moving, base, 0.0), np.where(moving, torque - predicted, 0.0)
-
-
 def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
-    """Return the Coulomb friction of each joint, or a share of the others' where it is small."""
+    """Return the Coulomb friction of each joint, or more where it is small, shape (n,) [N m].
+
+    It is at least a share of the other joints' and of the variation of the joint's torque.
+    """
     coulomb = np.abs(motions[0].fitted_robot.actuator_parameter("coulomb"))
-    torque = np.sqrt(np.mean(np.concatenate([m.torque for m in motions]) ** 2, axis=0))
-    return np.maximum(
-        coulomb, MIN_LEVEL_SHARE * max(float(np.median(coulomb)), 1e-3 * float(torque.max()))
+    variation = np.concatenate([motion.torque for motion in motions]).std(axis=0)
+    least = max(MIN_LEVEL_SHARE * float(np.median(coulomb)), 1e-12)
+    return np.maximum(coulomb, np.maximum(least, MIN_TORQUE_SHARE * variation))
+
+
+def free_parameters(identified: Identification) -> IntArray:
+    """Return the base parameters that are refit, shape (p,): all that no trusted prior states."""
+    base, trusted = identified.model.base, identified.options.trusted
+    if not trusted:
+        return np.arange(base.count)
+    joint_parameters = 10 * identified.model.parameters.bodies
+    return np.array(
+        [
+            k
+            for k, place in enumerate(base.independent)
+            if place >= joint_parameters and int(place) not in trusted
+        ],
+        int,
     )
 
 
-def _base_columns(motions: Sequence[RecordedMotion], level: FloatArray) -> FloatArray:
-    """Γ, then the change of Coulomb friction by its width, then −dτ/dt, shape (N, n, p + n + 1)."""
+def initial_parameters(identified: Identification) -> FloatArray:
+    """Return the identified standard parameters, those of a trusted prior as stated, shape (P,)."""
+    psi = identified.psi.copy()
+    for place, value in identified.options.trusted.items():
+        psi[place] = value
+    return psi
+
+
+def known_torque(motion: RecordedMotion, free: IntArray) -> FloatArray:
+    """Return the torque of the base parameters that are not refit, shape (N, n) [N m]."""
+    fixed = np.delete(np.arange(motion.gamma.shape[2]), free)
+    return np.asarray(motion.gamma[:, :, fixed] @ motion.theta[fixed])
+
+
+def _base_columns(
+    motions: Sequence[RecordedMotion], level: FloatArray, free: IntArray
+) -> FloatArray:
+    """Columns of the base model, shape (N, n, p + n + 1 + s).
+
+    Γ, the change of Coulomb friction by its width, −dτ/dt, and the changes between recordings.
+    """
     parts = []
     for motion in motions:
         slopes = np.zeros((len(motion), motion.n, motion.n))
         slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
         slope = -motion.band.transform(motion.segment.torque).filter(Grid.KEPT, 1)[motion.kept]
-        parts.append(np.concatenate([motion.gamma, slopes, slope[:, :, None]], axis=2))
+        changes = session_changes.columns(motion, motions)
+        parts.append(
+            np.concatenate([motion.gamma[:, :, free], slopes, slope[:, :, None], changes], axis=2)
+        )
     return np.concatenate(parts)
 
 
-def _base_prior(identified: Identification, n: int) -> tuple[FloatArray, FloatArray]:
-    """Mean and information of the base parameters, the widths and the delay."""
+def _base_prior(
+    identified: Identification, motions: Sequence[RecordedMotion], free: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean and information of the base parameters, widths, delay and session changes."""
     base, prior = identified.model.base, identified.prior
-    information = consistency.base_prior_information(identified.model.parameters, base, prior)
-    p = base.count
-    out = np.zeros((p + n + 1, p + n + 1))
-    out[:p, :p] = information
+    p, n = len(free), motions[0].n
+    changes = session_changes.prior_std(motions)
+    mean, out = np.zeros(p + n + 1 + len(changes)), np.zeros((p + n + 1 + len(changes),) * 2)
+    if not identified.options.trusted:
+        out[:p, :p] = consistency.base_prior_information(identified.model.parameters, base, prior)
+        mean[:p] = base.matrix @ prior.nominal
     out[range(p, p + n), range(p, p + n)] = 1.0
-    out[-1, -1] = 1.0 / MAX_DELAY_STEP**2
-    return np.concatenate([base.matrix @ prior.nominal, np.zeros(n + 1)]), out
+    out[p + n, p + n] = 1.0 / MAX_DELAY_STEP**2
+    places = np.arange(p + n + 1, len(mean))
+    out[places, places] = 1.0 / changes**2
+    return mean, out
 
 
 def _coulomb_columns(identified: Identification) -> IntArray:
@@ -342,8 +418,18 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
     The information of the base parameters is what the data hold after elimination of all effects.
     """
     model = identified.model
-    p = model.base.count
+    p = len(fitted.free)
     solution = fitted.solution
+    if identified.options.trusted:
+        psi, base = fitted.psi.copy(), model.base
+        change = solution.coefficients[:p] - (base.matrix @ psi)[fitted.free]
+        places = np.asarray(base.independent)[fitted.free]
+        psi[places] += change
+        for kind in ("rotor_inertia", "viscous", "coulomb"):
+            if kind in model.parameters.drive:
+                own = model.parameters.block(kind)
+                psi[own] = np.maximum(psi[own], 0.0)
+        return psi
     others = solution.active.copy()
     others[:p] = False
     eliminated = np.flatnonzero(others)
@@ -352,7 +438,7 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
     block = a[eliminated][:, eliminated] * scale[:, None] * scale
     cross = scale[:, None] * a[eliminated][:, :p]
     schur = a[:p, :p] - cross.T @ np.linalg.solve(block + RIDGE * np.eye(len(scale)), cross)
-    mean, prior = _base_prior(identified, fitted.n)
+    mean, prior = _base_prior(identified, fitted.motions, fitted.free)
     information = 0.5 * (schur + schur.T) - prior[:p, :p]
     score = schur @ solution.coefficients[:p] - prior[:p, :p] @ mean[:p]
     values, vectors = np.linalg.eigh(information)
@@ -372,10 +458,10 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
     """Find torque ripple in the residual, at each joint until no wave has evidence.
 
     The order of each wave is that of the highest peak of the order spectrum, refined by
-    Gauss-Newton steps.
+    Gauss-Newton steps jointly with all other coefficients. The waves are added to the regression.
     """
-    regression = fitted.regression
-    residual, weights = regression.residual(), regression.weights
+    regression, share = fitted.regression, fitted.regression.independent_share
+    hertz = fitted.motions[0].band.hertz
     out = []
     for j in range(fitted.n):
         moving = regression.moving[:, j]
@@ -383,26 +469,26 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         known = [
             m.values["order"] for m in fitted.models if m.effect == "torque_ripple" and m.joint == j
         ]
-        r = residual[:, j].copy()
         span = float(np.ptp(angle))
         if span <= 0.0:
             continue
         width = 2.0 * np.pi / span
-        grid = np.arange(max(3.0, MIN_WAVES * width), MAX_RIPPLE_ORDER, width / ORDER_STEPS)
-        while len(grid) and len(known) < 12:
-            order, gain = _spectrum_peak(
-                r, angle, speed, moving, grid, fitted.motions[0].band.hertz
-            )
-            sigma2 = float(np.mean(r[moving] ** 2))
-            evidence = weights[j] * gain - np.log(len(grid)) - np.log(max(weights[j] * gain, 1.0))
+        low = max(3.0, MIN_WAVES * width)
+        while len(known) < MAX_WAVES:
+            residual = regression.residual()[:, j]
+            order, gain, count = _spectrum_peak(residual, angle, speed, moving, low, hertz)
+            gain *= share / float(np.mean(residual[moving] ** 2))
+            evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
             if evidence < MIN_RIPPLE_EVIDENCE or any(abs(order - k) < 0.5 * width for k in known):
                 break
-            order, wave = _refined_order(fitted.motions, j, order, r, moving, width)
-            r = r - wave
+            order = _refined_order(fitted, j, order, width)
+            wave = torque_ripple.wave_model(fitted.motions, j, order)
+            columns = model_columns(wave, fitted.motions, fitted.level)
             known.append(order)
-            out.append(torque_ripple.wave_model(fitted.motions, j, order))
-            weights = weights.copy()
-            weights[j] *= sigma2 / float(np.mean(r[moving] ** 2))
+            if columns is None:
+                break
+            regression.add(columns)
+            out.append(wave)
     return out
 
 
@@ -420,63 +506,82 @@ def _spectrum_peak(
     angle: FloatArray,
     speed: FloatArray,
     moving: BoolArray,
-    grid: FloatArray,
+    low: float,
     hertz: float,
-) -> tuple[float, float]:
-    """Return the order of the wave that fits a residual best, and half its power [(N m)²].
+) -> tuple[float, float, int]:
+    """Return the order of the wave that fits a residual best, half its power, and their number.
 
-    A least-squares periodogram over the angle (Lomb 1976). Rows where the wave lies above the
-    cutoff frequency do not count.
+    A least-squares periodogram over the angle (Lomb 1976), by Fourier transforms of sums in narrow
+    bins of the angle. Rows where the wave lies above the cutoff frequency do not count; the speeds
+    are divided into classes for that.
+
+    Args:
+        residual: Torque residual, shape (N,) [N m].
+        angle: Joint angle, shape (N,) [rad].
+        speed: Joint speed, shape (N,) [rad/s].
+        moving: Rows that count, shape (N,).
+        low: Smallest order [1/rad].
+        hertz: Cutoff frequency [Hz].
+
+    Returns:
+        Order [1/rad], half the power of its wave [(N m)²], and number of independent orders.
     """
-    best = (0.0, -np.inf)
     rows = np.flatnonzero(moving)
-    angle, speed, residual = angle[rows], np.abs(speed[rows]), residual[rows]
-    blocks = max(1, len(grid) * len(rows) // 2_000_000)
-    for orders in np.array_split(grid, blocks):
-        below = np.outer(speed, orders) < 2.0 * np.pi * hertz
-        phase = np.outer(angle, orders)
-        c, s = np.cos(phase) * below, np.sin(phase) * below
-        cc, ss, cs = (c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)
-        yc, ys = residual @ c, residual @ s
-        determinant = cc * ss - cs**2
-        usable = determinant > 1e-3 * (cc + ss) ** 2
-        power = np.where(
-            usable,
-            (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / np.where(usable, determinant, 1.0),
-            0.0,
-        )
-        k = int(np.argmax(power))
-        if power[k] > best[1]:
-            best = float(orders[k]), float(power[k])
-    return best[0], 0.5 * best[1]
+    place = np.rint((angle[rows] - angle[rows].min()) / ANGLE_BIN).astype(int)
+    length = int(2 ** np.ceil(np.log2(ORDER_STEPS * (int(place.max()) + 1))))
+    orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN)
+    wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER))
+    twice = np.minimum(2 * wanted, length // 2)
+    highest = 2.0 * np.pi * hertz / np.maximum(np.abs(speed[rows]), 1e-9)
+    edges = np.append(np.quantile(highest, np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[:-1]), np.inf)
+    wave, square, count = (np.zeros(len(wanted), t) for t in (complex, complex, float))
+    for first, last in itertools.pairwise(edges.tolist()):
+        members = (highest >= first) & (highest < last)
+        if not members.any():
+            continue
+        below = orders[wanted] <= float(np.median(highest[members]))
+        sums = np.bincount(place[members], residual[rows][members], length)
+        numbers = np.bincount(place[members], minlength=length)
+        wave += np.where(below, np.fft.rfft(sums)[wanted], 0.0)
+        square += np.where(below, np.fft.rfft(numbers)[twice], 0.0)
+        count += below * float(members.sum())
+    cc, ss, cs = 0.5 * (count + square.real), 0.5 * (count - square.real), -0.5 * square.imag
+    yc, ys = wave.real, -wave.imag
+    determinant = cc * ss - cs**2
+    usable = (determinant > 1e-3 * (cc + ss) ** 2) & (count > MIN_WAVE_ROWS * len(rows))
+    power = np.where(
+        usable,
+        (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / np.where(usable, determinant, 1.0),
+        0.0,
+    )
+    if not len(power):
+        return 0.0, 0.0, 0
+    k = int(np.argmax(power))
+    return float(orders[wanted][k]), 0.5 * float(power[k]), len(wanted)
 
 
-def _refined_order(
-    motions: Sequence[RecordedMotion],
-    joint: int,
-    order: float,
-    residual: FloatArray,
-    moving: BoolArray,
-    width: float,
-) -> tuple[float, FloatArray]:
-    """Refine an order by Gauss-Newton steps; return it and the torque of its wave, shape (N,)."""
+def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -> float:
+    """Refine an order by Gauss-Newton steps, jointly with all coefficients of a joint model."""
+
+    def columns(torque: FloatArray) -> Columns:
+        k = torque.shape[1]
+        return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
 
     def waves(k: float) -> FloatArray:
-        return _filtered(motions, joint, lambda q: [np.cos(k * q), np.sin(k * q)])
+        return _filtered(fitted.motions, joint, lambda q: [np.cos(k * q), np.sin(k * q)])
 
+    near = order + width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
+    order = max(near.tolist(), key=lambda k: fitted.regression.candidate(columns(waves(k))).gain)
     for _ in range(GAUSS_NEWTON_STEPS):
-        columns = waves(order)
-        c = np.linalg.lstsq(columns[moving], residual[moving], rcond=None)[0]
-        slope = _order_slope(motions, joint, order, np.asarray(c, float))
-        joined = np.hstack([columns, slope])[moving]
-        step = float(np.linalg.lstsq(joined, residual[moving], rcond=None)[0][2])
-        step = float(np.clip(step, -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
+        pair = waves(order)
+        c = fitted.regression.candidate(columns(pair)).coefficients
+        slope = _order_slope(fitted.motions, joint, order, c)
+        fit = fitted.regression.candidate(columns(np.hstack([pair, slope])))
+        step = float(np.clip(fit.coefficients[2], -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
         order += step
         if abs(step) < ORDER_TOLERANCE * width:
             break
-    columns = waves(order)
-    c = np.linalg.lstsq(columns[moving], residual[moving], rcond=None)[0]
-    return order, columns @ c
+    return order
 
 
 def _order_slope(

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from ..effects.recorded_motion import RecordedMotion
-from ..identification.identification import Identification
+from ..effects.recorded_motion import RecordedMotion, split_by_motion
+from ..identification import segments
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
 from ..recordings import Recording, quantization
@@ -46,12 +46,13 @@ MAX_PERIOD_ROWS = 4000
 """Rows of a recording that are used to find its period."""
 JITTER_STANDARD_ERRORS = 2.0
 """Standard errors that are added to the growth of noise with momentum."""
-SHARPENING = 1.0
-"""Second difference of the speed that is subtracted to simulate a sharper reversal: a factor of 0.6
-was seen with a deceleration by friction of 55 rad/s² and a sample every 2 ms."""
-MAX_DOUBTFUL_NOISE = 1.0
-"""Largest mean square beyond the noise floor, over it, that may still be noise: recordings with
-more momentum than those of the floor show little of it."""
+MAX_MOTION_SHARE = 0.6
+"""Largest frequency of the motion, over the cutoff, above which the residual shows its noise."""
+FILTERED_SHARE = 0.95
+"""Share of the residual's power above the motion that lies below the cutoff of a file that was
+filtered before."""
+SPECTRUM_PERIODS = 40.0
+"""Length of the windows of the spectrum, in periods of the cutoff frequency."""
 SHIFT_PADDING = 32
 """Rows by which a signal is continued before it is shifted."""
 MIN_TRAVEL = 1e-6
@@ -69,9 +70,6 @@ class NoiseEstimate:
             than where the floor was found [(N m)²], shape (n,).
         steps: RMS of the model torque's error by encoder quantisation, which repeats with the
             motion [N m], shape (n,).
-        quantization_draws: Random draws of the residuals of both folds by encoder quantisation
-            alone, shapes (N, n); none if the encoders are fine.
-        sharpened: Residuals of both folds if reversals were too sharp for the sample rate.
         periods: By recording that repeats: its period and window.
     """
 
@@ -79,8 +77,6 @@ class NoiseEstimate:
     method: str
     clock: FloatArray
     steps: FloatArray
-    quantization_draws: tuple[tuple[FloatArray, FloatArray], ...]
-    sharpened: tuple[FloatArray, FloatArray]
     periods: Mapping[str, Period] = field(default_factory=dict)
 
     @property
@@ -88,38 +84,26 @@ class NoiseEstimate:
         """RMS that a right model may leave, with quantisation and jitter [N m], shape (n,)."""
         return np.asarray(np.sqrt(self.floor**2 + 2.0 * self.steps**2 + self.clock))
 
-    @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Smallest and largest mean square noise over the floor's, shapes (n,).
-
-        Without quantisation, and with twice its power and jitter.
-        """
-        steps, clock = np.square(self.steps / self.floor), self.clock / np.square(self.floor)
-        return 1.0 - steps, 1.0 + np.minimum(steps + clock, MAX_DOUBTFUL_NOISE)
-
 
 def estimate_noise(
-    identified: Identification,
-    halves: Sequence[Sequence[RecordedMotion]],
+    model: IdentificationModel,
+    motions: Sequence[RecordedMotion],
+    residuals: Sequence[FloatArray],
     recordings: Sequence[Recording],
 ) -> NoiseEstimate:
-    """Estimate the noise from what does not repeat.
+    """Estimate the noise of a residual from what does not repeat.
 
-    Where nothing repeats, the torque's spectral density above the motion gives a lower bound.
+    Where nothing repeats, the residual's spectral density above the motion gives a lower bound.
 
     Args:
-        identified: The base model.
-        halves: Motions of the training and of the held-out recordings.
-        recordings: All recordings.
+        model: The base model.
+        motions: Motions of the recordings.
+        residuals: Torque residual of each, shapes (N, n) [N m].
+        recordings: The recordings.
     """
-    motions = [motion for half in halves for motion in half]
-    spectral = _spectral_noise(identified, motions[0].band.hertz)
-    draws = quantization_residuals(identified.model, halves)
-    rows = (
-        np.concatenate([part for draw in draws for part in draw])
-        if draws
-        else np.zeros((1, len(spectral)))
-    )
+    spectral = _spectral_noise(motions, residuals)
+    draws = quantization_residuals(model, motions)
+    rows = np.concatenate(draws) if draws else np.zeros((1, len(spectral)))
     steps = np.sqrt(np.mean(rows**2, axis=0))
     periods = {
         recording.source: period
@@ -131,25 +115,17 @@ def estimate_noise(
         "differences",
         np.zeros(len(spectral)),
         steps,
-        draws,
-        _sharpened(halves),
         periods,
     )
-    return refine_by_repetition(lower_bound, motions, [motion.residual for motion in motions])
+    return _refined_by_repetition(lower_bound, motions, residuals)
 
 
-def refine_by_repetition(
+def _refined_by_repetition(
     estimate: NoiseEstimate,
     motions: Sequence[RecordedMotion],
     residuals: Sequence[FloatArray],
 ) -> NoiseEstimate:
-    """Estimate the noise from the repetitions of residuals; unchanged if nothing repeats.
-
-    Args:
-        estimate: Previous estimate.
-        motions: All motions.
-        residuals: Torque residual of each, shapes (N, n) [N m].
-    """
+    """Noise from the repetitions of residuals; unchanged if nothing repeats."""
     periods = estimate.periods
     repetitions = [
         repetition
@@ -173,13 +149,30 @@ def _with_steps(spread: FloatArray, steps: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2))
 
 
-def _spectral_noise(identified: Identification, hertz: float) -> FloatArray:
-    """RMS below the cutoff of noise with the spectral density found above the motion, (n,)."""
-    frequency = identified.spectra.frequency
-    inside = frequency <= hertz
-    return np.sqrt(
-        np.maximum(np.trapezoid(identified.spectra.noise[inside], frequency[inside], axis=0), 1e-24)
-    )
+def _spectral_noise(
+    motions: Sequence[RecordedMotion], residuals: Sequence[FloatArray]
+) -> FloatArray:
+    """RMS of white noise below the cutoff with the median density above the motion, shape (n,).
+
+    The cutoff is that of this filter, or the lower one of a file that was filtered before.
+    """
+    from scipy import signal  # slow to import
+
+    squares, rows = np.zeros(residuals[0].shape[1]), 0
+    for motion, residual in zip(motions, residuals, strict=True):
+        rate, hertz = motion.band.rate_of(Grid.KEPT), motion.band.hertz
+        length = min(len(residual), max(16, int(SPECTRUM_PERIODS * rate / hertz)))
+        frequency, density = signal.welch(residual, rate, nperseg=length, axis=0)
+        start = min(segments.motion_bandwidth(motion.segment), MAX_MOTION_SHARE * hertz)
+        above = (frequency > start) & (frequency <= hertz)
+        for j in range(len(squares)):
+            share = np.cumsum(density[above, j]) / max(float(density[above, j].sum()), 1e-300)
+            last = int(np.searchsorted(share, FILTERED_SHARE))
+            usable = density[above, j][: last + 1]
+            edge = float(frequency[above][min(last, int(above.sum()) - 1)])
+            squares[j] += len(residual) * edge * float(np.median(usable))
+        rows += len(residual)
+    return np.asarray(np.sqrt(np.maximum(squares / max(rows, 1), 1e-24)))
 
 
 @dataclass(frozen=True)
@@ -215,6 +208,33 @@ def _repetitions(
         return []
     change = (later - first)[inside] / np.sqrt(2.0)
     return [_without_drift(change, motion, inside)]
+
+
+def products_of_periods(
+    periods: Mapping[str, Period], motions: Sequence[RecordedMotion], residual: FloatArray
+) -> FloatArray:
+    """Return the products of a residual in two subsequent periods, shape (m, n) [(N m)²].
+
+    Their mean is the power that repeats. Empty if nothing repeats.
+
+    Args:
+        periods: Period and window by recording.
+        motions: The motions.
+        residual: Their residual, shape (N, n) [N m].
+    """
+    out = [np.zeros((0, residual.shape[1]))]
+    for motion, part in zip(motions, split_by_motion(residual, motions), strict=True):
+        if motion.segment.source not in periods:
+            continue
+        period, (low, high) = periods[motion.segment.source]
+        rate = 1.0 / (motion.time[1] - motion.time[0])
+        rows = int(np.floor(period * rate))
+        later = shifted(part, period * rate - rows)[rows:]
+        inside = (motion.time[: len(later)] >= low) & (
+            motion.time[rows : rows + len(later)] + 1.0 / rate <= high
+        )
+        out.append((later * part[: len(later)])[inside])
+    return np.concatenate(out)
 
 
 def _squared_momentum(motion: RecordedMotion) -> FloatArray:
@@ -374,52 +394,22 @@ def _refined_lag(q: FloatArray, rows: int, step: int) -> float:
     return float(near[i] + 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-300))
 
 
-def _sharpened(
-    halves: Sequence[Sequence[RecordedMotion]],
-) -> tuple[FloatArray, FloatArray]:
-    """Residual of each fold if speed changed more sharply at reversals than its samples resolve.
-
-    Where a reversal falls on a sample, the sign of that sample changes; a motion that repeats in
-    step with the samples repeats this error.
-    """
-    first, second = (np.concatenate([reversal_error(m) for m in half]) for half in halves)
-    return first, second
-
-
-def reversal_error(motion: RecordedMotion) -> FloatArray:
-    """Return the friction error at reversals that samples do not determine, shape (N, n) [N m].
-
-    F_c (tanh(v/w) − tanh(q̇/w)) with v = q̇ − Δ²q̇, low-pass filtered.
-    """
-    speed, ends = motion.samples.dq, np.zeros((1, motion.n))
-    sharper = speed - SHARPENING * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
-    return motion.lowpass(
-        motion.fitted_robot.actuator_parameter("coulomb")
-        * (np.tanh(sharper / motion.widths) - np.tanh(speed / motion.widths))
-    )
-
-
 def quantization_residuals(
-    model: IdentificationModel, halves: Sequence[Sequence[RecordedMotion]]
-) -> tuple[tuple[FloatArray, FloatArray], ...]:
-    """Draw residuals of the base model by encoder quantisation alone, for both folds.
+    model: IdentificationModel, motions: Sequence[RecordedMotion]
+) -> tuple[FloatArray, ...]:
+    """Draw residuals of the base model by encoder quantisation alone.
 
     The error of each reading is unknown, but not its distribution: smoothed positions are quantised
     again, with random origins.
 
     Returns:
-        `DRAWS` pairs of shapes (N, n) [N m]; none if all encoders are fine.
+        `DRAWS` residuals of shape (N, n) [N m]; none if all encoders are fine.
     """
-    if not any(motion.segment.encoder.any() for half in halves for motion in half):
+    if not any(motion.segment.encoder.any() for motion in motions):
         return ()
     rng = np.random.default_rng(0)
-    first, second = ([_quantization_error(model, motion) for motion in half] for half in halves)
-    return tuple((_drawn(first, rng), _drawn(second, rng)) for _ in range(DRAWS))
-
-
-def _drawn(fold: Sequence[Draw], rng: np.random.Generator) -> FloatArray:
-    """A random residual of all motions of a fold [N m], shape (N, n)."""
-    return np.concatenate([draw(rng) for draw in fold])
+    errors = [_quantization_error(model, motion) for motion in motions]
+    return tuple(np.concatenate([draw(rng) for draw in errors]) for _ in range(DRAWS))
 
 
 def _quantization_error(model: IdentificationModel, motion: RecordedMotion) -> Draw:

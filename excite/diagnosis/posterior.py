@@ -17,8 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray
+from . import probability
 from .joint_model import JointModel
 from .regression import JointRegression, Solution, rms
+
+DENSE_NAMES = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction", "torque_ripple")
+"""Effects that the joint model has from the start."""
+MIN_SEVERITY = 0.3
+"""Growth of the residual without an effect, over the noise, from which it counts."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +68,19 @@ def log_evidence(regression: JointRegression, solution: Solution) -> float:
     )
 
 
-def select(
-    model: JointModel, min_log_bayes_factor: float = 0.0
-) -> tuple[frozenset[int], list[EffectEvidence]]:
+def is_needed(model: JointModel, evidence: EffectEvidence) -> bool:
+    """Tell whether an effect of a model is more probable than not, and large enough to matter."""
+    size = float((evidence.severity / model.regression.sigma).max())
+    if evidence.name in DENSE_NAMES:
+        return evidence.log_bayes_factor > 0.0 and size > MIN_SEVERITY
+    return float(probability.rare_probability(evidence.log_bayes_factor, size)) > 0.5
+
+
+def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     """Leave out effects that are not needed, the least needed first.
 
     Args:
         model: The joint model.
-        min_log_bayes_factor: Log Bayes factor from which an effect is needed.
 
     Returns:
         The effects that are left out, and the evidence of all: of a left-out effect, what it had
@@ -84,9 +95,10 @@ def select(
     }
     out: list[EffectEvidence] = []
     while evidence:
-        key = min(evidence, key=lambda k: evidence[k].log_bayes_factor)
-        if evidence[key].log_bayes_factor >= min_log_bayes_factor:
+        unneeded = [k for k in evidence if not is_needed(model, evidence[k])]
+        if not unneeded:
             break
+        key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
         out.append(evidence.pop(key))
         left_out |= set(groups[key])
         current = regression.without(left_out)

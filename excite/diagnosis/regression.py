@@ -12,7 +12,7 @@ eliminated by a Schur complement, the others follow from nonnegative least squar
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -178,6 +178,25 @@ class JointRegression:
         """Weight ρ/σ² of the rows of each joint, shape (n,)."""
         return self.independent_share / self.sigma**2
 
+    def base_only(self) -> JointRegression:
+        """Return a regression on the base model alone, with the same rows and weights."""
+        p = self.base_count
+        out = JointRegression(self.torque, self.moving, p, self.sigma, self.independent_share)
+        out.prior_matrix, out._prior_score = self.prior_matrix[:p, :p], self._prior_score[:p]
+        out._prior_power, out.nonnegative = self._prior_power, np.zeros(p, bool)
+        for gram in self._grams:
+            base = gram.places < p
+            out._grams.append(
+                _JointGram(
+                    gram.columns[:, base],
+                    gram.places[base],
+                    gram.matrix[np.ix_(base, base)],
+                    gram.score[base],
+                    gram.power,
+                )
+            )
+        return out
+
     def add(self, columns: Columns) -> int:
         """Append the columns of an effect; return its number."""
         start = len(self.nonnegative)
@@ -231,7 +250,12 @@ class JointRegression:
         return self._assembly
 
     def _solve(self, used: BoolArray) -> Solution:
-        matrix, score, power = self._assembled()
+        return self._minimum(used, *self._assembled())
+
+    def _minimum(
+        self, used: BoolArray, matrix: FloatArray, score: FloatArray, power: float
+    ) -> Solution:
+        """Minimum of the objective over the used coefficients."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         a, b = matrix * scale[:, None] * scale, score * scale
         free = np.flatnonzero(used & ~self.nonnegative)
@@ -252,10 +276,75 @@ class JointRegression:
         objective = 0.5 * (power + x @ matrix @ x) - score @ x
         return Solution(x, active, float(objective), matrix)
 
+    def cross_validated(
+        self, folds: Sequence[BoolArray], variants: Sequence[Collection[int]], unused: BoolArray
+    ) -> FloatArray:
+        """Return squared errors on rows that the coefficients were not fitted to.
+
+        Args:
+            folds: Rows of each fold, shape (N,).
+            variants: Effects that are left out, by variant of the model.
+            unused: Coefficients that say nothing about other rows, shape (K,).
+
+        Returns:
+            Sum over all folds, in units of the noise variance, shape (variants, n).
+        """
+        used = np.tile(~unused, (len(variants), 1))
+        for mask, left_out in zip(used, variants, strict=True):
+            for e in left_out:
+                mask[self.slices[e]] = False
+        out = np.zeros((len(variants), self.n))
+        matrix, score, power = self._assembled()
+        measured = np.where(self.moving, self.torque, 0.0)
+        for fold in folds:
+            rest, right = matrix.copy(), score.copy()
+            held_out = [gram.columns[fold] for gram in self._grams]
+            for j, (gram, x) in enumerate(zip(self._grams, held_out, strict=True)):
+                weight = float(self.weights[j])
+                rest[np.ix_(gram.places, gram.places)] -= weight * (x.T @ x)
+                right[gram.places] -= weight * (x.T @ measured[fold, j])
+            for v, mask in enumerate(used):
+                c = self._minimum(mask, rest, right, power).coefficients
+                for j, (gram, x) in enumerate(zip(self._grams, held_out, strict=True)):
+                    error = measured[fold, j] - x @ c[gram.places]
+                    out[v, j] += float(self.weights[j] * (error @ error))
+        return out
+
     def residual(self, solution: Solution | None = None) -> FloatArray:
         """Return the torque residual, shape (N, n) [N m]; rows at standstill have the torque."""
         x = (solution or self.solution).coefficients
         return self.torque - np.column_stack([g.columns @ x[g.places] for g in self._grams])
+
+    def torque_along(self, coefficients: FloatArray) -> FloatArray:
+        """Return the torque of given coefficients, shape (N, n) [N m]; zero at standstill."""
+        return np.column_stack([g.columns @ coefficients[g.places] for g in self._grams])
+
+    def sensitivity(
+        self, joints: Sequence[int], values: Sequence[FloatArray], solution: Solution
+    ) -> tuple[FloatArray, float]:
+        """Return how the active coefficients follow one more column, and its information.
+
+        Args:
+            joints: Joints on which the column acts.
+            values: The column on each, shapes (N, 1).
+            solution: A solution of the regression.
+
+        Returns:
+            Change of the active coefficients per unit of the column's coefficient, shape (a,), and
+            the information of that coefficient after their elimination.
+        """
+        active = np.flatnonzero(solution.active)
+        position = np.full(len(solution.active), -1)
+        position[active] = np.arange(len(active))
+        cross, square = np.zeros((len(active), 1)), 0.0
+        for j, column in zip(joints, values, strict=True):
+            gram, weight = self._grams[j], float(self.weights[j])
+            x = column * self.moving[:, j, None]
+            on = position[gram.places]
+            cross[on[on >= 0]] += weight * (gram.columns.T @ x)[on >= 0]
+            square += weight * float(np.sum(x * x))
+        change = -solution.solve(cross)
+        return change[:, 0], float(square + (cross.T @ change)[0, 0])
 
     def torque_of(self, effect: int, joint: int, solution: Solution | None = None) -> FloatArray:
         """Return the torque of an effect on a joint, shape (N,) [N m]."""

@@ -8,8 +8,8 @@ hides itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,51 +17,123 @@ from ..effects import EFFECTS
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
-from . import joint_model, posterior
+from . import cross_validation, joint_model, posterior, probability
 from .joint_model import JointModel
+from .posterior import DENSE_NAMES
 from .regression import CandidateFit, Columns
 
 MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
-RARE_LOG_ODDS = -4.0
-"""Prior log odds that a joint has a certain rare effect: about 2 %."""
-MIN_SEVERITY = 0.3
-"""Growth of the residual without an effect, over the noise, from which it counts."""
 OPTIMISED_CANDIDATES = 4
 """Candidates whose nonlinear parameters are optimised before the best is chosen."""
+MIN_CANDIDATE_EVIDENCE = 5.0
+"""Log Bayes factor before the weights are renewed from which a candidate is tried."""
+MAX_MODELS = 2
+"""Models of one effect at one joint, as the modes of a base or the waves of a curve."""
+RANKING_SHARE = 0.25
+"""Share of independent rows in the residual of a complete model, at least."""
 MAX_REJECTIONS = 3
 """Candidates that are tried in vain before the search ends."""
-DENSE_NAMES = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction", "torque_ripple")
-"""Effects that the joint model has from the start."""
+
+
+EQUIVALENT_SHARE = 0.05
+"""Probability over that of the chosen effect from which another one is its equivalent."""
+Key = tuple[str, int | None]
+"""Effect and index of its joint."""
+
+
+@dataclass(frozen=True)
+class RareEffect:
+    """An effect that was added to the joint model, and what else might be in its place.
+
+    Attributes:
+        key: Effect and joint.
+        evidence: Its log Bayes factor before it was added.
+        before: Log Bayes factors of all other effects before it was added.
+        after: The same after it was added; an effect that is not listed has none.
+        final: Its log Bayes factor with the weights of the rows after it was added.
+    """
+
+    key: Key
+    evidence: float
+    before: Mapping[Key, float]
+    after: Mapping[Key, float]
+    final: float
+
+    def share(self) -> tuple[float, tuple[str, ...]]:
+        """Return the probability that it is this effect or an equivalent, and the equivalents.
+
+        Another effect k may be in place of the chosen one, or beside it: the weights of the three
+        cases are exp(E/T), exp(E_k/T) and exp((E + E_k|chosen)/T). E and E_k are scaled to the
+        weights of the rows that the chosen effect leaves.
+        """
+        odds, temperature = probability.RARE_LOG_ODDS, probability.RARE_TEMPERATURE
+        scale = max(self.final / max(self.evidence, 1e-9), 1.0)
+        instead = {}
+        for key, value in self.before.items():
+            beside = max(self.after.get(key, -np.inf) / temperature + odds, -700.0)
+            relative = scale * (value - self.evidence) / temperature - float(
+                np.logaddexp(0.0, beside)
+            )
+            instead[key] = float(np.exp(np.clip(relative, -700.0, 700.0)))
+        alike = [
+            key
+            for key, weight in sorted(instead.items(), key=lambda entry: -entry[1])
+            if weight > EQUIVALENT_SHARE
+            and (key[1] == self.key[1] or None in (key[1], self.key[1]))
+        ]
+        total = 1.0 + sum(instead.values())
+        own = 1.0 + sum(instead[key] for key in alike)
+        return own / total, tuple(name for name, _ in alike)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate model with its columns and its fit on top of a joint model."""
+    """A candidate model with its columns and its fit on top of a joint model.
+
+    Attributes:
+        model: The candidate.
+        columns: Its columns.
+        fit: Its fit.
+        share: Share of independent rows in the residual. An effect that is left out makes the
+            residual look correlated, so that the evidence is that of usual residuals.
+    """
 
     model: CandidateModel
     columns: Columns
     fit: CandidateFit
+
+    share: float = 1.0
 
     @property
     def evidence(self) -> float:
         """Log Bayes factor for the candidate, before the choice among its shapes."""
         precision = 1.0 / self.columns.prior_std**2
         occam = np.linalg.slogdet(self.fit.information / np.sqrt(np.outer(precision, precision)))[1]
-        return self.fit.gain - 0.5 * float(occam)
+        return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - 0.5 * float(occam)
 
 
 class CandidateColumns:
-    """Columns of all candidates over the motions of a joint model, computed once."""
+    """Columns of all candidates over the motions of a joint model.
+
+    They are computed once, with the first joint model, and rank the candidates on top of later ones
+    as well; the best of them are computed anew.
+    """
 
     def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
         self.shapes: dict[tuple[str, int | None], list[tuple[CandidateModel, Columns]]] = {}
+        torque = np.concatenate([motion.torque for motion in model.motions])
+        noise_ratio = model.regression.sigma / np.maximum(torque.std(axis=0), 1e-300)
         for effect in EFFECTS:
             if effect.name in DENSE_NAMES or (effect.prior_only and not trusted):
                 continue
             if names and effect.name not in names:
                 continue
             for shape in effect.candidates(model.motions):
+                if effect.name == "delay" and shape.joint is None:
+                    continue  # part of the joint model
+                if shape.joint is not None and noise_ratio[shape.joint] > shape.max_noise_ratio:
+                    continue
                 columns = model.columns(shape)
                 if columns is not None:
                     self.shapes.setdefault((effect.name, shape.joint), []).append((shape, columns))
@@ -77,7 +149,7 @@ class CandidateColumns:
         for shape, columns in self.shapes[key]:
             fit = model.regression.candidate(columns)
             if shape.is_plausible(fit.coefficients):
-                scored.append(Candidate(shape, columns, fit))
+                scored.append(Candidate(shape, columns, fit, model.regression.independent_share))
         if not scored:
             return None
         best = max(scored, key=lambda c: c.evidence)
@@ -88,7 +160,12 @@ class CandidateColumns:
 
 
 def optimised(model: JointModel, candidate: Candidate) -> Candidate:
-    """Return a candidate with its nonlinear parameters optimised."""
+    """Return a candidate for the present joint model, with its nonlinear parameters optimised."""
+    current = model.columns(candidate.model)
+    if current is None:
+        return candidate
+    share = model.regression.independent_share
+    candidate = Candidate(candidate.model, current, model.regression.candidate(current), share)
     if candidate.model.nonlinear is None:
         return candidate
 
@@ -106,7 +183,7 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     fit = model.regression.candidate(columns)
     if not shape.is_plausible(fit.coefficients) or fit.gain < candidate.fit.gain:
         return candidate
-    return Candidate(shape, columns, fit)
+    return Candidate(shape, columns, fit, share)
 
 
 def find_rare_effects(
@@ -115,7 +192,7 @@ def find_rare_effects(
     trusted: bool = False,
     names: Collection[str] = (),
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[JointModel, tuple[CandidateModel, ...]]:
+) -> tuple[JointModel, tuple[RareEffect, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
 
     Args:
@@ -130,40 +207,69 @@ def find_rare_effects(
         The joint model and its rare effects.
     """
     rare: tuple[CandidateModel, ...] = ()
+    found: list[RareEffect] = []
     model = joint_model.fit(identified, motions)
-    rejected: set[tuple[str, int | None]] = set()
-    while len(rare) < MAX_RARE_EFFECTS and len(rejected) < MAX_REJECTIONS:
-        candidates = CandidateColumns(model, trusted, names)
-        scored = []
-        for key in candidates.shapes:
-            if key in rejected:
-                continue
-            best = candidates.best(model, key)
-            if best is not None and best[0] + RARE_LOG_ODDS > 0.0:
-                scored.append((best[0], key, best[1]))
-        if not scored:
+    rejected: set[Key] = set()
+    candidates = CandidateColumns(model, trusted, names)
+    while True:
+        best = {
+            key: entry
+            for key in candidates.shapes
+            if (entry := candidates.best(model, key)) is not None
+        }
+        scores = {key: evidence for key, (evidence, _) in best.items()}
+        if found:
+            found[-1] = replace(found[-1], after=scores)
+        promising = sorted(
+            (
+                key
+                for key, evidence in scores.items()
+                if key not in rejected
+                and evidence > MIN_CANDIDATE_EVIDENCE
+                and [f.key for f in found].count(key) < MAX_MODELS
+            ),
+            key=lambda key: -scores[key],
+        )
+        if not promising or len(rare) == MAX_RARE_EFFECTS or len(rejected) >= MAX_REJECTIONS:
             break
-        scored.sort(key=lambda entry: -entry[0])
         # a shape between two grid points may explain more than another effect's best grid point
-        tuned = [(key, optimised(model, c)) for _, key, c in scored[:OPTIMISED_CANDIDATES]]
-        tuned.sort(key=lambda entry: -entry[1].evidence)
-        accepted = False
-        for key, candidate in tuned[: MAX_REJECTIONS - len(rejected)]:
-            chosen = candidate.model
+        tuned = {key: optimised(model, best[key][1]) for key in promising[:OPTIMISED_CANDIDATES]}
+        for key, candidate in tuned.items():
+            scores[key] += max(candidate.evidence - best[key][1].evidence, 0.0)
+        accepted = None
+        ranked = sorted(tuned, key=lambda key: -scores[key])
+        for key in ranked[: MAX_REJECTIONS - len(rejected)]:
+            chosen = tuned[key].model
             extended = joint_model.fit(identified, motions, (*rare, chosen))
             groups = posterior.effect_groups(extended)
-            if key not in groups:
-                rejected.add(key)
-                continue
-            result = posterior.evidence_of(extended, key, groups[key], (), extended.solution)
-            severity = float((result.severity / extended.regression.sigma).max())
-            progress(
-                f"{key}: log Bayes factor {result.log_bayes_factor:.1f}, severity {severity:.2f}"
-            )
-            if result.log_bayes_factor + RARE_LOG_ODDS > 0.0 and severity > MIN_SEVERITY:
-                model, rare, accepted = extended, (*rare, chosen), True
-                break
+            if key in groups:
+                result = posterior.evidence_of(extended, key, groups[key], (), extended.solution)
+                severity = float((result.severity / extended.regression.sigma).max())
+                progress(
+                    f"{key[0]}, joint {key[1]}: log Bayes factor {result.log_bayes_factor:.1f}, "
+                    f"severity {severity:.2f}"
+                )
+                if (
+                    posterior.is_needed(extended, result)
+                    and _is_plausible(extended, groups[key])
+                    and cross_validation.pays(extended, groups[key])
+                ):
+                    accepted, final = key, result.log_bayes_factor
+                    break
             rejected.add(key)
-        if not accepted:
+        if accepted is None:
             break
-    return model, rare
+        model, rare = extended, (*rare, chosen)
+        others = {key: score for key, score in scores.items() if key != accepted}
+        found.append(RareEffect(accepted, scores[accepted], others, {}, final))
+    return model, tuple(found)
+
+
+def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:
+    """Tell whether fitted coefficients are physically possible."""
+    plain = [
+        (shape, model.coefficients(e)[: len(model.coefficients(e)) - shape.form_columns])
+        for e in effects
+        for shape in (model.models[e],)
+    ]
+    return all(shape.is_plausible(c) for shape, c in plain)

@@ -12,12 +12,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from .._types import BoolArray, FloatArray
-from .residual_curves import MIN_BIN_ROWS, MotionRows
+from . import noise
+from .joint_model import JointModel
+from .motion_rows import MIN_BIN_ROWS, MotionRows, motion_rows
+from .noise import NoiseEstimate
 
 HARMONICS = 40
 """Largest harmonic of a turn, or of a prismatic joint's range."""
@@ -29,13 +33,12 @@ MEMORY = 4.0
 """Length of the impulse response of a resonance [s]."""
 MAX_LAGS = 250
 """Largest number of values of the impulse response."""
-MIN_SHARE = 0.05
-"""Predicted share of the residual power from which it counts. The largest share in 90 simulated
-robots without any effect is 0.036; 0.009 by bumps over position, in 60."""
-MIN_STANDARD_ERRORS = 1.5
-"""Predicted share over its standard error from which it counts."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Ridge parameters over the mean square of the features."""
+LOG_ODDS = -4.0
+"""Prior log odds that a joint has torque that no effect explains: about 2 %."""
+MIN_SIZE = 0.5
+"""RMS of unmodelled torque from which it is reported, over the noise floor."""
 RESPONSE_BINS = 100
 """Bins of a reported response."""
 ERROR_BLOCKS = 40
@@ -79,10 +82,22 @@ class ResidualPrediction:
     sure: float
     response: ResidualResponse
 
-    @property
-    def counts(self) -> bool:
-        """True if the prediction is better than noise allows."""
-        return self.share > MIN_SHARE and self.sure > MIN_STANDARD_ERRORS
+
+@dataclass(frozen=True)
+class UnmodelledTorque:
+    """Torque of a joint that no effect explains.
+
+    Attributes:
+        joint: Index of the joint.
+        prediction: How it is predicted.
+        size: RMS of what is predicted [N m].
+        probability: That it is physics and not noise.
+    """
+
+    joint: int
+    prediction: ResidualPrediction
+    size: float
+    probability: float
 
 
 def _position_waves(rows: MotionRows, joint: int) -> FloatArray:
@@ -223,6 +238,67 @@ BASES: Mapping[str, FeatureBasis] = {
 """Bases of features by regime."""
 
 
+REPETITION = "repetition"
+"""Regime of torque that repeats with the motion, whatever it depends on."""
+
+
+def experiment(regime: str) -> str:
+    """Return the experiment that shows torque of a regime alone."""
+    if regime == REPETITION:
+        return "each joint alone over the same positions and speeds, the others at rest"
+    return BASES[regime].experiment
+
+
+def find(
+    model: JointModel, residual: FloatArray, estimate: NoiseEstimate
+) -> list[UnmodelledTorque]:
+    """Find torque that no effect of a joint model explains.
+
+    Physics is what is predictable: by a flexible model that is fitted to one half of the training
+    recordings and predicts the other, or where a motion repeats, by another period. The evidence
+    is ½ z² − ln K, with z the predicted power over its standard error, and K kinds of features.
+
+    Args:
+        model: The joint model.
+        residual: Its residual, shape (N, n) [N m].
+        estimate: The noise of that residual.
+    """
+    rows = motion_rows(model.motions)
+    middle = np.concatenate([np.arange(len(motion)) < len(motion) // 2 for motion in model.motions])
+    products = noise.products_of_periods(estimate.periods, model.motions, residual)
+    out = []
+    for j in range(model.n):
+        moving = model.regression.moving[:, j]
+        square = float(np.mean(residual[moving, j] ** 2))
+        prediction = predict_residual(rows, (moving & middle, moving & ~middle), residual[:, j], j)
+        if len(products):
+            repeated = _repeated_share(products[:, j], square, float(estimate.steps[j]))
+            if repeated[1] > prediction.sure:
+                prediction = replace(
+                    prediction, regime=REPETITION, share=repeated[0], sure=repeated[1]
+                )
+        size = np.sqrt(max(prediction.share, 0.0) * square)
+        evidence = 0.5 * max(prediction.sure, 0.0) ** 2 - np.log(len(BASES) + 1)
+        chance = float(special.expit(evidence + LOG_ODDS))
+        if chance >= 0.5 and size > MIN_SIZE * estimate.floor[j]:
+            out.append(UnmodelledTorque(j, prediction, float(size), chance))
+    return out
+
+
+def _repeated_share(products: FloatArray, square: float, steps: float) -> tuple[float, float]:
+    """Share of a residual's power that repeats, and that share over its standard error.
+
+    Args:
+        products: Products of the residuals of two periods, shape (m,).
+        square: Mean square residual.
+        steps: RMS of the errors by encoder quantisation, which repeat as well.
+    """
+    blocks = np.array([part.mean() for part in np.array_split(products, ERROR_BLOCKS)])
+    power = float(blocks.mean()) - steps**2
+    std = max(float(blocks.std() / np.sqrt(ERROR_BLOCKS)), 1e-300)
+    return power / max(square, 1e-300), power / std
+
+
 def predict_residual(
     rows: MotionRows, halves: Sequence[BoolArray], residual: FloatArray, joint: int
 ) -> ResidualPrediction:
@@ -234,14 +310,14 @@ def predict_residual(
         residual: Torque residual [N m], shape (N,).
         joint: Index of the joint.
     """
-    predictions = list[tuple[bool, float, float, float, str]]()
+    predictions = list[tuple[float, float, float, str]]()
     for regime, basis in BASES.items():
         x = _standardised(basis.features(rows, joint))[0]
         share, errors, ridge = _cross_validate(
             [x[half] for half in halves], [residual[half] for half in halves]
         )
-        predictions.append((errors > MIN_STANDARD_ERRORS, share, errors, ridge, regime))
-    _, share, errors, ridge, regime = max(predictions)
+        predictions.append((errors, share, ridge, regime))
+    errors, share, ridge, regime = max(predictions)
     moves = np.logical_or(*halves)
     return ResidualPrediction(
         regime, share, errors, _response(rows, moves, residual, joint, regime, ridge)

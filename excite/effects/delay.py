@@ -46,6 +46,13 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return _at_joint(model, motion.lowpass((delayed - motion.motor_torque) / seconds))
 
 
+def clock_delay() -> CandidateModel:
+    """Return the delay of all torque by one time, its coefficient [s]."""
+    return CandidateModel(
+        "delay", None, _columns, {"measured": 1.0}, parameters=named_coefficients("seconds")
+    )
+
+
 def _predicted_torque(
     motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
 ) -> FloatArray:

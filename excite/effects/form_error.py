@@ -1,11 +1,13 @@
 """Model discrepancy: an effect of a real robot has not exactly the form of its model.
 
 The torque of the effect may differ from that of its model by a smooth factor of position and speed
-(Kennedy & O'Hagan 2001, with a multiplicative Gaussian process in a finite basis):
+(Kennedy & O'Hagan 2001, with a multiplicative Gaussian process in a finite basis), and in time, as
+by dynamics that the model lacks:
 
-    τ_e = Σ_k c_k C_k (1 + Σ_m a_km φ_m),   a_km ~ N(0, η²)
+    τ_e = T (1 + Σ_m a_m φ_m) + b₁ Ṫ/ω + b₂ T̈/ω²,   T = Σ_k c_k C_k,   a, b ~ N(0, η²)
 
-Without it the difference, which grows with the effect, would be taken for further effects.
+ω is the ratio of the RMS values of Ṫ and T. Without it the difference, which grows with the effect,
+would be taken for further effects.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ POSITION_WAVES = 4
 """Half waves over the range of the joint."""
 SPEED_WAVES = 2
 """Half waves over the range of speeds."""
+DERIVATIVES = 2
+"""Time derivatives of the torque."""
 RELATIVE_STD = 0.15
 """Standard deviation η of each factor."""
 
@@ -33,26 +37,35 @@ def with_form_error(
     """Return a model that has its discrepancy as further columns.
 
     Args:
-        model: A model of one joint.
+        model: A model of one joint, or of the whole robot.
         motions: Motions that it is fitted to.
         coefficients: Coefficients of the model, shape (k,), in whose units the further columns are.
     """
-    low, high = position_range(motions, model.joint_index)
-    top = max(float(np.abs(m.samples.dq[:, model.joint_index]).max()) for m in motions)
-    k = len(coefficients)
-    count = POSITION_WAVES + SPEED_WAVES
+    k, n, joint = len(coefficients), motions[0].n, model.joint
+    count = n + DERIVATIVES
+    if joint is not None:
+        low, high = position_range(motions, joint)
+        top = max(float(np.abs(m.samples.dq[:, joint]).max()) for m in motions)
+        count = POSITION_WAVES + SPEED_WAVES + DERIVATIVES
 
     def columns(motion: RecordedMotion, _: CandidateModel) -> FloatArray:
         torque = model.torque_columns(motion, model)
-        q = np.interp(motion.time, motion.times, motion.samples.q[:, model.joint_index])
-        speed = np.interp(motion.time, motion.times, motion.samples.dq[:, model.joint_index])
-        place, rate = (q - low) / max(high - low, 1e-9), np.abs(speed) / max(top, 1e-9)
-        factors = [np.cos(np.pi * m * place) for m in range(1, POSITION_WAVES + 1)]
-        factors += [np.cos(np.pi * m * rate) for m in range(1, SPEED_WAVES + 1)]
         total = torque @ coefficients
-        return np.concatenate(
-            [torque, total[:, :, None] * np.column_stack(factors)[:, None, :]], axis=2
-        )
+        if joint is None:  # the joints' shares of it may differ
+            varied = total[:, :, None] * np.eye(n)
+        else:
+            q = np.interp(motion.time, motion.times, motion.samples.q[:, joint])
+            speed = np.interp(motion.time, motion.times, motion.samples.dq[:, joint])
+            place, rate = (q - low) / max(high - low, 1e-9), np.abs(speed) / max(top, 1e-9)
+            factors = [np.cos(np.pi * m * place) for m in range(1, POSITION_WAVES + 1)]
+            factors += [np.cos(np.pi * m * rate) for m in range(1, SPEED_WAVES + 1)]
+            varied = total[:, :, None] * np.column_stack(factors)[:, None, :]
+        derivatives, size = [total], np.sqrt(np.mean(total**2))
+        while len(derivatives) <= DERIVATIVES:
+            slope = np.gradient(derivatives[-1], motion.time, axis=0)
+            rms = np.sqrt(np.mean(slope**2))
+            derivatives.append(slope * size / max(rms, 1e-300))
+        return np.concatenate([torque, varied, np.stack(derivatives[1:], axis=2)], axis=2)
 
     return replace(
         model,

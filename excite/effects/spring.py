@@ -22,6 +22,8 @@ WAVES_OVER_RANGE = (0.35, 0.6, 0.9)
 """Periods over the joint's range of the slow wave that is added to a linear spring."""
 KINK_POSITIONS = np.linspace(0.15, 0.85, 8)
 """Positions, as shares of the joint's range, at which a spring's stiffness may change."""
+CURVE_WAVES = (6, 12)
+"""Half waves over the joint's range of a curve of any form."""
 CURVE_POINTS = 200
 """Positions at which a spring's torque is evaluated to report stiffness and amplitude."""
 MIN_RANGE = 1e-6
@@ -32,6 +34,9 @@ MIN_CURVE_RANGE = 0.05
 
 def _torque(values: Mapping[str, float], q: FloatArray) -> FloatArray:
     """Torque per coefficient over the joint position, (M,) -> (M, k)."""
+    if "waves" in values:
+        place = np.clip((q - values["low"]) / (values["high"] - values["low"]), 0.0, 1.0)
+        return np.cos(np.pi * np.outer(place, np.arange(1, int(values["waves"]) + 1)))
     if "bend" in values:
         distance = q - values["bend"]
         return np.column_stack([np.minimum(distance, 0.0), np.maximum(distance, 0.0)])
@@ -54,11 +59,11 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Standard forms; a line with a slow wave; and two lines that meet.
+    """Standard forms; a line with a slow wave; two lines that meet; and a curve of any form.
 
     The wave stands for springs that stiffen, soften or pass a dead centre, the two lines for an
-    end stop or a slack cable. Both are zero at their centre, as a constant torque is the base
-    model's offset.
+    end stop or a slack cable, the curve for a dress pack. The former two are zero at their centre,
+    as a constant torque is the base model's offset.
     """
 
     def candidates(j: int, low: float, high: float) -> Iterator[CandidateModel]:
@@ -71,7 +76,10 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 steepest = np.abs(np.gradient(torque, q)).max() * np.sign((q - q.mean()) @ torque)
                 return {"stiffness": float(steepest), "amplitude": 0.5 * float(np.ptp(torque))}
 
-            return CandidateModel("spring", j, _columns, values, parameters=parameters)
+            shares = tuple(1.0 / m for m in range(1, int(values.get("waves", 0.0)) + 1))
+            return CandidateModel(
+                "spring", j, _columns, values, parameters=parameters, prior_shares=shares
+            )
 
         for form in range(len(FORMS)):
             yield model(form=float(form))
@@ -84,6 +92,8 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 ((high - low) * KINK_POSITIONS).tolist(),
                 lambda distance: model(bend=low + distance),
             )
+            for waves in CURVE_WAVES:
+                yield model(waves=float(waves), low=low, high=high)
 
     for j in range(motions[0].n):
         low, high = position_range(motions, j)

@@ -84,6 +84,8 @@ class IdentificationOptions:
         hausman: Test whether instruments are needed.
         simulate: Compute the simulation error.
         refine: Refine the parameters against the simulation error.
+        dissipation: Refuse recordings in which friction feeds in power; not for torque from which
+            effects are subtracted.
     """
 
     method: Method = Method.WLS
@@ -97,6 +99,7 @@ class IdentificationOptions:
     hausman: bool = False
     simulate: bool = False
     refine: bool = False
+    dissipation: bool = True
 
 
 ABOVE_FLOOR = 1.2
@@ -291,7 +294,8 @@ def identify(
         "computing the physically consistent estimate"
     )
     data, equations = fit.estimate, fit.equations
-    dissipation.require_dissipation(recordings, fit.model, equations, data)
+    if options.dissipation:
+        dissipation.require_dissipation(recordings, fit.model, equations, data)
     prior, gamma_trials = _choose_prior(parameters, base, equations, data, options)
     posterior = _consistent_estimate(parameters, base, data, prior, options)
     endogeneity = None

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: missing effects, their evidence, and the next experiment."""
+"""The report of a diagnosis: where the torque error comes from, how sure that is, what to do."""
 
 from __future__ import annotations
 
@@ -9,60 +9,50 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ..diagnosis import residual_atlas
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
-from ..diagnosis.residual_atlas import Atlas
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
-from ..robot.parameter_names import listed, percent, some
+from ..robot.parameter_names import listed, some
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .diagnosis_evidence import (
     encoders_section,
     prediction_section,
-    residual_section,
-    separability_section,
     session_changes_section,
+    unknown_section,
 )
 from .figures import diagnosis as diagnosis_figures
-from .figures import unmodelled as unmodelled_figure
-from .figures.diagnosis import effect_words
 from .figures.trajectory import torque_units
-from .formatting import capitalized, number, plural, value_with_error
+from .formatting import capitalized, number, plural, significant
 from .remarks import count_remarks, list_remarks
 from .render import render
+from .torque_budget import (
+    JointBudget,
+    effect_words,
+    joint_budgets,
+    parameter_words,
+    probability_words,
+    sorted_findings,
+)
 
 Document = Mapping[str, Any]
 """The diagnosis as in `diagnosis.json`, or a part of it."""
 
-NOTABLE_PROBABILITY = 0.2
-"""Probability from which an effect that is not reported is mentioned."""
-DRAWN_UNKNOWN = 6
-"""Unmodelled residuals that are drawn."""
-GRID_RESOLUTION = 1e-6
-"""Relative standard error below which a parameter was chosen from a grid."""
-_NONNEGATIVE = {
-    "amplitude",
-    "exponent",
-    "frequency",
-    "gain",
-    "loss",
-    "mass",
-    "mu",
-    "order",
-    "stiffness",
-    "time_constant",
-    "velocity",
-    "width",
-}
-"""Parameters that are never negative."""
-_SIGNED = {("spring", "stiffness")}
-"""Exceptions: a spring may also push away from its centre."""
+DRAWN_CURVES = 15
+"""Curves of effects that are drawn, those of the largest effects."""
+SHOWN_SENTENCES = 10
+"""Joints whose sentence is shown without a click."""
+CURVE_LEVEL = 0.1
+"""Part of the largest torque of a curve above which it is not near zero."""
+CURVE_POINTS = 3
+"""Bins not near zero that a curve needs to be drawn."""
+SURE_PROBABILITY = 0.9
+"""Probability from which no experiment to confirm a finding is proposed."""
 _VERDICTS = {
-    "no-mismatch": ("These recordings show nothing that the model lacks.", "good"),
-    "explained": ("The model lacks an effect, and the findings explain it down to noise.", "good"),
-    "partly-explained": ("The model lacks effects; the findings explain a part of them.", "warn"),
-    "unexplained": ("The model lacks an effect, and none of the catalogue explains it.", "bad"),
+    "no-mismatch": ("the base model lacks nothing that these recordings show.", "good"),
+    "explained": ("the effects below explain what the base model lacks.", "good"),
+    "partly-explained": ("the effects below explain a part of what the base model lacks.", "warn"),
+    "unexplained": ("the base model lacks something that no known effect explains.", "bad"),
 }
 _NOISE_FLOORS = {
     "periods": "the difference between repeated periods",
@@ -71,32 +61,34 @@ _NOISE_FLOORS = {
 }
 
 
-def diagnosis_page(
-    diagnosis: Diagnosis, document: Document, atlas: Atlas, remarks: Sequence[Remark] = ()
-) -> str:
+def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[Remark] = ()) -> str:
     """Render the report of `excite diagnose` as HTML.
 
     Args:
         diagnosis: The result.
-        document: The same as in `diagnosis.json`.
-        atlas: Residual over everything that it might depend on.
+        document: The same as in `diagnosis.json`; findings are withheld in it if a recording is in
+            doubt.
         remarks: Remarks of the data-quality checks on all recordings.
     """
+    robot = diagnosis.identified.model.robot
+    units = dict(zip(robot.joints, torque_units(robot), strict=True))
+    budgets = joint_budgets(document, robot)
     content = ReportContent(
-        title=f"Diagnosis of {diagnosis.identified.model.robot.name}",
-        subtitle="Effects that the robot's model lacks: which, how large, and on what evidence.",
-        banners=_banners(document),
-        cards=_cards(diagnosis, document),
+        title=f"Diagnosis of {robot.name}",
+        subtitle="What the base model (rigid links, rotor inertia, viscous and Coulomb friction, "
+        "offset) lacks, found in the torque that it does not predict.",
+        banners=_banners(document, budgets),
+        cards=(),
         sections=[
-            _missing_section(diagnosis, document),
-            *session_changes_section(diagnosis, document),
-            _effects_section(diagnosis, document),
-            residual_section(diagnosis, atlas),
-            prediction_section(diagnosis, document),
+            _budget_section(diagnosis, document, budgets),
+            _findings_section(document, units),
+            *unknown_section(document, units),
+            *session_changes_section(document),
+            prediction_section(diagnosis, document, budgets),
             *encoders_section(diagnosis, document),
-            separability_section(diagnosis),
             _next_section(diagnosis, document),
-            _provenance_section(diagnosis, atlas, remarks),
+            _considered_section(diagnosis, document),
+            _provenance_section(diagnosis, remarks),
         ],
         footer=f"excite {package_versions()['excite']}",
     )
@@ -106,342 +98,221 @@ def diagnosis_page(
 # -- first screen ----------------------------------------------------------------------------------
 
 
-def _banners(document: Document) -> list[Banner]:
-    """The verdict, then each finding with its parameters."""
+def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]:
+    """Doubts about the recordings, or else the verdict."""
+    if "doubts" in document:
+        text = (
+            "Findings are withheld: a recording may not hold what its columns say, and then a "
+            "torque error says nothing about a joint. Resolve this first, then diagnose again."
+        )
+        doubts = [f"{Path(d['recording']).name}: {d['text']}" for d in document["doubts"]]
+        return [Banner(text, "bad"), *(Banner(doubt, "warn") for doubt in doubts)]
     text, tone = _VERDICTS[document["verdict"]]
-    if _has_only_session_changes(document):
-        known = (
-            "The findings explain what the model lacks"
-            if document["findings"]
-            else "The model lacks no effect"
+    above = [b.joint for b in budgets if b.noise_ratio > EXPLAINED_RMSE_RATIO]
+    if document["verdict"] == "partly-explained" and above:
+        ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
+        text += f" The error is still more than {ratio} at {some(above)}."
+    return [Banner(f"{capitalized(document['verdict'].replace('-', ' '))}: {text}", tone)]
+
+
+def _budget_section(
+    diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
+) -> Section:
+    """The torque budget of every joint, as a picture and in words."""
+    improved = sorted((b for b in budgets if b.is_improved), key=lambda b: b.after / b.before)
+    answer, tone = "Not known: no effect found reduces the error.", "warn"
+    if "doubts" in document:
+        answer = "Not known while findings are withheld: only the error is shown."
+    elif improved:
+        count = f"{len(improved)} of {plural(len(budgets), 'joint')}"
+        answer, tone = (
+            f"The effects found reduce the error on unseen recordings at {count}, most at "
+            f"{improved[0].joint}: {improved[0].error}.",
+            "",
         )
-        text = f"{known}, but friction or offsets differ between the recordings."
-        tone = "warn"
-    banners = [Banner(f"Verdict: {document['verdict']}. {text}", tone)]
-    for finding in document["findings"]:
-        parameters = ", ".join(
-            f"{name.replace('_', ' ')} {value_with_error(v['value'], v['std'], v['unit'])}"
-            for name, v in finding["parameters"].items()
-        )
-        name = capitalized(_effect_at(finding["effect"], finding["joint"]))
-        probability = f"probability {number(finding['probability'], 2)}"
-        banners.append(Banner(f"{name}, {probability}: {parameters}.", "warn"))
-    return banners
-
-
-def _cards(diagnosis: Diagnosis, document: Document) -> list[tuple[str, str]]:
-    """Key figures of a diagnosis."""
-    count = len(document["findings"])
-    before, after = (
-        percent(float(np.max(error / np.maximum(diagnosis.torque, 1e-300))))
-        for error in (diagnosis.before, diagnosis.after)
-    )
-    ratio = float((diagnosis.after / diagnosis.floor).max())
-    return [
-        (str(count), "finding" if count == 1 else "findings"),
-        (
-            f"{before} → {after}" if count else before,
-            "held-out error over RMS torque, worst joint",
-        ),
-        (number(ratio, 3), "held-out error in noise floors, worst joint, with the findings"),
-        (
-            f"{len(document['unknown'])} of {len(diagnosis.floor)}",
-            "joints with an unexplained residual",
-        ),
-    ]
-
-
-def _place(joint: str | None) -> str:
-    """Joint of an effect."""
-    return joint or "the whole robot"
-
-
-def _effect_at(effect: str, joint: str | None) -> str:
-    """An effect with its joint: 'stribeck at joint_2'."""
-    if joint is None:
-        return f"{effect_words(effect)} of the whole robot"
-    return f"{effect_words(effect)} at {joint}"
-
-
-def _has_only_session_changes(document: Document) -> bool:
-    """Tell whether all that is unexplained are changes between recordings."""
-    unknown = document["unknown"]
-    return bool(unknown) and all(u["where"]["regime"] == "recording" for u in unknown)
-
-
-# -- is anything missing ---------------------------------------------------------------------------
-
-
-def _missing_section(diagnosis: Diagnosis, document: Document) -> Section:
-    """Held-out error of each joint against its noise floor."""
-    joints = document["joints"]
-    ratios = {j: v["rmse_before"] / v["noise_floor"] for j, v in joints.items()}
-    above = [j for j, ratio in ratios.items() if ratio > EXPLAINED_RMSE_RATIO]
-    if not above:
-        answer = (
-            "No: on the held-out recordings every joint's error with the base model is within "
-            f"{EXPLAINED_RMSE_RATIO:g} noise floors."
-        )
-    else:
-        worst = max(above, key=lambda j: ratios[j])
-        is_certain = document["findings"] or document["unknown"]
-        answer = (
-            f"{'Yes' if is_certain else 'Hardly'}: the error with the base model is above noise "
-            f"in {some(above)}, most in {worst}: {number(ratios[worst], 3)} noise floors, with "
-            f"{percent(joints[worst]['systematic_share'])} of its power systematic."
-        )
-    has_findings = bool(document["findings"])
-    rows = []
-    for joint, v in joints.items():
-        after: tuple[str | TableCell, str] = ("–", "–")
-        if has_findings:
-            after = (
-                TableCell(percent(v["unexplained_share"]), share=v["unexplained_share"]),
-                number(v["rmse_after"] / v["noise_floor"], 3),
-            )
-        before = TableCell(percent(v["systematic_share"]), share=v["systematic_share"])
-        rows.append((joint, before, number(ratios[joint], 3), *after))
-    head = (
-        "joint",
-        "systematic share, base model",
-        "noise floors",
-        "unexplained share with the findings",
-        "noise floors",
-    )
+    elif all(b.noise_ratio <= EXPLAINED_RMSE_RATIO for b in budgets):
+        answer, tone = "From noise alone, at every joint.", "good"
     data = {
-        "table": Table(head, rows, (2, 4)),
-        "noise_floor": _NOISE_FLOORS.get(diagnosis.method, diagnosis.method),
+        "figure": Markup(diagnosis_figures.draw_budget(budgets)),
+        "sentences": [f"{b.joint}: error {b.error}; {b.causes}." for b in budgets],
+        "shown": SHOWN_SENTENCES,
+        "is_noise_known": diagnosis.method == "periods",
+        "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),
     }
-    tone = _VERDICTS[document["verdict"]][1]
-    return Section("missing", "Does the model lack anything?", answer, data, tone)
+    return Section("budget", "Where does the torque error come from?", answer, data, tone)
 
 
 # -- findings --------------------------------------------------------------------------------------
 
 
-def _effects_section(diagnosis: Diagnosis, document: Document) -> Section:
-    """Findings with their parameters, what was refuted, considered and left unexplained."""
-    considered, unknown = document["considered"], document["unknown"]
-    data = {
-        "findings": [_finding(finding) for finding in document["findings"]],
-        "refuted": [
-            {
-                "name": _effect_at(entry["effect"], entry["joint"]),
-                "times": number(float(np.sqrt(entry["evidence"]["foretold"])), 2),
-            }
-            for entry in considered
-            if "foretold" in entry["evidence"]
-        ],
-        "unknown": _unmodelled(diagnosis, unknown) if unknown else {},
-        "gains": None,
-    }
-    if document["findings"] or considered:
-        data["gains"] = {
-            "figure": Markup(diagnosis_figures.draw_gains(document)),
-            "table": _considered_table(considered),
-        }
-    tone = "" if document["findings"] else "warn" if unknown else "good"
-    return Section("what", "Which effect is it?", _effects_answer(document), data, tone)
-
-
-def _effects_answer(document: Document) -> str:
-    """The findings in a sentence."""
-    if document["findings"]:
-        names = [
-            f"{_effect_at(f['effect'], f['joint'])} (probability {number(f['probability'], 2)})"
-            for f in document["findings"]
-        ]
-        return capitalized(listed(names)) + "."
-    joints = some([u["joint"] for u in document["unknown"]]) if document["unknown"] else ""
-    if _has_only_session_changes(document):
-        answer = (
-            f"No effect is missing: friction or offset of {joints} differs in the held-out "
-            "recordings."
-        )
-    elif document["unknown"]:
-        verb = "has" if len(document["unknown"]) == 1 else "have"
-        answer = f"Unknown: {joints} {verb} a torque residual that no effect predicts."
-    else:
-        answer = (
-            "No finding: no effect of the catalogue predicts the held-out recordings sufficiently "
-            "better than the base model."
-        )
-    likeliest = max(
-        document["considered"], key=lambda entry: float(entry["probability"]), default=None
-    )
-    if likeliest and likeliest["probability"] > NOTABLE_PROBABILITY:
-        name = _effect_at(likeliest["effect"], likeliest["joint"])
-        probability = number(likeliest["probability"], 2)
-        answer += f" The most probable, {name}, has probability {probability}."
-    return answer
-
-
-def _finding(finding: Document) -> dict[str, Any]:
-    """A finding with its parameters and the evidence in words."""
-    effect = EFFECTS_BY_NAME[finding["effect"]]
-    source = f" (from {finding['from']})" if finding.get("from") else ""
-    rows = [
-        (
-            key.replace("_", " "),
-            number(v["value"]),
-            "± " + number(v["std"], 2) if v["std"] is not None else "–",
-            _interval(v, key in _NONNEGATIVE and (finding["effect"], key) not in _SIGNED),
-            v["unit"],
-        )
-        for key, v in finding["parameters"].items()
-    ]
-    head = ("parameter", "value", "standard error", "95 % interval", "unit")
-    probability = f"Probability {number(finding['probability'], 2)} that it is this effect"
-    if finding["equivalents"]:
-        alternatives = listed([effect_words(name) for name in finding["equivalents"]])
-        probability += f" or {alternatives}, which these recordings cannot distinguish from it"
-    facts = [probability + "."]
-    if "not_shown" in finding:
-        names = listed([name.replace("_", " ") for name in finding["not_shown"]])
-        facts.append(f"These recordings do not show its {names}.")
-    if finding["where"]["time"] is not None:
-        start, end = finding["where"]["time"]
-        recording = Path(finding["where"]["recording"]).name
-        facts.append(f"Only from {number(start)} to {number(end)} s of {recording}.")
-    purpose = "To confirm it"
-    if effect.similar:
-        names = listed([effect_words(name) for name in effect.similar])
-        purpose = f"To distinguish it from {names}"
-    facts.append(f"{purpose}: {finding['experiment']}.")
-    return {
-        "title": f"{effect_words(finding['effect'])}: {_place(finding['joint'])}{source}",
-        "description": f"{effect.equation}. {capitalized(effect.signature)}.",
-        "table": Table(head, rows, (1, 2, 3)),
-        "facts": facts,
-    }
-
-
-def _interval(parameter: Document, is_nonnegative: bool) -> str:
-    """95 % interval of a parameter; that of a nonnegative one ends at zero."""
-    value, std = parameter["value"], parameter["std"]
-    if std is None or not np.isfinite(std):
-        return "–"
-    if std < GRID_RESOLUTION * abs(value):
-        return "on a grid"
-    low, high = value - 1.96 * std, value + 1.96 * std
-    return f"{number(max(low, 0.0) if is_nonnegative else low, 3)} … {number(high, 3)}"
-
-
-def _considered_table(considered: Sequence[Document]) -> Table:
-    """Effects that were considered and not reported."""
-    rows = [
-        (
-            effect_words(entry["effect"]),
-            _place(entry["joint"]),
-            number(entry["probability"], 2) if entry["probability"] else "–",
-            number(entry["evidence"]["held_out_gain"]),
-            number(entry["evidence"]["severity"], 3),
-            ", ".join(
-                f"{key} {number(v['value'], 3)} {v['unit']}"
-                for key, v in entry["parameters"].items()
-            ),
-        )
-        for entry in considered
-    ]
-    head = ("effect", "joint", "probability", "held-out gain", "severity", "parameters, alone")
-    return Table(head, rows, (2, 3, 4))
-
-
-def _unmodelled(diagnosis: Diagnosis, unknown: Sequence[Document]) -> dict[str, Any]:
-    """Joints with an unexplained residual, and the curves over what predicts it."""
-    lines = []
-    for entry in unknown:
-        where = entry["where"]
-        line = f"{entry['joint']}: {percent(entry['share'])} of the residual's power is not noise"
-        if where["regime"] == "recording":
-            line += f"; {where['statement'].partition(': ')[2]}"
-        if "foreseen" in where:
-            line += (
-                f"; {where['regime']} predicts {percent(where['foreseen'])} of it in recordings "
-                "that it was not fitted to"
+def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
+    """The findings: how sure, how large, and with what they may be confused."""
+    findings, rows = sorted_findings(document), []
+    for k, finding in enumerate(findings):
+        is_first = k == 0 or findings[k - 1]["joint"] != finding["joint"]
+        alternatives = [effect_words(name) for name in finding["equivalents"]]
+        rows.append(
+            (
+                (finding["joint"] or "whole\u00a0robot") if is_first else "",
+                TableCell(
+                    effect_words(finding["effect"]) + _origin(finding),
+                    note=f"or {' or '.join(alternatives)}" if alternatives else "",
+                ),
+                probability_words(finding["probability"]),
+                _size(finding["evidence"]),
+                parameter_words(finding["parameters"])
+                .replace(" ", "\u00a0")
+                .replace(",\u00a0", ", "),
             )
-        lines.append(line)
-    curves = [entry for entry in unknown if "response" in entry["where"]]
-    robot = diagnosis.identified.model.robot
-    units = dict(zip(robot.joints, torque_units(robot), strict=True))
-    svg = unmodelled_figure.draw_responses(curves[:DRAWN_UNKNOWN], units) if curves else ""
-    return {
-        "lines": lines,
-        "figure": Markup(svg),
-        "omitted": f"The first {DRAWN_UNKNOWN} of {len(curves)}."
-        if len(curves) > DRAWN_UNKNOWN
-        else "",
+        )
+    head = ("joint", "effect", "probability", "size [× residual]", "parameters")
+    effects = [EFFECTS_BY_NAME[name] for name in dict.fromkeys(f["effect"] for f in findings)]
+    signatures = [(effect_words(e.name), capitalized(e.signature), e.equation) for e in effects]
+    sizes = sorted(f["evidence"]["severity"] for f in findings if _is_drawn(f))
+    smallest = sizes[-DRAWN_CURVES:][0] if sizes else 0.0
+    curves = [f for f in findings if _is_drawn(f) and f["evidence"]["severity"] >= smallest]
+    data = {
+        "table": Table(head, rows, (2, 3)),
+        "effects": Table(("effect", "how it shows", "equation"), signatures),
+        "curves": Markup(diagnosis_figures.draw_effect_curves(curves, units)) if curves else "",
     }
+    answer, tone = _findings_answer(document)
+    return Section("what", "Which effects are there, and how sure is that?", answer, data, tone)
 
 
-# -- next experiment, provenance -------------------------------------------------------------------
+def _findings_answer(document: Document) -> tuple[str, str]:
+    """The findings in a sentence, and its tone."""
+    groups: dict[str, list[str]] = {}
+    for finding in document["findings"]:
+        groups.setdefault(finding["effect"], []).append(finding["joint"] or "the whole robot")
+    if groups:
+        texts = [
+            f"{effect_words(effect)} ({some(joints, 2)})"
+            for effect, joints in sorted(groups.items(), key=lambda group: -len(group[1]))
+        ]
+        count = plural(len(document["findings"]), "finding")
+        return f"{count}: {listed(texts)}.", ""
+    if "doubts" in document:
+        return "Not stated: findings at single joints are withheld; see above.", "warn"
+    if document["unknown"]:
+        return "No finding: the torque that is missing resembles no known effect.", "warn"
+    return "No finding: no known effect is needed to explain these recordings.", "good"
+
+
+def _origin(finding: Document) -> str:
+    """The other joint of an effect, or the interval in which it acts."""
+    text = f" from {finding['from']}" if finding.get("from") else ""
+    if finding["where"]["time"] is None:
+        return text
+    start, end = finding["where"]["time"]
+    recording = Path(finding["where"]["recording"]).name
+    return f"{text}, {number(start)} to {number(end)} s of {recording} only"
+
+
+def _size(evidence: Document) -> str:
+    """Severity with its 90 % interval."""
+    low, high = evidence["severity_interval"]
+    return f"{significant(evidence['severity'])} ({significant(low)} … {significant(high)})"
+
+
+def _is_drawn(finding: Document) -> bool:
+    """Tell whether a finding has a curve whose bins are fine enough to show its form."""
+    # the period of a ripple is shorter than a bin of the angle
+    if not finding["curve"] or finding["where"]["regime"] == "order":
+        return False
+    torque = np.abs(finding["curve"]["torque"])
+    return int(np.sum(torque > CURVE_LEVEL * torque.max(initial=0.0))) >= CURVE_POINTS
+
+
+# -- next experiment -------------------------------------------------------------------------------
 
 
 def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Experiments that separate or confirm effects."""
-    lines = []
+    groups: dict[tuple[str, ...], list[str]] = {}
     for finding in document["findings"]:
-        lines += [
-            f"To distinguish {effect_words(finding['effect'])} from {effect_words(name)} at "
-            f"{_place(finding['joint'])}: {finding['experiment']}; and "
-            f"{EFFECTS_BY_NAME[name].experiment}."
-            for name in finding["equivalents"]
-        ]
-        if not finding["equivalents"]:
-            name = _effect_at(finding["effect"], finding["joint"])
-            lines.append(f"To confirm {name}: {finding['experiment']}.")
+        key = tuple(sorted({finding["effect"], *finding["equivalents"]}))
+        if key[1:] or finding["probability"] < SURE_PROBABILITY:
+            groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
+    lines = []
+    for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
+        purpose = "To tell apart" if names[1:] else "To be surer of"
+        effects = listed([effect_words(name) for name in names])
+        experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
+        place = some(list(dict.fromkeys(joints)), 2)
+        lines.append(f"{purpose} {effects} ({place}): {experiments}.")
     lines += [
-        f"For the unexplained residual in {entry['joint']}: {entry['experiment']}."
+        f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
         for entry in document["unknown"]
     ]
+    answer = "Nothing; other speeds, loads or temperatures may show more."
+    if "doubts" in document:
+        answer = "Resolve the doubts about the recordings named at the top of this page."
+    elif lines:
+        answer = "Motions that decide what these recordings leave open."
+    elif document["findings"]:
+        answer = "Nothing must be decided: every finding is sure, and no other effect resembles it."
     if diagnosis.method != "periods":
         lines.append(
             "Repeat the same period a few times in one recording: the difference between periods "
             "is noise, and the noise floor becomes known."
         )
-    if not lines:
-        answer = (
-            "Nothing needs to be recorded for these joints and this band; other speeds, loads or "
-            "temperatures may show more."
+    return Section("next", "What to record next?", answer, {"lines": lines})
+
+
+# -- considered, provenance ------------------------------------------------------------------------
+
+
+def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
+    """Effects that are not reported, and those that these recordings could not show."""
+    rows = [
+        (
+            effect_words(entry["effect"]),
+            entry["joint"] or "whole robot",
+            probability_words(entry["probability"]),
+            number(entry["evidence"]["log_bayes_factor"], 3),
+            "yes" if entry["modelled"] else "no",
         )
-    elif document["findings"]:
-        answer = "Record motions that separate the remaining effects, in the order below."
-    else:
-        answer = "Record a motion that isolates the effect, in the order below."
-    return Section("next", "What to do next?", answer, {"lines": lines})
+        for entry in document["considered"]
+    ]
+    wanted = () if diagnosis.options.trusted else EFFECTS
+    absorbed = [effect_words(effect.name) for effect in wanted if effect.prior_only]
+    reason = "withheld, or too uncertain" if "doubts" in document else "too uncertain"
+    data = {
+        "table": Table(
+            ("effect", "joint", "probability", "log Bayes factor", "in the saved model"),
+            rows,
+            (2, 3),
+        ),
+        "absorbed": listed(absorbed) if absorbed else "",
+    }
+    answer = f"{plural(len(rows), 'effect')} had some evidence and are not reported: {reason}."
+    if not rows:
+        answer = "No other effect had evidence."
+    return Section("considered", "What else was considered?", answer, data)
 
 
-def _provenance_section(diagnosis: Diagnosis, atlas: Atlas, remarks: Sequence[Remark]) -> Section:
+def _provenance_section(diagnosis: Diagnosis, remarks: Sequence[Remark]) -> Section:
     """Data, method and versions."""
-    identified, robot = diagnosis.identified, diagnosis.identified.model.robot
+    robot, trusted = diagnosis.identified.model.robot, diagnosis.options.trusted
     fitted, held_out = (
         list(dict.fromkeys(motion.segment.source for motion in motions))
-        for motions in diagnosis.motions
+        for motions in (diagnosis.model.motions, diagnosis.held_out.motions)
     )
     answer = (
-        f"{plural(len(diagnosis.design.shapes), 'candidate model')} of {len(EFFECTS)} effects, "
-        "alone and together, each refitted with the base model to "
-        f"{plural(len(fitted), 'recording')} and evaluated on "
-        f"{plural(len(held_out), 'other recording')}; {count_remarks(remarks)}."
+        f"Base model and effects were fitted jointly to {plural(len(fitted), 'recording')}; "
+        f"{plural(len(held_out), 'other recording')} served only to measure the error; "
+        f"{count_remarks(remarks)}."
     )
-    trusted = diagnosis.options.trusted
-    refit = f"{plural(len(trusted), 'value')} fixed by --prior" if trusted else "all refitted"
-    rows_fitted, rows_held_out = (sum(map(len, motions)) for motions in diagnosis.motions)
     facts = {
-        "robot": f"{robot.name} ({robot.source})",
-        "SHA-256 of the URDF": robot.sha256,
+        "robot": f"{robot.name} ({robot.source}), SHA-256 {robot.sha256}",
         "fitted to": ", ".join(fitted),
         "held out": ", ".join(held_out),
-        "rows": f"{rows_fitted} fitted, {rows_held_out} held out, × {plural(robot.n, 'joint')}",
-        "band": f"{number(diagnosis.hertz)} Hz",
-        "base model": f"{identified.model.base.count} parameters, {refit}",
+        "band": f"below {number(diagnosis.hertz)} Hz",
+        "parameters fixed by --prior": str(len(trusted)),
         "noise floor": _NOISE_FLOORS.get(diagnosis.method, diagnosis.method),
-        "p-values": f"{residual_atlas.DRAWS} permutations by random signs of {atlas.blocks} "
-        f"blocks; maximum over {len(atlas.panels)} curves",
         "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
-    data = {
-        "facts": Table(("quantity", "value"), list(facts.items())),
-        "remarks": list_remarks(remarks),
-    }
+    table = Table(("quantity", "value"), list(facts.items()))
+    data = {"facts": table, "remarks": list_remarks(remarks)}
     return Section("made", "How was it made?", answer, data)

@@ -38,10 +38,24 @@ def uncapitalized(text: str) -> str:
     return text[:1].lower() + text[1:]
 
 
+def significant(value: float, digits: int = 2) -> str:
+    """Format a number with its trailing zeros and without a power of ten: '0.20', '1.0', '160'."""
+    if not np.isfinite(value) or not 1e-4 <= abs(value) < 1e5:
+        return number(value, digits)
+    rounded = float(f"{value:.{digits}g}")
+    decimals = max(digits - 1 - int(np.floor(np.log10(abs(rounded)))), 0)
+    return f"{rounded:.{decimals}f}".replace("-", "−")
+
+
 def value_with_error(value: float, std: float | None, unit: str) -> str:
-    """Format a value with its standard error and unit: '1.85 ± 0.46 N m'."""
-    error = "" if std is None else f" ± {number(std, 2)}"
-    return f"{number(value, 3)}{error} {'' if unit == '1' else unit}".rstrip()
+    """Format a value with its standard error and unit, to the same decimal: '1.85 ± 0.46 N m'."""
+    unit = "" if unit == "1" else unit
+    if std is None or not 1e-4 <= std < 1e5 or abs(value) >= 1e5:
+        error = "" if std is None else f" ± {number(std, 2)}"
+        return f"{number(value, 3)}{error} {unit}".rstrip()
+    decimals = 1 - int(np.floor(np.log10(std)))
+    text = f"{round(value, decimals):.{max(decimals, 0)}f}".replace("-", "−")
+    return f"{text} ± {significant(std)} {unit}".rstrip()
 
 
 def seconds_between(start: float, end: float) -> str:

@@ -36,7 +36,7 @@ DAMPING_RATIO = Range(1e-6, 10.0, "1")
 WAVE_MULTIPLES = {"twice": FLAG, "thrice": FLAG}
 DELAYED = {"late": DELAY, "lagging": FLAG, "late_joint": Range(0.0, 1000.0, "1")}
 """Optional values of any effect whose torque is recorded later than the position."""
-INTEGERS = ("late_joint", "waves", "knots", "springs", "way", "form", "link", "count")
+INTEGERS = ("late_joint", "waves", "knots", "springs", "elements", "way", "form", "link", "count")
 """Values that are integers."""
 AXES_OF_WAYS = (2, 2, 1, 1, 1)
 """Number of coordinates of each mode in which a base can move."""
@@ -70,6 +70,12 @@ def _waves(values: Values) -> int:
     return 2 * (1 + len(WAVE_MULTIPLES.keys() & values.keys()))
 
 
+STRIBECK_CURVES = 8
+"""Curves of friction that falls with speed, over a joint's largest speed."""
+VISCOUS_CURVES = 8
+"""Curves of friction that is not linear in speed, over a joint's largest speed."""
+UNEQUAL_ELEMENTS = 2
+"""Maxwell-slip elements whose branches may be unequal."""
 _LOAD = {"scale": TORQUE, "power": EXPONENT}
 _SETTLED = {"velocity": FRICTION_SPEED, "exponent": EXPONENT}
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
@@ -87,12 +93,17 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
             {"rational": FLAG},
             lambda values: 2,
         ),
+        EffectForm({"top_speed": FRICTION_SPEED}, coefficients=lambda values: STRIBECK_CURVES),
     ),
-    "nonlinear_viscous": (EffectForm({"exponent": EXPONENT}),),
+    "nonlinear_viscous": (
+        EffectForm({"exponent": EXPONENT}),
+        EffectForm({"top_speed": FRICTION_SPEED}, coefficients=lambda values: VISCOUS_CURVES),
+    ),
     "drag": (EffectForm(),),
     "load_friction": (
         EffectForm(_LOAD, {"driven": FLAG}),
         EffectForm({**_LOAD, **_SETTLED}, {"driven": FLAG}, lambda values: 2),
+        EffectForm({"dense": FLAG, "scale": TORQUE}, coefficients=lambda values: 3),
     ),
     "position_friction": (
         EffectForm(
@@ -106,6 +117,10 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
         EffectForm(
             {"reach": POSITIVE, "springs": COUNT},
             coefficients=lambda values: int(values["springs"]),
+        ),
+        EffectForm(
+            {"elements": COUNT},
+            coefficients=lambda values: int(values["elements"]) + UNEQUAL_ELEMENTS,
         ),
     ),
     "thermal_drift": (
@@ -129,6 +144,10 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
         ),
         EffectForm({"order": SPATIAL_FREQUENCY, "about": POSITION}, coefficients=lambda values: 3),
         EffectForm({"bend": POSITION}, coefficients=lambda values: 2),
+        EffectForm(
+            {"waves": COUNT, "low": POSITION, "high": POSITION},
+            coefficients=lambda values: int(values["waves"]),
+        ),
     ),
     "coupling": (
         EffectForm({"ratio": Range(-1e6, 1e6, "1")}, coefficients=lambda values: 3, other=True),
@@ -138,7 +157,10 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
             other=True,
         ),
     ),
-    "torque_ripple": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
+    "torque_ripple": (
+        EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),
+        EffectForm({"order": SPATIAL_FREQUENCY, "load": TORQUE}, coefficients=lambda values: 4),
+    ),
     "encoder_error": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
     "delay": (
         EffectForm({"measured": SWITCH}, joint=None),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from .effects import CATALOGUE_NAMES, EFFECT_TYPES, FORM_FAMILIES, EffectType
+from .effects import CATALOGUE_NAMES, EFFECT_TYPES, EffectType
 from .effects.effect_type import EffectParameter, EffectSite
 from .physical_effect import PhysicalEffect
 from .simulated_robot import SimulatedRobot
@@ -142,7 +142,7 @@ def sample_effect(
 def parse_effect(text: str, robot: SimulatedRobot) -> EffectInstance:
     """Parse NAME:JOINT[:k=v,…]; parameters that are not stated have their usual size.
 
-    `form=scored` takes the second model form, `from=JOINT` states the other joint of a coupling.
+    `form=scored` takes the scored model form, `from=JOINT` states the other joint of a coupling.
 
     Raises:
         UnusableInput: The text is malformed, or effect, joint, form or parameter do not exist.
@@ -160,11 +160,10 @@ def parse_effect(text: str, robot: SimulatedRobot) -> EffectInstance:
     effect_type = EFFECT_TYPES[name]
     place = _parse_place(text, effect_type, joint, robot)
     stated = dict(_parse_pair(text, pair) for pair in pairs.split(",") if pair)
-    family, source = stated.pop("form", FORM_FAMILIES[0]), stated.pop("from", None)
-    if family not in FORM_FAMILIES:
-        raise UnusableInput(
-            f"--effect {text}: no form '{family}'; the forms are: {', '.join(FORM_FAMILIES)}"
-        )
+    forms = tuple(effect_type.forms)
+    family, source = stated.pop("form", forms[0]), stated.pop("from", None)
+    if family not in forms:
+        raise UnusableInput(f"--effect {text}: no form '{family}'; its forms: {', '.join(forms)}")
     if source is not None and (name != "coupling" or source not in robot.joints or source == joint):
         raise UnusableInput(
             f"--effect {text}: from={source} must name another joint, and only for a coupling; "

@@ -6,6 +6,7 @@ by the RMS of the torque noise in the same band.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,39 +128,52 @@ def residual_torque(
     rate = ELASTIC_RATE if motion.robot.springs else RIGID_RATE
     t = np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate)
     hidden = hidden_torque(motion, robot, t)
-    torque = _low_passed(hidden.torque, rate)
+    torque = low_passed(hidden.torque, rate)
     if trusted:
         return torque
+    weight = 1.0 / robot.torque_limit
+    basis = column_space(base_columns(robot, hidden.q, hidden.v, hidden.a, rate))
+    projection = basis @ (basis.T @ (torque * weight).ravel())
+    return np.asarray(torque - projection.reshape(torque.shape) / weight)
+
+
+def base_columns(
+    robot: SimulatedRobot, q: FloatArray, v: FloatArray, a: FloatArray, rate: float
+) -> FloatArray:
+    """Return the base regressor below 20 Hz, over the torque limits.
+
+    Args:
+        robot: The robot without effects.
+        q: Reported position at `rate`, shape (N, n) [rad].
+        v: Its first derivative.
+        a: Its second derivative.
+        rate: Rate of the samples [Hz].
+
+    Returns:
+        Shape (M·n, P), M samples at `KEPT_RATE`.
+    """
     dynamics = build_dynamics(robot.tree, robot.joints, robot.lock, robot.gravity)
     blocks = [
-        _low_passed(block, rate)
+        low_passed(block, rate)
         for block in (
-            rigid_body_regressor(dynamics, hidden.q, hidden.v, hidden.a),
-            actuator_regressor(hidden.v, hidden.a, robot.actuators.width),
+            rigid_body_regressor(dynamics, q, v, a),
+            actuator_regressor(v, a, robot.actuators.width),
         )
     ]
-    weight = 1.0 / robot.torque_limit
-    columns = np.concatenate(blocks, axis=2) * weight[:, None]
-    return np.asarray(
-        torque
-        - _projection(columns.reshape(-1, columns.shape[2]), (torque * weight).ravel()).reshape(
-            torque.shape
-        )
-        / weight
-    )
+    columns = np.concatenate(blocks, axis=2) / robot.torque_limit[:, None]
+    return columns.reshape(-1, columns.shape[2])
 
 
-def _projection(columns: FloatArray, target: FloatArray) -> FloatArray:
-    """Project a target on the span of columns, which may be linearly dependent."""
+def column_space(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of the span of columns, which may be linearly dependent."""
     size = np.sqrt(np.square(columns).mean(axis=0))
     kept = columns[:, size > 1e-12 * size.max()] / size[size > 1e-12 * size.max()]
     basis, triangle, _ = linalg.qr(kept, mode="economic", pivoting=True)
     diagonal = np.abs(np.diag(triangle))
-    basis = basis[:, diagonal > 1e-9 * diagonal[0]]
-    return np.asarray(basis @ (basis.T @ target))
+    return np.asarray(basis[:, diagonal > 1e-9 * diagonal[0]])
 
 
-def _low_passed(x: FloatArray, rate: float) -> FloatArray:
+def low_passed(x: FloatArray, rate: float) -> FloatArray:
     """Low-pass at 20 Hz without phase, and keep the samples that this band needs."""
     return np.asarray(
         signal.sosfiltfilt(signal.butter(4, SEVERITY_BAND, fs=rate, output="sos"), x, axis=0)[
@@ -197,6 +211,7 @@ def scale_to_severity(
     chain: MeasurementChain,
     *,
     trusted: bool = False,
+    measure: Callable[[SimulatedMotion], Severity] | None = None,
     tolerance: float = 0.15,
     tries: int = 4,
     largest: float = np.inf,
@@ -212,6 +227,8 @@ def scale_to_severity(
         reference: The commanded motion.
         chain: Measurement chain that defines the noise.
         trusted: Keep the base model as it is instead of refitting it.
+        measure: Function from a motion to the severity that shall be the target; None: that of
+            `evaluate_severity`.
         tolerance: Accepted relative deviation [1].
         tries: Largest number of simulations.
         largest: Largest factor of the effect; physics may set a smaller one.
@@ -226,7 +243,11 @@ def scale_to_severity(
     def simulated(size: float) -> tuple[EffectInstance, SimulatedMotion, Severity]:
         scaled = effect.scaled(size)
         motion = with_effects(robot, (scaled,)).follow(reference)
-        severity = evaluate_severity(motion, robot, reference, chain, trusted=trusted)
+        severity = (
+            evaluate_severity(motion, robot, reference, chain, trusted=trusted)
+            if measure is None
+            else measure(motion)
+        )
         return scaled, motion, severity
 
     largest = min(largest, effect.largest_scale(robot))

@@ -2,6 +2,7 @@
 """Test diagnoses blindly: hide physics in simulated robots, collect answers, then score them.
 
     scripts/concealed_trial run --quick -o out/quick
+    scripts/concealed_trial conceal --groups dense,half_dense --cases 40 -o out/tuning
     scripts/concealed_trial run --family scored --cases 300 --seed 1 -o out/scored \\
         --analyst 'excite=excite diagnose {robot} {train} --validate {validate} {prior} -o {out}'
 
@@ -20,14 +21,15 @@ sys.path.insert(
     0, str(Path(__file__).resolve().parent.parent)
 )  # for `python scripts/concealed_trial`
 
-from concealed_trial import baselines, run
-from concealed_trial.case_plan import ROBOTS, CasePlan
-from concealed_trial.run_analyst import BASELINES, Analyst, baseline_analysts
+from concealed_trial import run
+from concealed_trial.case_plan import GROUPS, CasePlan
+from concealed_trial.run_analyst import Analyst
+from concealed_trial.score import BLIND
 from excite.designer.cluster import BACKENDS, backend
 from excite.errors import ExciteError, UnusableInput
 
 QUICK_CASES = 24
-"""Cases of `--quick`: at most five minutes on two cores."""
+"""Cases of `--quick`, of all groups: about five minutes on two cores."""
 DEFAULT_CASES = 300
 """Cases without `--cases`: enough for 95 % intervals of ±6 % on the rates."""
 
@@ -38,24 +40,32 @@ def report_progress(text: str) -> None:
 
 
 def parse_analysts(arguments: argparse.Namespace) -> list[Analyst]:
-    """Return the analysts to ask: the baselines, unless excluded, and those of `--analyst`."""
-    analysts = [] if arguments.no_baselines else [baseline_analysts()]
+    """Return the analysts of `--analyst`."""
+    analysts = []
     for text in arguments.analyst:
         name, separator, command = text.partition("=")
-        if not separator or not name.isidentifier() or name in BASELINES:
+        if not separator or not name.isidentifier() or name == BLIND:
             raise UnusableInput(
                 f"--analyst {text}: must read NAME=COMMAND; NAME must be an identifier "
-                f"other than {', '.join(BASELINES)}"
+                f"other than {BLIND}"
             )
-        analysts.append(Analyst((name,), command))
+        analysts.append(Analyst(name, command))
     return analysts
+
+
+def parse_groups(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """Return the groups of cases of `--groups`."""
+    groups = tuple(arguments.groups.split(","))
+    if unknown := set(groups) - set(GROUPS):
+        raise UnusableInput(
+            f"--groups {arguments.groups}: no group '{min(unknown)}'; they are {', '.join(GROUPS)}"
+        )
+    return groups
 
 
 def conceal(arguments: argparse.Namespace) -> None:
     """Generate the cases and publish the hash of their ground truth."""
-    plan = CasePlan(
-        arguments.cases, arguments.seed, arguments.family, tuple(arguments.robots.split(","))
-    )
+    plan = CasePlan(arguments.cases, arguments.seed, arguments.family, parse_groups(arguments))
     digest = run.conceal(run.TrialFolder(arguments.out), plan, arguments.jobs, report_progress)
     print(f"ground truth committed, sha256 {digest}", flush=True)
 
@@ -91,8 +101,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    if sys.argv[1:2] == ["baselines"]:
-        return baselines.main(sys.argv[2:])
     parser.add_argument("step", choices=("run", "conceal", "answer", "score"))
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
@@ -101,7 +109,7 @@ def main() -> int:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help=f"{QUICK_CASES} cases, for CI: at most five minutes on two cores",
+        help=f"{QUICK_CASES} cases, for CI: about five minutes on two cores",
     )
     parser.add_argument(
         "--family",
@@ -117,10 +125,10 @@ def main() -> int:
         help="seed of the case plan (default %(default)s)",
     )
     parser.add_argument(
-        "--robots",
-        default=",".join(ROBOTS),
+        "--groups",
+        default=",".join(GROUPS),
         metavar="A,B,…",
-        help="robots of the cases (default %(default)s)",
+        help="groups of cases (default %(default)s)",
     )
     parser.add_argument(
         "--analyst",
@@ -129,7 +137,6 @@ def main() -> int:
         metavar="NAME=COMMAND",
         help="command that writes diagnosis.json, see above; may be repeated",
     )
-    parser.add_argument("--no-baselines", action="store_true", help="do not ask the baselines")
     parser.add_argument(
         "--jobs", type=int, default=-1, metavar="N", help="processes (default: one per core)"
     )

@@ -12,13 +12,26 @@ from typing import TypeVar
 
 import numpy as np
 
-from excite.simulator.effects import CATALOGUE_NAMES, OUT_OF_CATALOGUE_NAMES
+from excite.simulator.effects import CATALOGUE_NAMES, EFFECT_TYPES, OUT_OF_CATALOGUE_NAMES
 
 T = TypeVar("T")
-ROBOTS = ("two_link", "tx40", "ur10e", "panda")
-"""Built-in robots of the cases."""
+GROUPS = {"sparse": 0.3, "dense": 0.25, "half_dense": 0.15, "null": 0.2, "out_of_catalogue": 0.1}
+"""Groups of cases and their usual shares of a plan [1].
+
+- sparse: one or two effects in an otherwise perfect robot.
+- dense: every friction at every joint, and in half of the cases one special effect.
+- half_dense: each friction at each joint with probability ½, which tests attribution.
+- null: nothing is hidden.
+- out_of_catalogue: an effect that the contract has no name for.
+"""
+SPARSE_ROBOTS = ("two_link", "tx40", "ur10e", "panda")
+"""Built-in robots of the cases with one training recording."""
+DENSE_ROBOTS = ("ur10e", "iiwa14", "ur5e", "panda", "tx40", "fr3")
+"""Built-in robots of the cases with two training recordings."""
 SEVERITIES = (1.0, 3.0, 10.0, 30.0)
 """Severities that the effects are scaled to [1]; see `excite.simulator.severity`."""
+SPECIAL_SEVERITIES = (3.0, 10.0)
+"""Severities of the special effect of a dense robot beyond its frictions [1]."""
 NUISANCES = (
     "none",
     "coarse_encoder",
@@ -28,10 +41,12 @@ NUISANCES = (
     "poor_excitation",
     "changed_gains",
     "changed_session",
+    "rounded_angles",
 )
 """Conditions that make a recording harder than the best of a laboratory.
 
-With `changed_session`, friction differs between the training and the validation recording.
+With `changed_session`, friction differs between the training and the validation recording; with
+`rounded_angles`, the analyst's URDF states its angles with four decimals.
 """
 PRIOR_ONLY_EFFECTS = (
     "payload",
@@ -45,6 +60,21 @@ PRIOR_ONLY_EFFECTS = (
 """Effects that a refit of the base model absorbs; they are hidden where a prior is trusted."""
 REFIT_EFFECTS = tuple(name for name in CATALOGUE_NAMES if name not in PRIOR_ONLY_EFFECTS)
 """Effects that show beyond a refit of the base model."""
+SPECIAL_EFFECTS = (
+    "elasticity",
+    "backlash",
+    "base_compliance",
+    "spring",
+    "coupling",
+    "position_friction",
+    "torque_saturation",
+    "encoder_error",
+    "asymmetric_viscous",
+    "drag",
+    "contact",
+    "thermal_drift",
+)
+"""Effects of which a dense robot may have one in addition to its frictions."""
 CONFUSABLE_PAIRS = (
     ("delay", "hysteresis"),
     ("load_friction", "position_friction"),
@@ -58,16 +88,14 @@ CONFUSABLE_PAIRS = (
     ("torque_saturation", "load_friction"),
 )
 """Pairs of effects with similar torques."""
-NULL_SHARE = 0.2
-"""Share of cases that hide nothing [1]."""
-PAIR_SHARE = 0.15
-"""Share of cases that hide two effects [1]."""
-OUT_OF_CATALOGUE_SHARE = 0.1
-"""Share of cases that hide an effect outside the catalogue [1]."""
+PAIR_SHARE = 0.25
+"""Share of sparse cases that hide two effects [1]."""
 PRIOR_SHARE = 0.2
-"""Share of cases with a trusted prior [1], the same whether something is hidden or not."""
+"""Share of sparse cases, and of nulls with one training recording, with a trusted prior [1]."""
 CONFUSABLE_SHARE = 0.6
 """Share of pairs that are drawn from `CONFUSABLE_PAIRS` [1]."""
+SPECIAL_SHARE = 0.5
+"""Share of dense cases with a special effect [1]."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +108,14 @@ class CaseSpec:
         number: Number of the case.
         name: Random name of its folder.
         robot: Built-in robot.
-        category: "null", "single", "pair" or "out_of_catalogue".
+        category: "null", "single", "pair", "out_of_catalogue", "dense" or "half_dense".
         trusted: Whether a trusted prior comes with it.
-        names: Names of the hidden effects.
+        names: Names of the hidden effects; of a dense robot, of its special effect only.
         severities: Severity of each [1].
         nuisance: One of `NUISANCES`.
         family: Family of the model forms.
         seed: Seed of all other draws.
+        training: Number of training recordings.
     """
 
     number: int
@@ -99,6 +128,17 @@ class CaseSpec:
     nuisance: str
     family: str
     seed: int
+    training: int = 1
+
+    @property
+    def is_dense(self) -> bool:
+        """True if the robot has frictions beyond the named effects."""
+        return self.category in ("dense", "half_dense")
+
+
+def out_of_catalogue_names(family: str) -> tuple[str, ...]:
+    """Return the effects outside the catalogue that cases of a family may hide."""
+    return tuple(name for name in OUT_OF_CATALOGUE_NAMES if family in EFFECT_TYPES[name].forms)
 
 
 @dataclass(frozen=True)
@@ -109,13 +149,13 @@ class CasePlan:
         count: Number of cases.
         seed: Seed of the draw.
         family: "tuning" or "scored".
-        robots: Robots to choose from.
+        groups: Groups of cases to draw, in their usual proportions.
     """
 
     count: int
     seed: int
     family: str
-    robots: tuple[str, ...] = ROBOTS
+    groups: tuple[str, ...] = tuple(GROUPS)
 
     def specs(self) -> list[CaseSpec]:
         """Return all cases, in random order."""
@@ -124,42 +164,48 @@ class CasePlan:
         categories = self._categories()
         rng.shuffle(categories)
         tags = rng.choice(16**6, self.count, replace=False)
-        singles = _permutations(REFIT_EFFECTS, rng)
-        with_prior = _permutations(PRIOR_ONLY_EFFECTS, rng)
-        pairs = _permutations(CONFUSABLE_PAIRS, rng)
-        unnamed = _permutations(OUT_OF_CATALOGUE_NAMES, rng)
-        any_pairs = _permutations(
-            [
-                pair
-                for pair in combinations(REFIT_EFFECTS, 2)
-                if set(pair) != {"elasticity", "backlash"}
-            ],
-            rng,
-        )
-        levels = _permutations(SEVERITIES, rng)
+        draws: dict[str, Iterator[tuple[str, ...]]] = {
+            "single": _permutations([(name,) for name in REFIT_EFFECTS], rng),
+            "prior": _permutations([(name,) for name in PRIOR_ONLY_EFFECTS], rng),
+            "special": _permutations([(name,) for name in SPECIAL_EFFECTS], rng),
+            "unnamed": _permutations(
+                [(name,) for name in out_of_catalogue_names(self.family)], rng
+            ),
+            "confusable": _permutations(CONFUSABLE_PAIRS, rng),
+            "pair": _permutations(
+                [
+                    pair
+                    for pair in combinations(REFIT_EFFECTS, 2)
+                    if set(pair) != {"elasticity", "backlash"}
+                ],
+                rng,
+            ),
+        }
+        levels = {
+            is_dense: _permutations(SPECIAL_SEVERITIES if is_dense else SEVERITIES, rng)
+            for is_dense in (True, False)
+        }
         nuisances = {is_null: _permutations(NUISANCES, rng) for is_null in (True, False)}
         robots = {
-            category: _permutations(self.robots, rng)
-            for category in ("null", "single", "pair", "out_of_catalogue")
+            (category, training): _permutations(
+                SPARSE_ROBOTS if training == 1 else DENSE_ROBOTS, rng
+            )
+            for category in ("null", "single", "pair", "out_of_catalogue", "dense", "half_dense")
+            for training in (1, 2)
         }
         specs = []
-        for number, (category, trusted) in enumerate(categories):
-            names: tuple[str, ...] = ()
-            if category == "single":
-                names = (next(with_prior if trusted else singles),)
-            elif category == "pair":
-                names = next(pairs) if rng.random() < CONFUSABLE_SHARE else next(any_pairs)
-            elif category == "out_of_catalogue":
-                names = (next(unnamed),)
-            level = next(levels)
-            severities = () if not names else (level,) * len(names)
-            nuisance = next(nuisances[category == "null"])
+        for number, (category, kind, trusted, training) in enumerate(categories):
+            is_dense = category in ("dense", "half_dense")
+            is_confusable = kind == "pair" and rng.random() < CONFUSABLE_SHARE
+            names = next(draws["confusable" if is_confusable else kind]) if kind else ()
+            severities = (next(levels[is_dense]),) * len(names) if names else ()
+            nuisance = "none" if is_dense else next(nuisances[category == "null"])
             seed = int(rng.integers(2**31))
             specs.append(
                 CaseSpec(
                     number,
                     f"{tags[number]:06x}",
-                    next(robots[category]),
+                    next(robots[category, training]),
                     category,
                     trusted,
                     names,
@@ -167,25 +213,32 @@ class CasePlan:
                     nuisance,
                     self.family,
                     seed,
+                    training,
                 )
             )
         return specs
 
-    def _categories(self) -> list[tuple[str, bool]]:
-        """Return category and prior of every case."""
-        null = round(NULL_SHARE * self.count)
-        pair = round(PAIR_SHARE * self.count)
-        unnamed = round(OUT_OF_CATALOGUE_SHARE * self.count)
-        single = self.count - null - pair - unnamed
-        null_with_prior = round(PRIOR_SHARE * null)
-        with_prior = round(PRIOR_SHARE * (self.count - null))
+    def _categories(self) -> list[tuple[str, str, bool, int]]:
+        """Return category, kind of named effect, prior and training recordings of every case."""
+        shares = np.array([GROUPS[group] for group in self.groups])
+        ends = np.round(np.cumsum(shares) / shares.sum() * self.count).astype(int)
+        counts = dict(zip(self.groups, np.diff(ends, prepend=0).tolist(), strict=True))
+        sparse, dense, half_dense, null, unnamed = (counts.get(group, 0) for group in GROUPS)
+        pair, prior = round(PAIR_SHARE * sparse), round(PRIOR_SHARE * sparse)
+        special = round(SPECIAL_SHARE * dense)
+        null_once = null // 2
+        null_prior = round(PRIOR_SHARE * null_once)
         return [
-            *[("null", False)] * (null - null_with_prior),
-            *[("null", True)] * null_with_prior,
-            *[("pair", False)] * pair,
-            *[("out_of_catalogue", False)] * unnamed,
-            *[("single", True)] * min(with_prior, single),
-            *[("single", False)] * max(single - with_prior, 0),
+            *[("pair", "pair", False, 1)] * pair,
+            *[("single", "prior", True, 1)] * prior,
+            *[("single", "single", False, 1)] * (sparse - pair - prior),
+            *[("dense", "special", False, 2)] * special,
+            *[("dense", "", False, 2)] * (dense - special),
+            *[("half_dense", "", False, 2)] * half_dense,
+            *[("null", "", True, 1)] * null_prior,
+            *[("null", "", False, 1)] * (null_once - null_prior),
+            *[("null", "", False, 2)] * (null - null_once),
+            *[("out_of_catalogue", "unnamed", False, 1)] * unnamed,
         ]
 
 

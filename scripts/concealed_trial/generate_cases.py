@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,6 +17,7 @@ import numpy as np
 from excite._types import FloatArray
 from excite.errors import UnusableInput
 from excite.simulator.actuator import ControllerGains, JointActuators
+from excite.simulator.dense_robot import DenseSettings, draw_dense_effects, static_load
 from excite.simulator.effect_instance import EffectInstance, sample_effect, with_effects
 from excite.simulator.effects import EFFECT_TYPES
 from excite.simulator.experiment import (
@@ -29,16 +31,18 @@ from excite.simulator.recording_file import json_text
 from excite.simulator.reference_trajectory import ReferenceTrajectory
 from excite.simulator.severity import (
     SEVERITY_BAND,
+    Severity,
     evaluate_severity,
     hidden_torque,
     scale_to_severity,
 )
-from excite.simulator.simulated_robot import SimulatedRobot
+from excite.simulator.simulated_robot import SimulatedMotion, SimulatedRobot
 from excite.simulator.urdf_tree import read_urdf
 
-from .baseline_fit import oracle_rmse
+from .base_model_fit import oracle_rmse
 from .case_plan import CaseSpec
 from .random_excitation import draw_excitation
+from .unique_severity import EffectSeverity, friction_severities, severity_of_motion
 
 TORQUE_NOISE = 0.002
 """Usual standard deviation of the torque noise over the torque limit [1]."""
@@ -46,10 +50,16 @@ COARSE_ENCODER = 2.0 * np.pi / 2**16
 """Resolution of position under `coarse_encoder` [rad]: 16 bits per turn."""
 JITTER = 5e-5
 """Standard deviation of the sampling times under `jitter` [s]."""
+ANGLE_DECIMALS = 4
+"""Decimals of the URDF's angles under `rounded_angles`: π/2 becomes 1.5708."""
 TIME_STEP = 2e-3
 """Time step of the simulation [s]."""
 SESSION_CHANGE = 0.1, 0.3
 """Range of the relative change of friction under `changed_session` [1]."""
+FRICTION_PROBABILITY = {"dense": 1.0, "half_dense": 0.5}
+"""Probability of each friction at each joint by category [1]."""
+PERIODS = {1: (2, 1), 2: (3, 3)}
+"""Periods of training and validation motions, by number of training recordings."""
 LARGEST_SCALE = 10.0
 """Largest factor on the usual size of an effect, for any severity."""
 DRAWS = 3
@@ -65,6 +75,19 @@ low speed) cannot be found by anyone.
 
 
 @dataclass(frozen=True)
+class HiddenEffect:
+    """A hidden effect and its severity.
+
+    Attributes:
+        instance: The effect.
+        severity: Its severity, alone and beyond the frictions of the joint.
+    """
+
+    instance: EffectInstance
+    severity: EffectSeverity
+
+
+@dataclass(frozen=True)
 class GeneratedCase:
     """A case before it is written.
 
@@ -72,17 +95,24 @@ class GeneratedCase:
         spec: Its specification.
         urdf: The URDF that the analyst is given.
         robot: The robot without hidden effects.
-        hidden: The hidden effects, each with its severity when it is alone.
-        sessions: Training and validation recording.
-        motion: Commanded motion of the training recording.
+        frictions: Hidden frictions of a dense robot.
+        hidden: The other hidden effects.
+        sessions: Training recordings, then the validation recording.
+        motions: Their commanded motions.
     """
 
     spec: CaseSpec
     urdf: str
     robot: SimulatedRobot
-    hidden: tuple[tuple[EffectInstance, float], ...]
+    frictions: tuple[EffectInstance, ...]
+    hidden: tuple[HiddenEffect, ...]
     sessions: tuple[SimulatedSession, ...]
-    motion: ReferenceTrajectory
+    motions: tuple[ReferenceTrajectory, ...]
+
+    def effects_of_session(self, number: int) -> tuple[EffectInstance, ...]:
+        """Return the effects in a recording; a contact happens in the first recording only."""
+        named = (effect.instance for effect in self.hidden)
+        return (*self.frictions, *(e for e in named if number == 0 or e.name != "contact"))
 
 
 def case_settings(spec: CaseSpec) -> ExperimentSettings:
@@ -133,7 +163,7 @@ def generate_case(spec: CaseSpec, models: Path) -> GeneratedCase:
 
 
 def draw_case(spec: CaseSpec, models: Path, least_severity: float) -> GeneratedCase:
-    """Draw a case in which every effect alone has at least a given severity.
+    """Draw a case in which every named effect alone has at least a given severity.
 
     Args:
         spec: Specification of the case.
@@ -153,52 +183,60 @@ def draw_case(spec: CaseSpec, models: Path, least_severity: float) -> GeneratedC
     # where a prior is trusted, the URDF is exact
     robot = replace(robot, step=TIME_STEP, tree=tree if spec.trusted else robot.tree)
     poor = spec.nuisance == "poor_excitation"
-    # the short motion is the first period of the training motion
-    generators = [
-        np.random.default_rng([spec.seed, 3]),
-        np.random.default_rng([spec.seed, 3]),
-        np.random.default_rng([spec.seed, 4]),
-    ]
-    short, train, validate = (
-        draw_excitation(robot, n, generator, poor=poor)
-        for n, generator in zip((1, 2, 1), generators, strict=True)
+    periods = PERIODS[spec.training]
+    # the short motion is the first period of the first training motion
+    streams = [(1, 3), (periods[0], 3), (periods[0], 6), (periods[1], 4)]
+    if spec.training == 1:
+        del streams[2]
+    short, *motions = (
+        draw_excitation(robot, n, np.random.default_rng([spec.seed, stream]), poor=poor)
+        for n, stream in streams
     )
-    hidden: list[tuple[EffectInstance, float]] = []
+    frictions: tuple[EffectInstance, ...] = ()
+    if spec.is_dense:
+        chosen = DenseSettings(friction_probability=FRICTION_PROBABILITY[spec.category])
+        load = static_load(robot, motions[0])
+        frictions = draw_dense_effects(robot, load, rng, chosen, (spec.family,))
+    case = GeneratedCase(spec, tree.xml, robot, frictions, (), (), tuple(motions))
     for name, level in zip(spec.names, spec.severities, strict=True):
-        # most pairs share a joint, where they mask each other
-        joint = hidden[0][0].joint if hidden and rng.random() < 0.6 else None
-        hidden.append(
-            _draw_effect(
-                spec, name, level, robot, settings, (short, train), joint, rng, least_severity
-            )
-        )
-    return _record(
-        GeneratedCase(spec, tree.xml, robot, tuple(hidden), (), train), validate, settings
-    )
+        effect = _draw_effect(case, name, level, settings, short, rng, least_severity)
+        case = replace(case, hidden=(*case.hidden, effect))
+        if name == "drag":  # which is a nonlinear viscous friction
+            replaced = ("nonlinear_viscous", effect.instance.joint)
+            kept = (e for e in case.frictions if (e.name, e.joint) != replaced)
+            case = replace(case, frictions=tuple(kept))
+    return _record(case, settings)
 
 
-def _record(
-    case: GeneratedCase, validate: ReferenceTrajectory, settings: ExperimentSettings
-) -> GeneratedCase:
-    """Return the case with two recordings; effects that make the loop unstable are reduced."""
+def _record(case: GeneratedCase, settings: ExperimentSettings) -> GeneratedCase:
+    """Return the case with its recordings; named effects that make the loop unstable are reduced.
+
+    The validation recording is made later, with friction that may have changed.
+    """
+    last = len(case.motions) - 1
     for _ in range(4):
-        robot = with_effects(case.robot, tuple(effect for effect, _ in case.hidden))
         try:
-            first = run_session(robot, case.motion, settings)
-            second = run_session(
-                replace(robot, actuators=_later_actuators(case)),
-                validate,
-                replace(settings, seed=settings.seed + 1),
-            )
+            sessions = [
+                run_session(
+                    replace(
+                        with_effects(case.robot, case.effects_of_session(number)),
+                        actuators=_later_actuators(case)
+                        if number == last
+                        else case.robot.actuators,
+                    ),
+                    motion,
+                    replace(settings, seed=settings.seed + number),
+                )
+                for number, motion in enumerate(case.motions)
+            ]
         except UnusableInput:
-            case = replace(
-                case,
-                hidden=tuple(
-                    (effect.scaled(0.3), 0.3 * severity) for effect, severity in case.hidden
-                ),
+            reduced = (
+                HiddenEffect(effect.instance.scaled(0.3), effect.severity.scaled(0.3))
+                for effect in case.hidden
             )
+            case = replace(case, hidden=tuple(reduced))
             continue
-        return replace(case, sessions=(first, second))
+        return replace(case, sessions=tuple(sessions))
     raise UnusableInput(
         f"case {case.spec.name}: the control loop is unstable even with small effects; "
         "plan with another seed"
@@ -229,8 +267,9 @@ def _joints_only(joints: tuple[str, ...]) -> ReferenceTrajectory:
 
 def analyst_files(case: GeneratedCase) -> dict[str, str]:
     """Return the files that the analyst is given, by name."""
-    files = {"robot.urdf": case.urdf}
-    for name, session in zip(("train", "validate"), case.sessions, strict=True):
+    rounded = case.spec.nuisance == "rounded_angles"
+    files = {"robot.urdf": with_rounded_angles(case.urdf) if rounded else case.urdf}
+    for name, session in zip(recording_names(case.spec), case.sessions, strict=True):
         files[f"{name}.csv"] = session.recording.to_csv()
         files[f"{name}.json"] = json_text({**session.recording.to_sidecar(), "notes": ""})
     if case.spec.trusted:
@@ -238,67 +277,92 @@ def analyst_files(case: GeneratedCase) -> dict[str, str]:
     return files
 
 
+def recording_names(spec: CaseSpec) -> tuple[str, ...]:
+    """Return the names of the training recordings, then that of the validation recording."""
+    if spec.training == 1:
+        return "train", "validate"
+    return (*(f"train{k + 1}" for k in range(spec.training)), "validate")
+
+
+def with_rounded_angles(urdf: str) -> str:
+    """Return a URDF whose angles have `ANGLE_DECIMALS` decimals, as many published ones."""
+
+    def rounded(match: re.Match[str]) -> str:
+        angles = (f"{float(value):.{ANGLE_DECIMALS}f}" for value in match[1].split())
+        return f'rpy="{" ".join(angles)}"'
+
+    return re.sub(r'rpy="([^"]*)"', rounded, urdf)
+
+
 def _draw_effect(
-    spec: CaseSpec,
+    case: GeneratedCase,
     name: str,
     level: float,
-    robot: SimulatedRobot,
     settings: ExperimentSettings,
-    motions: tuple[ReferenceTrajectory, ReferenceTrajectory],
-    joint: str | None,
+    short: ReferenceTrajectory,
     rng: np.random.Generator,
     least_severity: float,
-) -> tuple[EffectInstance, float]:
-    """Draw an effect and scale it to its severity.
+) -> HiddenEffect:
+    """Draw an effect and scale it to its severity, on a dense robot to its unique severity.
 
     Place and parameters are drawn again where the joint shows too little of the effect whatever
     its size (a wrist that hardly loads its spring), or where the loop is unstable.
 
     Args:
-        spec: Specification of the case.
+        case: The case so far.
         name: Name of the effect.
         level: Wanted severity [1].
-        robot: The robot without effects.
-        settings: Its measurement.
-        motions: A short and the complete training motion.
-        joint: Joint to try first.
+        settings: Measurement of the robot.
+        short: First period of the training motion.
         rng: Generator of the draw.
         least_severity: Least accepted severity [1].
-
-    Returns:
-        The effect and its severity.
 
     Raises:
         UnusableInput: No draw reaches the least severity, or all are unstable.
     """
-    effect_type, n, (short, complete) = EFFECT_TYPES[name], len(robot.joints), motions
+    spec, robot = case.spec, case.robot
+    effect_type, n = EFFECT_TYPES[name], len(robot.joints)
     first = {"payload": n // 2, "contact": n // 2}.get(name, 0)
     end = max(n - 1, 1) if name == "kinematic_error" else n
     chain = measurement_chain(robot, settings)
-    motion = complete if name == "thermal_drift" else short
+    noise = chain.noise_floor(SEVERITY_BAND)
+    motion = case.motions[0] if name == "thermal_drift" else short
     on_whole_robot = rng.random() < 0.3
-    candidates: list[tuple[float, EffectInstance, float]] = []
+    # most pairs share a joint, where they mask each other
+    partner = case.hidden[0].instance.joint if case.hidden and rng.random() < 0.6 else None
+    others = (*case.frictions, *(effect.instance for effect in case.hidden))
+
+    def severity(effect: EffectInstance, simulated: SimulatedMotion) -> EffectSeverity:
+        if spec.trusted:
+            value = evaluate_severity(simulated, robot, motion, chain, trusted=True).joints
+            return EffectSeverity(value, value)
+        return severity_of_motion(effect, robot, simulated, motion.periodic, noise, others)
+
+    candidates: list[tuple[float, float, EffectInstance, SimulatedMotion]] = []
     for draw in range(MAX_EFFECT_DRAWS):
-        if draw >= DRAWS and (
-            not candidates or max(value for _, _, value in candidates) > LEAST_SEVERITY
-        ):
+        if draw >= DRAWS and candidates and max(entry[1] for entry in candidates) > LEAST_SEVERITY:
             break
         drawn = robot.joints[int(rng.integers(first, end))]
-        where = joint if draw == 0 and joint in robot.joints[first:end] else drawn
+        where = partner if draw == 0 and partner in robot.joints[first:end] else drawn
         is_jointless = effect_type.place == "robot" or (
             effect_type.place == "either" and on_whole_robot
         )
         effect = sample_effect(
             effect_type, robot, None if is_jointless else where, spec.family, rng
         )
+
+        def unique(simulated: SimulatedMotion, effect: EffectInstance = effect) -> Severity:
+            return Severity(severity(effect, simulated).unique)
+
         try:
-            scaled, _, severity = scale_to_severity(
+            scaled, simulated, reached = scale_to_severity(
                 effect,
                 level,
                 robot,
                 motion,
                 chain,
                 trusted=spec.trusted,
+                measure=unique if spec.is_dense else None,
                 tolerance=0.5,
                 tries=3,
                 largest=LARGEST_SCALE,
@@ -306,17 +370,17 @@ def _draw_effect(
         except UnusableInput as error:
             unstable = error
             continue
-        distance = abs(float(np.log(max(severity.value, 1e-9) / level)))
-        candidates.append((distance, scaled, severity.value))
+        distance = abs(float(np.log(max(reached.value, 1e-9) / level)))
+        candidates.append((distance, reached.value, scaled, simulated))
         if distance < np.log(2.0):
             break
     if not candidates:
         raise unstable
-    visible = [entry for entry in candidates if entry[2] >= least_severity]
+    visible = [entry for entry in candidates if entry[1] >= least_severity]
     if not visible:
         raise UnusableInput(f"case {spec.name}: no joint shows {name}; plan with another seed")
-    _, best, value = min(visible, key=lambda entry: entry[0])
-    return best, value
+    _, _, best, simulated = min(visible, key=lambda entry: entry[0])
+    return HiddenEffect(best, severity(best, simulated))
 
 
 def _prior(robot: SimulatedRobot) -> str:
@@ -337,32 +401,57 @@ def _prior(robot: SimulatedRobot) -> str:
 def ground_truth(case: GeneratedCase, folder: Path) -> dict[str, Any]:
     """Return the ground truth of a case.
 
-    `held_out` are RMSEs on the validation recording [N m]: of the refit base model, of the oracle
-    that knows the hidden torque, and of the noise.
+    `severity` and `unique_severity` of an effect are the largest of all joints, those of every
+    joint are in `severity_by_joint` and `unique_severity_by_joint`. `held_out` are RMSEs on the
+    validation recording [N m]: of the refit base model, of the oracle that knows the hidden torque,
+    and of the noise.
 
     Args:
         case: The case.
         folder: Folder with the analyst's files.
     """
-    first, second = case.sessions
-    later = replace(case.robot, actuators=_later_actuators(case))
-    before, after = oracle_rmse(
-        folder, (_true_torque(first, case.robot), _true_torque(second, later))
+    last = len(case.sessions) - 1
+    torques = [
+        _true_torque(
+            session,
+            replace(case.robot, actuators=_later_actuators(case)) if k == last else case.robot,
+        )
+        for k, session in enumerate(case.sessions)
+    ]
+    before, after = oracle_rmse(folder, recording_names(case.spec), torques)
+    noise = case.sessions[-1].chain.noise_floor(SEVERITY_BAND)
+    severities = friction_severities(
+        case.robot,
+        case.frictions,
+        [
+            (session.motion, motion.periodic)
+            for session, motion in zip(case.sessions[:-1], case.motions, strict=False)
+        ],
+        noise,
     )
-    severity = evaluate_severity(
-        first.motion, case.robot, case.motion, first.chain, trusted=case.spec.trusted
+    frictions = (
+        HiddenEffect(instance, severity)
+        for instance, severity in zip(case.frictions, severities, strict=True)
     )
     return {
         "spec": asdict(case.spec),
         "joints": list(case.robot.joints),
-        "effects": [{**effect.to_document(), "severity": alone} for effect, alone in case.hidden],
-        "severity": severity.joints.tolist(),
+        "effects": [
+            {
+                **effect.instance.to_document(),
+                "severity": float(effect.severity.alone.max()),
+                "unique_severity": float(effect.severity.unique.max()),
+                "severity_by_joint": effect.severity.alone.tolist(),
+                "unique_severity_by_joint": effect.severity.unique.tolist(),
+            }
+            for effect in (*frictions, *case.hidden)
+        ],
         "held_out": {
             "before": before.tolist(),
             "oracle": after.tolist(),
-            "noise": second.chain.noise_floor(SEVERITY_BAND).tolist(),
+            "noise": noise.tolist(),
         },
-        "truth": first.truth,
+        "truth": case.sessions[0].truth,
     }
 
 

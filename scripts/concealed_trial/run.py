@@ -15,10 +15,10 @@ import joblib
 
 from excite.errors import UnusableInput
 
-from . import commitment, generate_cases, run_analyst
+from . import commitment, generate_cases, run_analyst, table
 from .case_plan import CasePlan, CaseSpec
 from .run_analyst import Analyst
-from .score import Mark, compare_answer, confusion, score
+from .score import BLIND, Mark, blind_answer, compare_answer, score
 
 MODELS = Path(str(resources.files("excite") / "robot" / "models"))
 """Folder of the built-in robots."""
@@ -139,7 +139,7 @@ def answer(folder: TrialFolder, analysts: Sequence[Analyst], jobs: int, progress
         for name in folder.names()
         for analyst in analysts
     ]
-    analyst_names = ", ".join(name for analyst in analysts for name in analyst.names)
+    analyst_names = ", ".join(analyst.name for analyst in analysts)
     folder.log(f"answer: {len(work)} questions to {analyst_names}")
     for number, seconds in enumerate(_in_parallel(run_analyst.ask, work, jobs), start=1):
         if seconds is not None:
@@ -158,14 +158,14 @@ def _in_parallel(
 
 
 def marks(folder: TrialFolder) -> dict[str, list[Mark]]:
-    """Open the ground truth and return the marks of every analyst.
+    """Open the ground truth and return the marks of every analyst, the blind one included.
 
     Raises:
         UnusableInput: The ground truth is not the committed one, or answers are missing.
     """
     cases = commitment.open_ground_truth(folder.key, folder.published_hash())
     marks_by_analyst: dict[str, list[Mark]] = {}
-    for analyst in sorted(folder.answers.iterdir()):
+    for analyst in sorted(folder.answers.iterdir()) if folder.answers.exists() else ():
         paths = {path.stem: path for path in analyst.glob("*.json")}
         missing = set(cases) - set(paths)
         if missing:
@@ -177,78 +177,20 @@ def marks(folder: TrialFolder) -> dict[str, list[Mark]]:
             compare_answer(cases[name], json.loads(paths[name].read_text(encoding="utf-8")))
             for name in sorted(cases)
         ]
+    marks_by_analyst[BLIND] = [compare_answer(case, blind_answer(case)) for case in cases.values()]
     return marks_by_analyst
 
 
 def report(folder: TrialFolder) -> str:
-    """Write score, tables and figures into the trial's folder; return the Markdown table."""
-    from . import figures
-
-    marks_by_analyst = marks(folder)
-    scores = {name: score(of_analyst) for name, of_analyst in marks_by_analyst.items()}
-    tables = {name: confusion(of_analyst) for name, of_analyst in marks_by_analyst.items()}
-    text = table(scores)
+    """Write score and table into the trial's folder; return the Markdown table."""
+    scores = {name: score(of_analyst) for name, of_analyst in marks(folder).items()}
+    text = table.table(scores)
     document = {
-        "schema": "concealed_trial/2",
+        "schema": "concealed_trial/3",
         "commitment": folder.published_hash(),
         "scores": scores,
-        "confusion": tables,
     }
     (folder.root / "score.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
     (folder.root / "score.md").write_text(text + "\n", encoding="utf-8")
-    (folder.root / "confusion.svg").write_text(figures.confusion(tables), encoding="utf-8")
-    (folder.root / "reliability.svg").write_text(
-        figures.reliability({name: figure["calibration"] for name, figure in scores.items()}),
-        encoding="utf-8",
-    )
     folder.log("scored")
     return text
-
-
-ROWS = (
-    ("false_alarms", "false alarms where nothing is hidden"),
-    ("abstained", "no finding, or no answer, where something is hidden"),
-    ("right_first", "right effect first"),
-    ("right_first_from_3", "… at severity ≥ 2 (targets 3, 10 and 30)"),
-    ("right_first_trusted", "… where a prior is trusted"),
-    ("within_equivalents", "truth among the first effect and its equivalents"),
-    ("equivalents", "… number of equivalents then"),
-    ("right_joint", "right joint, where the effect is right"),
-    ("both_of_two", "both of two effects named"),
-    ("unknown_where_it_is", "`unknown` where the effect is not in the catalogue"),
-    ("contact_overlap", "overlap of the time interval of contacts"),
-    ("parameter_error", "relative parameter error, median"),
-    ("interval_coverage", "parameter ± 2 std covers the truth"),
-    ("held_out_gain", "held-out gain, oracle = 1, median"),
-)
-"""Rows of the table: key of the score and its words."""
-
-
-def table(scores: dict[str, dict[str, Any]]) -> str:
-    """Return a Markdown table with a row per figure and a column per analyst.
-
-    Each rate has its 95 % interval and the number of cases.
-    """
-    names = list(scores)
-    lines = [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-    for key, words in ROWS:
-        lines.append(f"| {words} | {' | '.join(_cell(scores[name][key]) for name in names)} |")
-    for bounds in scores[names[0]]["right_first_by_severity"]:
-        cells = (_cell(scores[name]["right_first_by_severity"][bounds]) for name in names)
-        lines.append(f"| right effect first, severity {bounds} | {' | '.join(cells)} |")
-    errors = (scores[name]["calibration"]["error"] for name in names)
-    lines.append(
-        f"| calibration error | {' | '.join('–' if e is None else f'{e:.2f}' for e in errors)} |"
-    )
-    seconds = (scores[name]["seconds"] for name in names)
-    lines.append(f"| seconds per case, median | {' | '.join(f'{s:.1f}' for s in seconds)} |")
-    return "\n".join(lines)
-
-
-def _cell(figure: dict[str, Any]) -> str:
-    """Return a value with its interval and count, as a cell of the table."""
-    if figure["value"] is None:
-        return "–"
-    low, high = figure.get("interval", (None, None))
-    spread = "" if low is None else f" [{low:.2f}–{high:.2f}]"
-    return f"{figure['value']:.2f}{spread} ({figure['count']})"

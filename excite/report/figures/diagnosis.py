@@ -1,266 +1,181 @@
-"""Figures of a diagnosis: gains of effects, held-out prediction, and correlations of effects."""
+"""Figures of a diagnosis: torque budget, curves of effects, and held-out prediction."""
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..._types import FloatArray
 from ...diagnosis.diagnosis import Diagnosis
-from ...diagnosis.isolability import Isolability
 from ...effects.recorded_motion import split_by_motion
 from ...identification.identification import Prediction
-from .drawing import (
-    BLUE,
-    COMPACT_LAYOUT_JOINTS,
-    GREY,
-    INK,
-    ORANGE,
-    SOFT,
-    limit_ticks,
-    render_svg,
-    thin_curve,
-)
-from .heatmap import Heatmap, draw_heatmap
-from .torque_fit import NOISE_BAND_FLOORS, drawn_interval
-from .trajectory import short, torque_units
+from ..torque_budget import JointBudget, effect_words
+from . import drawing
+from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT
+from .trajectory import short
 
-_TORQUE_HEIGHT = 1.15
-"""Height of a joint's torque panel [in]."""
-_RESIDUAL_HEIGHT = 0.85
-"""Height of a joint's residual panel [in]."""
-_ROW_GAP = 0.62
-"""Gap between rows of joints [in]."""
+_EFFECT_COLORS = (BLUE, ORANGE, GREEN, "#8e5ea2", "#c9a227", "#4aa8a4", "#b5651d", "#d16ba5")
+"""Colours of the effects in the torque budget, the largest effect of the robot first."""
+_OTHERS_COLOR = "#cfd6dd"
+_REMAINING_COLOR = "#5b6775"
+_BAR_HEIGHT = 0.3
+"""Height of a joint in the torque budget [in]."""
+_LETTER_WIDTH = 0.075
+"""Mean width of a letter of a joint's name [in]."""
+_TEXT_WIDTH = 2.2
+"""Width of the text at the end of a bar [in]."""
+_LABELLED_WIDTH = 0.07
+"""Width of a part over the base model's error from which its share is written on it."""
+_INTERVAL = 1.645
+"""Standard deviations of a 90 % interval on either side."""
+_END = 1.08
+"""End of the axis of the torque budget; larger errors are cut off there."""
+LOGARITHMIC_QUANTITY = "travel since the reversal"
+"""Quantity of a curve that is drawn on a logarithmic axis."""
+_CURVE_HEIGHT = 1.35
+"""Height of the axes of an effect's curve [in]."""
 
 
-def effect_words(effect: str) -> str:
-    """Name of an effect in a sentence."""
-    return effect.replace("_", " ")
+def draw_budget(budgets: Sequence[JointBudget]) -> str:
+    """Draw a bar for each joint: the parts of its error that effects remove, and what remains.
 
-
-def draw_gains(document: Mapping[str, Any]) -> str:
-    """Draw the held-out gain of every effect alone, the findings in blue.
+    The length of a bar is the held-out RMSE of the base model; the difference to that of the saved
+    model is divided by the shares of the effects.
 
     Args:
-        document: The diagnosis as in `diagnosis.json`.
+        budgets: Budgets of the joints.
     """
-    findings = {(f["effect"], f["joint"]) for f in document["findings"]}
-    entries = [(entry, True) for entry in document["findings"]]
-    entries += [
-        (entry, False)
-        for entry in document["considered"]
-        if (entry["effect"], entry["joint"]) not in findings
-    ]
-    entries.sort(key=lambda pair: -pair[0]["evidence"]["held_out_gain"])
-    labels = [
-        f"{effect_words(entry['effect'])}, {short(entry['joint'] or 'whole robot', 22)}"
-        for entry, _ in entries
-    ]
-    gains = np.array([entry["evidence"]["held_out_gain"] for entry, _ in entries])
+    totals: dict[str, float] = {}
+    for part in (part for budget in budgets if budget.is_improved for part in budget.parts):
+        totals[part.effect] = totals.get(part.effect, 0.0) + part.share
+    ranked = sorted(totals, key=lambda effect: -totals[effect])
+    colors = dict(zip(ranked, _EFFECT_COLORS, strict=False))
+    names = [short(budget.joint, 24) for budget in budgets]
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
-        axes = figure.add_axes(
-            (2.6 / width, 0.42 / height, (width - 2.6 - 0.8) / width, (height - 0.5) / height)
-        )
-        y = np.arange(len(entries))[::-1]
-        colors = [BLUE if is_finding else GREY for _, is_finding in entries]
-        axes.barh(y, gains, color=colors, height=0.62)
+        left, bottom, top = 0.3 + _LETTER_WIDTH * max(map(len, names)), 0.42, 0.62
+        across, up = (width - left - _TEXT_WIDTH) / width, (height - bottom - top) / height
+        axes = figure.add_axes((left / width, bottom / height, across, up))
+        for y, budget in enumerate(budgets):
+            _draw_bar(axes, y, budget, colors)
+        axes.set_xlim(0.0, _END)
+        axes.set_ylim(len(budgets) - 0.5, -0.5)
+        axes.set_yticks(range(len(budgets)), names)
+        axes.set_xticks(np.arange(0.0, 1.01, 0.2), [f"{20 * k} %" for k in range(6)])
         axes.tick_params(axis="y", length=0, labelsize=8, labelcolor=INK)
-        axes.set_xlabel(
-            "gain of log-likelihood on held-out recordings, each effect alone with the base model"
-        )
-        limit_ticks(axes, 6, 3)
-        axes.set_yticks(y, labels)
-        for place, gain in zip(y, gains, strict=True):
-            axes.annotate(
-                f"{gain:.0f}".replace("-", "−"),
-                (max(gain, 0.0), place),
-                (4.0, 0.0),
-                textcoords="offset points",
-                va="center",
-                fontsize=7,
-                color=SOFT,
-            )
+        axes.set_xlabel("held-out torque error (RMS), over that of the base model")
+        _budget_legend(figure, colors, budgets)
 
-    return render_svg("Held-out gain of each effect", 0.5 + 0.22 * len(entries), draw)
+    label = "Torque budget of every joint"
+    return drawing.render_svg(label, 1.1 + _BAR_HEIGHT * len(budgets), draw)
 
 
-# -- prediction ------------------------------------------------------------------------------------
+def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str]) -> None:
+    """Draw the bar of a joint."""
+    bar = functools.partial(axes.barh, y, height=0.62)
+    scale = max(budget.before, 1e-300)
+    remaining, floor = min(budget.after / scale, _END), budget.floor / scale
+    bar(remaining, color=_REMAINING_COLOR)
+    if budget.is_worse:
+        bar(remaining - 1.0, left=1.0, color=RED)
+    at, removed = remaining, 1.0 - remaining
+    for k, part in enumerate(budget.parts if budget.is_improved else ()):
+        size, alpha = part.share * removed, 1.0 if part.is_certain else 0.45
+        bar(size, left=at, color=colors.get(part.effect, _OTHERS_COLOR), alpha=alpha)
+        if size >= _LABELLED_WIDTH:
+            text = f"{100.0 * part.share:.0f} %"
+            axes.text(at + 0.5 * size, y, text, ha="center", va="center", color="white", fontsize=7)
+        at += size
+        reach, place = min(_INTERVAL * part.std * removed, 1.0), y + (0.08, 0.16, 0.24)[k % 3]
+        axes.errorbar(at, place, xerr=reach, color=INK, elinewidth=0.7, capsize=1.8, capthick=0.7)
+    if budget.is_improved:
+        bar(max(1.0 - at, 0.0), left=at, color=_OTHERS_COLOR)
+    if floor <= _END:
+        axes.plot([floor, floor], [y - 0.42, y + 0.42], color=RED, linewidth=1.4)
+    axes.text(_END + 0.01, y, budget.error, va="center", fontsize=7.5)
 
 
-def held_out_predictions(diagnosis: Diagnosis) -> Iterator[Prediction]:
-    """Held-out predictions: `nominal` is the base model, `fitted` has the findings."""
-    motions = diagnosis.motions[1]
-    residuals = (
-        split_by_motion(np.where(diagnosis.moving, residual, np.nan), motions)
-        for residual in diagnosis.residuals
-    )
-    for source, group in itertools.groupby(
-        zip(motions, *residuals, strict=True), key=lambda entry: entry[0].segment.source
-    ):
-        stretches, without, with_findings = zip(*group, strict=True)
-        time = np.concatenate([stretch.time for stretch in stretches])
-        measured = np.concatenate([stretch.torque for stretch in stretches])
-        before, after = (measured - np.concatenate(parts) for parts in (without, with_findings))
-        starts = np.cumsum([0, *(len(stretch) for stretch in stretches)])[:-1]
-        yield Prediction(
-            source,
-            time,
-            measured,
-            before,
-            after,
-            diagnosis.floor,
-            tuple(int(start) for start in starts),
-        )
-
-
-def draw_predictions(prediction: Prediction, diagnosis: Diagnosis, points: int) -> str:
-    """Draw measured and predicted torque of every joint, and both residuals with the noise band.
-
-    Args:
-        prediction: Torques along a held-out recording.
-        diagnosis: The diagnosis.
-        points: Largest number of points of a curve.
-    """
-    robot, has_findings = diagnosis.identified.model.robot, bool(diagnosis.verdict.chosen)
-    is_compact = robot.n > COMPACT_LAYOUT_JOINTS
-    columns = 5 if is_compact else 1 if robot.n == 1 else 2 if robot.n <= 4 else 3
-    rows = -(-robot.n // columns)
-    step = _TORQUE_HEIGHT + _RESIDUAL_HEIGHT + _ROW_GAP
-    height, interval = 0.3 + rows * step, drawn_interval(prediction)
-    units = torque_units(robot)
-
-    def draw(figure: Any) -> None:
-        width = figure.get_size_inches()[0]
-        cell = (width - 0.55 - 0.1 - 0.5 * (columns - 1)) / columns
-        for joint in range(robot.n):
-            row, column = divmod(joint, columns)
-            left, top = 0.55 + column * (cell + 0.5), height - 0.46 - row * step
-            upper = figure.add_axes(
-                (
-                    left / width,
-                    (top - _TORQUE_HEIGHT) / height,
-                    cell / width,
-                    _TORQUE_HEIGHT / height,
-                )
-            )
-            bottom = top - _TORQUE_HEIGHT - 0.07 - _RESIDUAL_HEIGHT
-            lower = figure.add_axes(
-                (left / width, bottom / height, cell / width, _RESIDUAL_HEIGHT / height),
-                sharex=upper,
-            )
-            torques = [
-                (prediction.measured, INK, 1.3),
-                (prediction.nominal, ORANGE, 0.7),
-                (prediction.fitted, BLUE, 0.7),
-            ]
-            residuals = [
-                (prediction.measured - prediction.nominal, ORANGE, 0.7),
-                (prediction.measured - prediction.fitted, BLUE, 0.8),
-            ]
-            if not has_findings:
-                torques, residuals = torques[:-1], residuals[:-1]
-            _draw_curves(upper, prediction, joint, interval, points, torques)
-            lower.axhline(0.0, color=GREY, linewidth=0.5)
-            reach = NOISE_BAND_FLOORS * float(diagnosis.floor[joint])
-            lower.axhspan(-reach, reach, color=GREY, alpha=0.35, linewidth=0.0)
-            _draw_curves(lower, prediction, joint, interval, points, residuals)
-            title = f"{short(robot.joints[joint], 20)} [{units[joint]}]"
-            upper.set_title(title, loc="left", fontweight="bold", pad=3)
-            limit_ticks(upper, 6, 3)
-            limit_ticks(lower, 6, 3)
-            upper.tick_params(labelbottom=False)
-            upper.set_xlim(*interval)
-            if joint + columns >= robot.n:
-                lower.set_xlabel("time [s]")
-            if column == 0:
-                lower.set_ylabel("residual")
-        _legend(figure, has_findings=has_findings)
-
-    label = f"Measured and predicted torque on {prediction.source}, without and with the findings"
-    return render_svg(label, height, draw)
-
-
-def _draw_curves(
-    axes: Any,
-    prediction: Prediction,
-    joint: int,
-    interval: tuple[float, float],
-    points: int,
-    curves: Sequence[tuple[FloatArray, str, float]],
-) -> None:
-    """Draw curves (values, colour, width), interrupted where a stretch of the recording ends."""
-    for values, color, width in curves:
-        for start, stop in itertools.pairwise((*prediction.starts, len(values))):
-            t = prediction.time[start:stop]
-            inside = (t >= interval[0]) & (t <= interval[1])
-            if inside.any():
-                axes.plot(
-                    *thin_curve(t[inside], values[start:stop, joint][inside], points),
-                    color=color,
-                    linewidth=width,
-                )
-
-
-def _legend(figure: Any, *, has_findings: bool) -> None:
-    """Legend of all panels."""
+def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[JointBudget]) -> None:
+    """Legend of the torque budget."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    entries: list[tuple[Any, str]] = [
-        (Line2D([], [], color=INK), "measured"),
-        (Line2D([], [], color=ORANGE), "base model"),
-    ]
-    if has_findings:
-        entries.append((Line2D([], [], color=BLUE), "with the findings"))
-    entries.append((Patch(color=GREY, alpha=0.35), f"±{NOISE_BAND_FLOORS:g} noise floors"))
-    handles, labels = zip(*entries, strict=True)
+    patches = {"error that remains": _REMAINING_COLOR}
+    patches |= {effect_words(effect): color for effect, color in colors.items()}
+    if any(budget.is_improved and budget.others > 0.0 for budget in budgets):
+        patches["other effects"] = _OTHERS_COLOR
+    if any(budget.is_worse for budget in budgets):
+        patches["worse than the base model"] = RED
+    handles = [Line2D([], [], color=RED), *(Patch(color=color) for color in patches.values())]
     figure.legend(
         handles,
-        labels,
-        loc="upper right",
-        ncols=len(labels),
-        bbox_to_anchor=(0.995, 1.0),
+        ["noise floor", *patches],
+        loc="upper left",
+        ncols=min(len(handles), 5),
+        bbox_to_anchor=(0.0, 1.0),
         borderaxespad=0.0,
+        handlelength=1.2,
+        columnspacing=1.2,
     )
 
 
-# -- separability ----------------------------------------------------------------------------------
+def draw_effect_curves(findings: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> str:
+    """Draw the torque of each finding over the quantity on which it depends, with its 90 % band.
+
+    Args:
+        findings: Entries of `findings` of `diagnosis.json` that have a curve.
+        units: Unit of each joint's torque.
+    """
+
+    def draw(axes: Any, finding: Mapping[str, Any]) -> None:
+        curve = finding["curve"]
+        x, torque, std = (np.array(curve[key], float) for key in ("x", "torque", "std"))
+        axes.axhline(0.0, color=GREY, linewidth=0.5)
+        low, high = torque - _INTERVAL * std, torque + _INTERVAL * std
+        axes.fill_between(x, low, high, color=BLUE, alpha=0.22, linewidth=0)
+        axes.plot(x, torque, color=BLUE, linewidth=1.1)
+        title = f"{short(finding['joint'], 20)} [{units[finding['joint']]}]"
+        axes.set_title(title, loc="left", fontweight="bold", pad=3)
+        axes.set_title(effect_words(finding["effect"]), loc="right", fontsize=7, color=SOFT, pad=3)
+        note = ", positive: against the motion" if curve["opposes_motion"] else ""
+        axes.set_xlabel(f"{curve['over']} [{curve['unit']}]{note}")
+        drawing.limit_ticks(axes, 5, 4)
+        if curve["over"] == LOGARITHMIC_QUANTITY:  # from a fraction of a milliradian to a turn
+            axes.set_xscale("log")
+            drawing.set_decade_ticks(axes)
+
+    return drawing.render_panels("Torque of the effects", findings, draw, _CURVE_HEIGHT)
 
 
-def draw_correlations(isolability: Isolability, joint: int, name: str) -> str:
-    """Draw the correlations between the effects at a joint, similar ones next to each other."""
-    order = _cluster_order(isolability.matrix, isolability.of(joint))
-    values = isolability.matrix[np.ix_(order, order)].copy()
-    values[np.triu_indices(len(order))] = np.nan
-    candidates = [isolability.candidates[k] for k in order]
-    names = [
-        effect_words(c.effect) + (", whole robot" if c.joint is None else "") for c in candidates
-    ]
-    words = [
-        [None if np.isnan(v) else f"{v:.2f}".replace("0.", ".") for v in row] for row in values
-    ]
-    return draw_heatmap(
-        f"Correlations between effects at {name}",
-        Heatmap(names[1:], names[:-1], values[1:, :-1], words[1:]),
-        cell=(34.0, 17.0),
+def held_out_predictions(diagnosis: Diagnosis, *, withheld: bool) -> Iterator[Prediction]:
+    """Yield the held-out predictions: `nominal` is the base model, `fitted` the saved model.
+
+    Args:
+        diagnosis: The diagnosis.
+        withheld: Whether the saved model is the base model, because findings are withheld.
+    """
+    held_out = diagnosis.held_out
+    residuals = (
+        split_by_motion(np.where(held_out.moving, residual, np.nan), held_out.motions)
+        for residual in (held_out.base, held_out.base if withheld else held_out.final)
     )
-
-
-def _cluster_order(matrix: FloatArray, indices: Sequence[int]) -> list[int]:
-    """Order by average-linkage clustering."""
-    if len(indices) < 3:
-        return list(indices)
-    from scipy.cluster import hierarchy  # slow to import
-    from scipy.spatial.distance import squareform
-
-    distance = 1.0 - matrix[np.ix_(indices, indices)]
-    np.fill_diagonal(distance, 0.0)
-    tree = hierarchy.linkage(
-        squareform(np.maximum(distance, 0.0), checks=False), "average", optimal_ordering=True
-    )
-    return [indices[int(k)] for k in hierarchy.leaves_list(tree)]
+    torque = split_by_motion(held_out.torque, held_out.motions)
+    for source, group in itertools.groupby(
+        zip(held_out.motions, torque, *residuals, strict=True),
+        key=lambda entry: entry[0].segment.source,
+    ):
+        motions, torques, before, after = zip(*group, strict=True)
+        measured = np.concatenate(torques)
+        yield Prediction(
+            source,
+            np.concatenate([motion.time for motion in motions]),
+            measured,
+            measured - np.concatenate(before),
+            measured - np.concatenate(after),
+            diagnosis.floor,
+            tuple(np.cumsum([0, *(len(motion) for motion in motions)])[:-1].tolist()),
+        )

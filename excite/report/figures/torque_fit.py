@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,23 @@ NOISE_BAND_FLOORS = 2.0
 """Noise floors on either side that contain 95 % of normal noise."""
 POINTS_PER_PAGE = 60_000
 """Points of all curves of a page, so that it stays small enough for a browser."""
+
+
+@dataclass(frozen=True)
+class FitLabels:
+    """Names of the two models, and what is drawn of the first.
+
+    Attributes:
+        nominal: Name of the model of `Prediction.nominal`.
+        fitted: Name of the model of `Prediction.fitted`.
+        residuals: Whether the residual of the first is drawn too.
+        errors: Error of each joint in words; empty: as `Prediction` computes it.
+    """
+
+    nominal: str = "nominal robot"
+    fitted: str = "identified"
+    residuals: bool = False
+    errors: Sequence[str] = field(default_factory=tuple)
 
 
 @dataclass(frozen=True)
@@ -67,14 +84,18 @@ def drawn_interval(prediction: Prediction) -> tuple[float, float]:
     return start, start + EXCERPT_SECONDS
 
 
-def draw_torque_fit(prediction: Prediction, robot: Robot, points: int) -> str:
+def draw_torque_fit(
+    prediction: Prediction, robot: Robot, points: int, labels: FitLabels | None = None
+) -> str:
     """Draw measured, nominal and identified torque, and below it the residual with its noise band.
 
     Args:
         prediction: Torques along a recording.
         robot: The robot.
         points: Largest number of points of a curve.
+        labels: Names of the two models; nominal and identified robot when None.
     """
+    labels = labels or FitLabels()
     columns = (
         1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
     )
@@ -99,21 +120,20 @@ def draw_torque_fit(prediction: Prediction, robot: Robot, points: int) -> str:
                 (left / width, bottom / height, cell / width, size.residual / height), sharex=upper
             )
             _torque(upper, prediction, joint, span, points)
-            _residual(lower, prediction, joint, span, points)
+            _residual(lower, prediction, joint, span, points, compared=labels.residuals)
             upper.set_title(
                 f"{short(robot.joints[joint], 22)} [{units[joint]}]",
                 loc="left",
                 fontweight="bold",
                 pad=3,
             )
-            upper.set_title(
-                _error_words(prediction, joint), loc="right", fontsize=7, color=SOFT, pad=3
-            )
+            error = labels.errors[joint] if labels.errors else _error_words(prediction, joint)
+            upper.set_title(error, loc="right", fontsize=7, color=SOFT, pad=3)
             if joint + columns >= robot.n:
                 lower.set_xlabel("time [s]")
             if column == 0:
                 lower.set_ylabel("residual")
-        _legend(figure, has_floor=prediction.noise_floor is not None)
+        _legend(figure, labels, has_floor=prediction.noise_floor is not None)
 
     return render_svg(
         f"Measured and predicted torque of every joint on {prediction.source}", height, draw
@@ -127,13 +147,13 @@ def _error_words(prediction: Prediction, joint: int) -> str:
     return f"error {text}" if floors is None else f"{multiple(floors[joint])} floors, {text}"
 
 
-def _legend(figure: Any, *, has_floor: bool) -> None:
+def _legend(figure: Any, names: FitLabels, *, has_floor: bool) -> None:
     """Legend of all panels."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     handles: list[Any] = [Line2D([], [], color=color) for color in (INK, GREY, BLUE, ORANGE)]
-    labels = ["measured", "nominal robot", "identified", "residual: measured − identified"]
+    labels = ["measured", names.nominal, names.fitted, f"residual: measured − {names.fitted}"]
     if has_floor:
         handles.append(Patch(color=GREY, alpha=0.35))
         labels.append(f"±{NOISE_BAND_FLOORS:g} noise floors")
@@ -163,15 +183,23 @@ def _torque(
 
 
 def _residual(
-    axes: Any, prediction: Prediction, joint: int, span: tuple[float, float], points: int
+    axes: Any,
+    prediction: Prediction,
+    joint: int,
+    span: tuple[float, float],
+    points: int,
+    *,
+    compared: bool,
 ) -> None:
-    """Draw the residual panel of a joint."""
-    residual = prediction.measured[:, joint] - prediction.fitted[:, joint]
+    """Draw the residual panel of a joint, with the nominal robot's residual if it is compared."""
     axes.axhline(0.0, color=GREY, linewidth=0.5)
     if prediction.noise_floor is not None:
         reach = NOISE_BAND_FLOORS * float(prediction.noise_floor[joint])
         axes.axhspan(-reach, reach, color=GREY, alpha=0.35, linewidth=0.0)
-    axes.plot(*_curve(prediction, residual, span, points), color=ORANGE, linewidth=0.7)
+    models = [(prediction.nominal, GREY)] if compared else []
+    for values, color in (*models, (prediction.fitted, ORANGE)):
+        residual = prediction.measured[:, joint] - values[:, joint]
+        axes.plot(*_curve(prediction, residual, span, points), color=color, linewidth=0.7)
     limit_ticks(axes, 6, 2)
 
 

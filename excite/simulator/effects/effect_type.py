@@ -12,7 +12,7 @@ from ..actuator import REFERENCE_ACCELERATION, JointActuators
 from ..physical_effect import JointStates, PhysicalEffect
 
 FORM_FAMILIES = ("tuning", "scored")
-"""Two families of model forms for each effect.
+"""Two families of model forms for each effect of the catalogue; others have one of them.
 
 Diagnosis may be tuned on the first only, so that cases of the second show how well it generalises
 to forms that it has not seen.
@@ -155,7 +155,7 @@ class EffectType:
     Attributes:
         name: Name of the effect.
         parameters: Its parameters.
-        forms: One model form per family.
+        forms: One model form per family; an effect outside the catalogue belongs to one family.
         place: "joint", "robot" or "either".
         out_of_catalogue: Whether the contract has no name for it, so that `unknown` is the answer.
         omitted_at_zero: Whether the effect of size 0 has no finite parameters (a rigid

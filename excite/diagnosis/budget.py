@@ -1,0 +1,78 @@
+"""Torque budget: what each effect explains of the torque beyond the base model.
+
+With r_b the held-out residual of the base model and T_e the torque of effect e beyond what a refit
+of the base model absorbs of it, the share of e is cov(T_e, r_b)/mean(r_b²). The shares of all
+effects and that of the residual sum to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._types import FloatArray
+from ..effects.recorded_motion import RecordedMotion
+from ..identification.identification import Identification
+from . import final_model
+from .estimates import EffectEstimate
+from .final_model import FinalModel
+
+if TYPE_CHECKING:
+    from .diagnosis import HeldOutErrors
+
+
+@dataclass(frozen=True)
+class TorqueBudget:
+    """Shares of the held-out torque beyond the base model.
+
+    Attributes:
+        shares: By effect: share in each joint, shape (n,).
+        std: By effect: standard deviation of the share, shape (n,).
+        residual: Share that remains, shape (n,).
+    """
+
+    shares: Mapping[str, FloatArray]
+    std: Mapping[str, FloatArray]
+    residual: FloatArray
+
+
+def torque_budget(
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    final: FinalModel,
+    effects: Sequence[EffectEstimate],
+    held_out: HeldOutErrors,
+    torques: Sequence[FloatArray],
+) -> TorqueBudget:
+    """Return the torque budget of held-out motions.
+
+    Args:
+        identified: The base model without effects.
+        motions: The fitted motions, with that base model.
+        final: The saved model.
+        effects: Estimates of all effects.
+        held_out: Held-out errors.
+        torques: Torque of each effect of the model there, shapes (N, n) [N m].
+    """
+    gamma = np.concatenate([motion.gamma for motion in held_out.motions])
+    absorbed = final_model.absorbed_parameters(final, identified, motions)
+    moving = held_out.moving
+    power = np.sum(np.where(moving, held_out.base, 0.0) ** 2, axis=0)
+    power = np.maximum(power, 1e-300)
+    relative = {(e.effect, e.joint): e.relative_std for e in effects}
+    n = len(power)
+    shares: dict[str, FloatArray] = {}
+    variances: dict[str, FloatArray] = {}
+    for effect, theta, torque in zip(final.saved_effects, absorbed, torques, strict=True):
+        own = np.sum(np.where(moving, torque - gamma @ theta, 0.0) * held_out.base, axis=0) / power
+        name = effect.shape.effect
+        shares[name] = shares.get(name, np.zeros(n)) + own
+        std = own * relative.get((name, effect.shape.joint), 0.0)
+        variances[name] = variances.get(name, np.zeros(n)) + std**2
+    explained = sum(shares.values(), np.zeros(n))
+    return TorqueBudget(
+        shares, {name: np.sqrt(v) for name, v in variances.items()}, 1.0 - explained
+    )

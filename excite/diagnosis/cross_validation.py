@@ -1,0 +1,91 @@
+"""Cross-validation of effects: what is fitted to some recordings has to predict the others.
+
+Folds are the training recordings, or thirds of a single one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from .._types import BoolArray, FloatArray
+from . import session_changes
+from .joint_model import JointModel
+from .posterior import EffectEvidence
+
+PARTS = 3
+"""Parts of a single recording."""
+WORSE = 1.02
+"""Squared error of a joint over that of the base model from which its effects do not predict."""
+
+
+def folds(model: JointModel) -> list[BoolArray]:
+    """Return the rows of each fold, shapes (N,)."""
+    sources = [motion.segment.source for motion in model.motions]
+    of_row = np.repeat(sources, [len(motion) for motion in model.motions])
+    names = session_changes.sources(model.motions)
+    if len(names) > 1:
+        return [np.asarray(of_row == name) for name in names]
+    parts = np.array_split(np.arange(len(of_row)), PARTS)
+    return [np.isin(np.arange(len(of_row)), part) for part in parts]
+
+
+def pays(model: JointModel, effects: Sequence[int]) -> bool:
+    """Tell whether effects lower the error on recordings to which they are not fitted.
+
+    An effect that acts only for some time cannot be judged in this way, and passes.
+
+    Args:
+        model: A joint model that has them.
+        effects: Their numbers.
+    """
+    if any(model.models[e].interval is not None for e in effects):
+        return True
+    without, with_ = _errors(model, [effects, ()])
+    return bool(with_.sum() < without.sum())
+
+
+def without_unpredictive(
+    model: JointModel, left_out: Collection[int], evidence: Sequence[EffectEvidence]
+) -> frozenset[int]:
+    """Leave out effects of joints that are predicted worse than by the base model alone.
+
+    Args:
+        model: The joint model.
+        left_out: Effects that are left out already.
+        evidence: Evidence of all effects.
+
+    Returns:
+        All effects that are left out.
+    """
+    out = set(left_out)
+    everything = set(range(len(model.models)))
+    while True:
+        base, present = _errors(model, [everything, out])
+        worse = np.flatnonzero(present > WORSE * base)
+        if not len(worse):
+            return frozenset(out)
+        joint = int(worse[np.argmax((present / base)[worse])])
+        groups = [
+            entry.effects
+            for entry in evidence
+            if not set(entry.effects) <= out
+            and joint in [j for e in entry.effects for j in model.regression.joints_of(e)]
+            and all(model.models[e].interval is None for e in entry.effects)
+        ]
+        if not groups:
+            return frozenset(out)
+        errors = _errors(model, [out | set(group) for group in groups])
+        out |= set(groups[int(np.argmin(errors[:, joint]))])
+
+
+def _errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
+    """Cross-validated errors of variants, shape (variants, n)."""
+    regression = model.regression
+    unused = np.zeros(len(regression.nonnegative), bool)
+    unused[len(model.free) + model.n + 1 : regression.base_count] = True
+    for shape, part in zip(model.models, regression.slices, strict=True):
+        if shape.form_columns:  # the saved model has none
+            unused[part.stop - shape.form_columns : part.stop] = True
+    return regression.cross_validated(folds(model), variants, unused)

@@ -1,0 +1,116 @@
+"""Curves of effects: the torque of an effect over the quantity on which it depends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._types import FloatArray
+from .estimates import EffectEstimate
+from .joint_model import JointModel
+from .motion_rows import MIN_BIN_ROWS, MotionRows
+
+BINS = 40
+"""Bins of a curve."""
+LOW_QUANTILE = 0.01
+"""Quantile of a quantity at which its logarithmic bins begin."""
+DISSIPATIVE_EFFECTS = ("position_friction",)
+"""Effects that oppose the motion though their regime is that of conservative ones too."""
+
+
+@dataclass(frozen=True)
+class EffectCurve:
+    """Mean torque of an effect over a quantity.
+
+    Attributes:
+        over: Name of the quantity.
+        unit: Its unit.
+        along: Whether the torque is positive where it opposes the motion.
+        x: The quantity, shape (b,).
+        y: The torque, shape (b,) [N m].
+        std: Its standard deviation, shape (b,) [N m].
+    """
+
+    over: str
+    unit: str
+    along: bool
+    x: FloatArray
+    y: FloatArray
+    std: FloatArray
+
+
+@dataclass(frozen=True)
+class _Abscissa:
+    """Quantity over which a regime shows; `{}` in the unit stands for rad or m."""
+
+    over: str
+    unit: str
+    values: Callable[[MotionRows, int], FloatArray]
+    along: bool = False
+    logarithmic: bool = False
+
+
+_ABSCISSAS: Mapping[str, _Abscissa] = {
+    "speed": _Abscissa("speed", "{}/s", lambda rows, j: np.abs(rows.dq[:, j]), along=True),
+    "direction": _Abscissa("speed", "{}/s", lambda rows, j: rows.dq[:, j]),
+    "load": _Abscissa("load", "N m", lambda rows, j: rows.load[:, j], along=True),
+    "position": _Abscissa("position", "{}", lambda rows, j: rows.q[:, j]),
+    "order": _Abscissa("position", "{}", lambda rows, j: rows.q[:, j]),
+    "reversal": _Abscissa(
+        "travel since the reversal",
+        "{}",
+        lambda rows, j: rows.distance[:, j],
+        along=True,
+        logarithmic=True,
+    ),
+    "run time": _Abscissa("time", "s", lambda rows, j: rows.clock, along=True),
+    "time": _Abscissa("time", "s", lambda rows, j: rows.clock),
+}
+
+
+def effect_curve(
+    model: JointModel, estimate: EffectEstimate, rows: MotionRows, regime: str
+) -> EffectCurve | None:
+    """Return the curve of an effect; None where no single quantity shows it.
+
+    Args:
+        model: The joint model.
+        estimate: An effect that it has.
+        rows: State at the rows of its motions.
+        regime: Quantity over which the effect shows; see `diagnosis_file.REGIMES`.
+    """
+    abscissa, j = _ABSCISSAS.get(regime), estimate.joint
+    if abscissa is None or j is None:
+        return None
+    torque = np.zeros(len(rows))
+    for shape, coefficients in zip(estimate.models, estimate.coefficients, strict=True):
+        columns = model.columns(shape)
+        if columns is not None and j in columns.joints:
+            torque += columns.values[columns.joints.index(j)] @ coefficients
+    x = abscissa.values(rows, j)
+    along = abscissa.along or estimate.effect in DISSIPATIVE_EFFECTS
+    sign = rows.direction(j) if along else np.ones(len(rows))
+    shown = rows.moving[:, j] & (sign != 0.0)
+    x, y = x[shown], (torque * sign)[shown]
+    if not len(x) or np.ptp(x) <= 0.0:
+        return None
+    edges = _edges(x, logarithmic=abscissa.logarithmic)
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
+    count = np.bincount(place, minlength=BINS)
+    kept = count >= MIN_BIN_ROWS
+    mean = (np.bincount(place, y, minlength=BINS) / np.maximum(count, 1))[kept]
+    unit = abscissa.unit.format("m" if rows.linear[j] else "rad")
+    relative = estimate.relative_std
+    centres = (0.5 * (edges[1:] + edges[:-1]))[kept]
+    return EffectCurve(abscissa.over, unit, along, centres, mean, np.abs(mean) * relative)
+
+
+def _edges(x: FloatArray, *, logarithmic: bool) -> FloatArray:
+    """Edges of the bins of a curve, shape (BINS + 1,)."""
+    low, high = float(x.min()), float(x.max())
+    if not logarithmic:
+        return np.linspace(low, high, BINS + 1)
+    first = max(float(np.quantile(x, LOW_QUANTILE)), 1e-6 * high)
+    return np.concatenate([[low], np.geomspace(first, high, BINS)])

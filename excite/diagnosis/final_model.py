@@ -1,0 +1,254 @@
+"""The model that a diagnosis saves: a physically consistent base model and the effects it needs.
+
+The base model is identified from the recordings without the torque of the effects, then the
+coefficients of the effects are fitted anew to that base model. What the diagnosis reports is
+computed with the `model.json` that holds the result.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from .._types import FloatArray
+from ..effects import EFFECTS_BY_NAME, delay, recorded_motion
+from ..effects.effect import CandidateModel
+from ..effects.recorded_motion import RecordedMotion
+from ..identification import consistency, identification, identified_model
+from ..identification.identification import Identification
+from ..recordings import Recording
+from . import fitted_effects, joint_model
+from .fitted_effects import FittedEffect
+from .joint_model import JointModel, model_columns
+from .regression import JointRegression, Solution, independent_share, rms
+
+
+@dataclass(frozen=True)
+class FinalModel:
+    """The saved model.
+
+    Attributes:
+        identified: The base model, fitted without the torque of the effects.
+        motions: The fitted motions, with that base model and with torque moved by the delays.
+        effects: The effects in the order of `places`, without a delay of the clock.
+        places: Numbers of the effects in the joint model.
+        regression: Regression of the coefficients.
+        solution: Its solution at the parameters of the base model.
+        delay: Delay of the clock [s].
+    """
+
+    identified: Identification
+    motions: tuple[RecordedMotion, ...]
+    effects: tuple[FittedEffect, ...]
+    places: tuple[int, ...]
+    regression: JointRegression
+    solution: Solution
+    delay: float
+
+    @property
+    def saved_effects(self) -> tuple[FittedEffect, ...]:
+        """All effects, the delay of the clock last."""
+        if abs(self.delay) < joint_model.MIN_DELAY:
+            return self.effects
+        return (*self.effects, FittedEffect(delay.clock_delay(), np.array([self.delay])))
+
+    def document(self, recordings: Sequence[Recording]) -> dict[str, Any]:
+        """Return the content of `model.json`.
+
+        Args:
+            recordings: The recordings to which the model is fitted.
+        """
+        out = identified_model.model_document(self.identified, recordings)
+        robot = self.identified.model.robot
+        out["effects"] = [fitted_effects.entry(effect, robot) for effect in self.saved_effects]
+        return out
+
+
+def without_form_error(model: CandidateModel) -> CandidateModel:
+    """Return a model without the discrepancy of its form."""
+    if not model.form_columns:
+        return model
+    kept = model.nonnegative[: -model.form_columns]
+    return dataclasses.replace(
+        model,
+        torque_columns=EFFECTS_BY_NAME[model.effect].torque_columns,
+        nonnegative=kept,
+        form_columns=0,
+    )
+
+
+def fit(
+    identified: Identification,
+    model: JointModel,
+    left_out: Collection[int],
+    recordings: Sequence[Recording],
+    progress: Callable[[str], None] = lambda _: None,
+) -> FinalModel:
+    """Fit the model that is saved.
+
+    Args:
+        identified: The base model without effects.
+        model: The joint model.
+        left_out: Numbers of the effects that are not needed.
+        recordings: The recordings to fit.
+        progress: Called with each line of progress.
+    """
+    solution = model.regression.without(left_out)
+    places = tuple(
+        i
+        for i, part in enumerate(model.regression.slices)
+        if i not in left_out and solution.coefficients[part].any()
+    )
+    shapes = [without_form_error(model.models[i]) for i in places]
+    first = _regression(identified, model, model.motions, shapes, None)
+    effects = _fitted(shapes, first, first.solution)
+    clock = float(model.delays[0]) if len(model.delays) else 0.0
+    cleaned = [_cleaned(effects, clock, recording, model.motions) for recording in recordings]
+    refitted = identification.identify(
+        identified.model.robot,
+        identified.model.parameters,
+        identified.model.base,
+        cleaned,
+        (),
+        dataclasses.replace(identified.options, dissipation=False),
+        progress,
+    )
+    psi = joint_model.initial_parameters(refitted)
+    motions = joint_model.renewed(identified, model.motions, psi, refitted.model.widths)
+    for new, old in zip(motions, model.motions, strict=True):
+        for name in ("motor_torque", "measured_torque"):
+            new.cache[name] = old.cache[name]
+    regression = _regression(identified, model, motions, shapes, psi)
+    final = regression.solution
+    return FinalModel(
+        refitted,
+        tuple(motions),
+        _fitted(shapes, regression, final),
+        places,
+        regression,
+        final,
+        clock,
+    )
+
+
+def _regression(
+    identified: Identification,
+    model: JointModel,
+    motions: Sequence[RecordedMotion],
+    shapes: Sequence[CandidateModel],
+    psi: FloatArray | None,
+) -> JointRegression:
+    """Regression of some effects, jointly with the base model, or at its given parameters."""
+    if psi is None:
+        regression = model.regression.base_only()
+    else:
+        torque = np.concatenate([motion.residual for motion in motions])
+        regression = JointRegression.of_base(
+            torque,
+            model.regression.moving,
+            np.zeros((*torque.shape, 0)),
+            (np.zeros(0), np.zeros((0, 0))),
+            model.regression.sigma,
+            model.regression.independent_share,
+        )
+    for shape in shapes:
+        columns = model_columns(shape, motions, model.level)
+        assert columns is not None  # they were not zero in the joint model
+        regression.add(columns)
+    return regression
+
+
+def _fitted(
+    shapes: Sequence[CandidateModel], regression: JointRegression, solution: Solution
+) -> tuple[FittedEffect, ...]:
+    return tuple(
+        FittedEffect(shape, np.asarray(solution.coefficients[part]))
+        for shape, part in zip(shapes, regression.slices, strict=True)
+    )
+
+
+def _cleaned(
+    effects: Sequence[FittedEffect],
+    clock: float,
+    recording: Recording,
+    motions: Sequence[RecordedMotion],
+) -> Recording:
+    """Return a recording whose torque is moved by the clock's delay and without the effects."""
+    tau = recording.torque.copy()
+    for motion in motions:
+        if motion.segment.source == recording.source:
+            first = int(np.argmin(np.abs(recording.t - motion.segment.start)))
+            rows = slice(first, first + len(motion.segment))
+            tau[rows] = motion.segment.torque - fitted_effects.torque(effects, motion)
+    return dataclasses.replace(recording, tau=tau)
+
+
+def effect_torques(
+    final: FinalModel, motions: Sequence[RecordedMotion]
+) -> tuple[list[RecordedMotion], list[FloatArray]]:
+    """Return the torque of each saved effect along motions.
+
+    Args:
+        final: The model.
+        motions: Motions with any base model.
+
+    Returns:
+        The motions with this base model, and torque of shape (N, n) of each effect [N m].
+    """
+    psi = joint_model.initial_parameters(final.identified)
+    renewed = joint_model.renewed(final.identified, motions, psi, final.identified.model.widths)
+    out = []
+    for effect in final.effects:
+        columns = np.concatenate([effect.shape.columns(motion) for motion in renewed])
+        out.append(np.asarray(columns @ effect.coefficients))
+    if len(final.saved_effects) > len(final.effects):
+        total = np.concatenate([m.gamma @ m.theta for m in renewed]) + sum(out, np.zeros(1))
+        out.append(_delayed(final, renewed, total) - total)
+    return renewed, out
+
+
+def absorbed_parameters(
+    final: FinalModel, identified: Identification, motions: Sequence[RecordedMotion]
+) -> list[FloatArray]:
+    """Return what the base model that is fitted alone absorbs of each saved effect.
+
+    Args:
+        final: The saved model.
+        identified: The base model that is fitted alone.
+        motions: The fitted motions with the latter.
+
+    Returns:
+        Base parameters, shape (p,), for each effect.
+    """
+    torques = effect_torques(final, final.motions)[1]
+    gamma = np.concatenate([motion.gamma for motion in motions])
+    residual = np.concatenate([motion.residual for motion in motions])
+    moving = final.regression.moving
+    weight = np.sqrt(independent_share(residual, moving)) / rms(residual, moving) * moving
+    x = (gamma * weight[:, :, None]).reshape(-1, gamma.shape[2])
+    a = x.T @ x
+    if not identified.options.trusted:
+        a += consistency.base_prior_information(
+            identified.model.parameters, identified.model.base, identified.prior
+        )
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
+    inverse = np.linalg.pinv(a * scale[:, None] * scale, rcond=1e-9, hermitian=True)
+    return [
+        scale * (inverse @ (scale * (x.T @ (torque * weight).reshape(-1)))) for torque in torques
+    ]
+
+
+def _delayed(
+    final: FinalModel, motions: Sequence[RecordedMotion], torque: FloatArray
+) -> FloatArray:
+    """Return torque at the rows of some motions as it is recorded, with the clock's delay."""
+    out = []
+    for part, motion in zip(recorded_motion.split_by_motion(torque, motions), motions, strict=True):
+        late = CubicSpline(motion.time, part)
+        out.append(late(np.clip(motion.time - final.delay, motion.time[0], motion.time[-1])))
+    return np.concatenate(out)

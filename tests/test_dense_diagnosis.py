@@ -1,0 +1,93 @@
+"""Diagnosis of simulated robots with several frictions at every joint, as real ones have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from diagnosis_cases import found, noise_ratios
+
+import excite
+from excite.diagnosis import posterior
+from excite.diagnosis.diagnosis import Diagnosis
+
+pytest.importorskip("mujoco")
+
+from simulated_robots import record_robot
+
+from excite.simulator import dense_robot
+from excite.simulator.experiment import ExperimentSettings
+
+Key = tuple[str, int | None]
+"""Effect and index of its joint."""
+
+
+@dataclass(frozen=True)
+class DenseCase:
+    """A dense robot, the parameters of its hidden effects, and the diagnosis."""
+
+    truth: Mapping[Key, Mapping[str, float]]
+    result: Diagnosis
+
+    @property
+    def severity(self) -> dict[Key, float]:
+        """Growth of the RMS residual without each effect, all others given, over the noise."""
+        model = self.result.model
+        return {
+            key: float(
+                (
+                    posterior.evidence_of(model, key, members, (), model.solution).severity
+                    / model.regression.sigma
+                ).max()
+            )
+            for key, members in posterior.effect_groups(model).items()
+        }
+
+
+@pytest.fixture(scope="module", params=[(1.0, 1), (0.5, 2)], ids=["dense", "half-dense"])
+def case(request, tmp_path_factory) -> DenseCase:
+    """Diagnose a two-link robot; each joint has each friction with a probability."""
+    probability, seed = request.param
+
+    def draw(robot, motion, rng):
+        settings = replace(dense_robot.DenseSettings(), friction_probability=probability)
+        load = dense_robot.static_load(robot, motion)
+        return list(dense_robot.draw_dense_effects(robot, load, rng, settings))
+
+    settings = ExperimentSettings(seed=seed, rate=200.0, noise=0.002)
+    robot = record_robot("two_link", draw, tmp_path_factory.mktemp("dense"), seed, settings)
+    result = excite.diagnose("two_link", robot.files[:2], robot.files[2:], with_report=False)
+    joints = robot.robot.joints
+    truth = {
+        (e.name, None if e.joint is None else joints.index(e.joint)): e.values
+        for e in robot.effects
+    }
+    np.testing.assert_allclose(result.diagnosis.noise_rms, robot.noise, rtol=0.15)
+    return DenseCase(truth, result.diagnosis)
+
+
+def test_only_hidden_effects_are_found(case):
+    assert len(case.truth) >= 5 and set(found(case.result)) <= case.truth.keys()
+
+
+def test_every_effect_above_the_noise_floor_is_found(case):
+    severity = case.severity
+    strong = {key for key in case.truth if severity.get(key, np.inf) >= 1.0 and key[1] is not None}
+    assert len(strong) >= 3 and strong <= set(found(case.result))
+
+
+def test_held_out_torque_is_predicted_almost_to_the_noise(case):
+    before, after = noise_ratios(case.result)
+    assert (before > 5.0).any() and (after < 1.25).all()
+
+
+def test_four_in_five_true_parameters_are_within_two_standard_deviations(case):
+    distances = [
+        abs(value - case.truth[finding.effect, finding.joint][key]) / std
+        for finding in case.result.findings
+        for key, (value, std) in finding.parameters.items()
+        if key in case.truth.get((finding.effect, finding.joint), {})
+    ]
+    assert len(distances) >= 8 and np.mean(np.array(distances) < 2.0) >= 0.8

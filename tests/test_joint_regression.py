@@ -1,0 +1,114 @@
+"""Regression of the joint model: sign constraints, weights, candidates and torque."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excite.diagnosis.regression import Columns, JointRegression, independent_share
+
+
+def random_regression(seed: int, nonnegative: bool) -> tuple[JointRegression, np.ndarray]:
+    """Return a regression of two joints with random columns, and all its columns."""
+    rng = np.random.default_rng(seed)
+    base, extra = rng.normal(size=(60, 2, 3)), rng.normal(size=(60, 2, 4))
+    torque = rng.normal(size=(60, 2))
+    prior = np.zeros(3), 0.1 * np.eye(3)
+    regression = JointRegression.of_base(
+        torque, np.ones((60, 2), bool), base, prior, np.array([0.5, 2.0]), 0.7
+    )
+    regression.add(Columns.of(extra, np.full(4, nonnegative), np.full(4, 3.0)))
+    return regression, np.concatenate([base, extra], axis=2)
+
+
+@given(seed=st.integers(0, 1000))
+def test_solution_without_constraints_is_least_squares(seed):
+    regression, columns = random_regression(seed, nonnegative=False)
+    weight = np.sqrt(np.repeat(regression.weights[None], 60, axis=0)).ravel()
+    prior = np.sqrt(np.diag([0.1] * 3 + [1.0 / 9.0] * 4))
+    rows = np.vstack([columns.reshape(-1, 7) * weight[:, None], prior])
+    target = np.concatenate([regression.torque.ravel() * weight, np.zeros(7)])
+    expected = np.linalg.lstsq(rows, target, rcond=None)[0]
+    np.testing.assert_allclose(regression.solution.coefficients, expected, rtol=1e-6, atol=1e-8)
+    objective = 0.5 * np.sum((rows @ expected - target) ** 2)
+    assert regression.solution.objective == pytest.approx(objective)
+
+
+@given(seed=st.integers(0, 1000))
+def test_constrained_solution_satisfies_the_optimality_conditions(seed):
+    """Karush-Kuhn-Tucker: the gradient vanishes at active coefficients, and is ≥ 0 at zero."""
+    regression, columns = random_regression(seed, nonnegative=True)
+    x = regression.solution.coefficients
+    residual = regression.residual() * regression.weights
+    gradient = -np.einsum("njk,nj->k", columns, residual)
+    gradient += np.array([0.1] * 3 + [1.0 / 9.0] * 4) * x
+    assert (x[3:] >= 0.0).all()
+    np.testing.assert_allclose(gradient[regression.solution.active], 0.0, atol=1e-5)
+    assert (gradient[~regression.solution.active] >= -1e-5).all()
+
+
+def test_candidate_gains_what_the_refit_gains():
+    regression, _ = random_regression(3, nonnegative=False)
+    columns = Columns.of(
+        np.random.default_rng(8).normal(size=(60, 2, 2)), np.zeros(2, bool), np.full(2, 5.0)
+    )
+    before = regression.solution.objective
+    fit = regression.candidate(columns)
+    effect = regression.add(columns)
+    assert before - regression.solution.objective == pytest.approx(fit.gain, rel=1e-6)
+    np.testing.assert_allclose(
+        regression.solution.coefficients[regression.slices[effect]], fit.coefficients, rtol=1e-6
+    )
+    assert regression.without([effect]).objective == pytest.approx(before)
+
+
+def test_torque_of_effects_and_base_add_up():
+    regression, columns = random_regression(5, nonnegative=True)
+    predicted = regression.torque - regression.residual()
+    base = columns[:, :, :3] @ regression.solution.coefficients[:3]
+    parts = np.column_stack([regression.torque_of(0, j) for j in range(2)])
+    np.testing.assert_allclose(base + parts, predicted, atol=1e-10)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8])
+def test_independent_share_of_a_first_order_process(correlation):
+    """An autoregressive process of first order has the share (1 − a)/(1 + a)."""
+    noise = np.random.default_rng(0).normal(size=(40_000, 1))
+    for k in range(1, len(noise)):
+        noise[k] += correlation * noise[k - 1]
+    share = independent_share(noise, np.ones(noise.shape, bool))
+    assert share == pytest.approx((1.0 - correlation) / (1.0 + correlation), rel=0.15)
+
+
+@given(seed=st.integers(0, 1000))
+def test_eliminated_coefficients_solve_the_same_system(seed):
+    """A Schur complement of the normal equations, with some coefficients at zero by their sign."""
+    regression, _ = random_regression(seed, nonnegative=True)
+    solution = regression.solution
+    score = np.random.default_rng(seed).normal(size=(int(solution.active.sum()), 2))
+    matrix = solution.information[np.ix_(solution.active, solution.active)]
+    np.testing.assert_allclose(
+        solution.solve(score), np.linalg.solve(matrix, score), rtol=1e-6, atol=1e-8
+    )
+    assert solution.log_determinant() == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-6)
+
+
+def test_rows_at_standstill_have_no_influence():
+    regression, columns = random_regression(4, nonnegative=False)
+    moving = np.ones((60, 2), bool)
+    moving[::3, 0] = False
+    fits = []
+    for disturbance in (0.0, 9.0):
+        other = JointRegression.of_base(
+            regression.torque + disturbance * ~moving,
+            moving,
+            columns[:, :, :3],
+            (np.zeros(3), 0.1 * np.eye(3)),
+            np.ones(2),
+            0.7,
+        )
+        other.add(Columns.of(columns[:, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
+        fits.append(other.solution.coefficients)
+    np.testing.assert_allclose(fits[0], fits[1])

@@ -1,0 +1,124 @@
+"""Probabilities of effects from their evidence, and the evidence itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from excite.diagnosis import posterior, probability
+from excite.diagnosis.regression import Columns, JointRegression
+
+ROWS = 40
+"""Rows of the small regressions below."""
+finite = st.floats(-1e4, 1e4)
+
+
+@given(first=finite, second=finite, odds=st.floats(-20.0, 20.0))
+def test_the_probability_grows_with_the_evidence(first, second, odds):
+    low, high = sorted((first, second))
+    p, q = (float(probability.probability(x, odds)) for x in (low, high))
+    assert 0.0 <= p <= q <= 1.0
+    assert float(probability.probability(low, odds + 1.0)) >= p
+    assert probability.probability(0.0, odds) == pytest.approx(1.0 / (1.0 + np.exp(-odds)))
+
+
+def test_the_probability_of_impossible_evidence_is_zero():
+    assert probability.probability(-np.inf, 3.0) == pytest.approx(0.0, abs=1e-300)
+    assert probability.probability(np.inf, -3.0) == 1.0
+
+
+@given(evidence=st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=8), more=st.floats(0.0, 50.0))
+def test_shared_odds_follow_the_joints(evidence, more):
+    """Between the odds of no joint and of all joints, and higher if a joint has more evidence."""
+    n, (a, b) = len(evidence), probability.SHARED_COUNTS
+    odds = probability.shared_log_odds(np.array(evidence))
+    assert np.log(a / (n + b)) - 1e-9 <= odds <= np.log((n + a) / b) + 1e-9
+    assert probability.shared_log_odds(np.array([evidence[0] + more, *evidence[1:]])) >= odds - 1e-6
+
+
+def test_an_effect_of_most_joints_is_more_probable_at_the_last():
+    strong, absent = np.full(5, 40.0), np.full(5, -np.inf)
+    weak = 2.0
+    probable, improbable = (
+        float(probability.probability(weak, probability.shared_log_odds(np.array([*x, weak]))))
+        for x in (strong, absent)
+    )
+    assert probable > 0.8 and improbable < 0.4
+
+
+def small_regression(seed: int, nonnegative: tuple[bool, ...]) -> JointRegression:
+    """Return a regression of one joint with one base column and some columns of an effect."""
+    rng = np.random.default_rng(seed)
+    base, extra = rng.normal(size=(ROWS, 1, 1)), rng.normal(size=(ROWS, 1, len(nonnegative)))
+    torque = base[:, :, 0] + 0.4 * extra.sum(axis=2) + 0.5 * rng.normal(size=(ROWS, 1))
+    regression = JointRegression.of_base(
+        torque,
+        np.ones((ROWS, 1), bool),
+        base,
+        (np.array([0.7]), np.array([[0.3]])),
+        np.array([0.5]),
+        1.0,
+    )
+    regression.add(Columns.of(extra, np.array(nonnegative), np.full(len(nonnegative), 0.8)))
+    return regression
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_log_evidence_is_the_marginal_likelihood(seed):
+    """For a proper prior and no signs: the density of the torque under both Gaussian models."""
+    regression = small_regression(seed, (False, False))
+    x = regression._grams[0].columns
+    variance = np.array([1.0 / 0.3, 0.64, 0.64])
+
+    def density(k: int) -> float:
+        covariance = 0.25 * np.eye(ROWS) + (x[:, :k] * variance[:k]) @ x[:, :k].T
+        return float(
+            stats.multivariate_normal(0.7 * x[:, 0], covariance).logpdf(regression.torque[:, 0])
+        )
+
+    factor = posterior.log_evidence(regression, regression.solution) - posterior.log_evidence(
+        regression, regression.without([0])
+    )
+    assert factor == pytest.approx(density(3) - density(1), abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_log_evidence_with_signs_agrees_with_numerical_integration(seed):
+    """Laplace's approximation for coefficients ≥ 0, whose prior density is twice the normal."""
+    regression = small_regression(seed, (True, True))
+    assert (regression.solution.coefficients[1:] > 0.3).all()  # away from zero
+    x, y = regression._grams[0].columns, regression.torque[:, 0]
+    theta, c = np.linspace(-3.0, 4.0, 81), np.linspace(0.0, 2.5, 61)
+    grid = np.array(list(itertools.product(theta, c, c)))
+    error = y - grid @ x.T
+    log = -0.5 * np.sum(error**2, axis=1) / 0.25
+    log += stats.norm(0.7, np.sqrt(1.0 / 0.3)).logpdf(grid[:, 0])
+    log += sum(stats.norm(0.0, 0.8).logpdf(grid[:, k]) + np.log(2.0) for k in (1, 2))
+    cell = (theta[1] - theta[0]) * (c[1] - c[0]) ** 2
+    full = float(np.log(np.sum(np.exp(log - log.max())) * cell) + log.max())
+    base = -0.5 * np.sum((y - np.outer(theta, x[:, 0])) ** 2, axis=1) / 0.25
+    base += stats.norm(0.7, np.sqrt(1.0 / 0.3)).logpdf(theta)
+    alone = float(np.log(np.sum(np.exp(base - base.max())) * (theta[1] - theta[0])) + base.max())
+    factor = posterior.log_evidence(regression, regression.solution) - posterior.log_evidence(
+        regression, regression.without([0])
+    )
+    assert factor == pytest.approx(full - alone, abs=0.1)
+
+
+def test_more_noise_means_less_evidence():
+    regression = small_regression(1, (True,))
+    factors = []
+    for share in (1.0, 0.3, 0.05):
+        weaker = dataclasses.replace(regression, independent_share=share)
+        weaker.reweighted(np.array([0.5]), share)
+        factors.append(
+            posterior.log_evidence(weaker, weaker.solution)
+            - posterior.log_evidence(weaker, weaker.without([0]))
+        )
+    assert factors == sorted(factors, reverse=True)

@@ -1,0 +1,156 @@
+"""Effects that only a trusted prior reveals, because a refit of the base model absorbs them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from diagnosis_cases import (
+    PSI,
+    SUBJECT,
+    TRUSTED,
+    added_torque,
+    at_joint,
+    diagnose,
+    diagnosed,
+    found,
+    noise_ratios,
+    parameters,
+    recordings_of,
+)
+from scipy.interpolate import CubicSpline
+from synthetic_recordings import pinocchio_model
+
+import excite
+from excite._types import FloatArray
+from excite.diagnosis.diagnosis_file import document
+from excite.effects import EFFECTS_BY_NAME
+from excite.recordings import Recording
+from excite.robot import dynamics
+from excite.robot.samples import Samples
+
+
+def parameter_torque(recording: Recording, change: FloatArray) -> FloatArray:
+    """Return the torque of a change of the standard parameters, shape (N, n)."""
+    spline = CubicSpline(recording.t, recording.q)
+    state = Samples(recording.q, spline(recording.t, 1), spline(recording.t, 2))
+    return np.asarray(dynamics.regressor(SUBJECT.robot, SUBJECT.parameters, state) @ change)
+
+
+def changed(places: dict[int, float]) -> list[Recording]:
+    """Return recordings of the robot with changed standard parameters."""
+    change = np.zeros(len(PSI))
+    for place, value in places.items():
+        change[place] = value
+    return [added_torque(r, parameter_torque(r, change)) for r in recordings_of(None)]
+
+
+def test_nothing_is_found_where_the_prior_is_right():
+    result = diagnose(recordings_of(None), trusted=TRUSTED)
+    assert result.verdict == "no-mismatch" and not found(result)
+
+
+def test_an_offset_is_found_that_a_refit_absorbs():
+    recordings = changed({SUBJECT.parameters.block("offset").start + 1: 1.0})
+    assert not found(diagnose(recordings))
+    result = diagnose(recordings, trusted=TRUSTED)
+    assert found(result) == [("torque_offset", 1)]
+    assert parameters(result, "torque_offset", 1)["offset"][0] == pytest.approx(1.0, rel=0.05)
+
+
+def test_a_rotor_inertia_is_found_that_a_refit_absorbs():
+    recordings = changed({SUBJECT.parameters.block("rotor_inertia").start: 0.2})
+    result = diagnose(recordings, trusted=TRUSTED)
+    assert found(result) == [("rotor_inertia", 0)]
+    assert parameters(result, "rotor_inertia", 0)["inertia"][0] == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_torque_gain_is_found():
+    recordings = recordings_of(lambda t, q, dq, tau: at_joint(1, -0.08 * tau[:, 1]))
+    result = diagnose(recordings, trusted=TRUSTED)
+    assert found(result) == [("torque_gain", 1)]
+    assert parameters(result, "torque_gain", 1)["gain"][0] == pytest.approx(1.0 / 0.92, rel=0.01)
+
+
+def test_a_payload_is_found_and_trusted_parameters_are_kept():
+    load = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])  # mass and first moments of the last link
+    result = diagnose(changed(dict(zip(range(10, 14), load, strict=True))), trusted=TRUSTED)
+    assert found(result) == [("payload", 1)]
+    assert parameters(result, "payload", 1)["mass"][0] == pytest.approx(0.4, rel=0.1)
+    np.testing.assert_allclose(result.final.motions[0].theta, SUBJECT.base.matrix @ PSI, atol=1e-12)
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.004, -0.006), (-0.3, 0.2)])
+def test_the_tilt_of_the_base_is_estimated_with_its_sign(roll, pitch):
+    upright = pinocchio_model(SUBJECT, PSI)
+    tilted = upright.copy()
+    tilted.gravity.linear = pin.rpy.rpyToMatrix(roll, pitch, 0.0).T @ upright.gravity.linear
+    recordings = []
+    for recording in recordings_of(None):
+        torque = [
+            [pin.computeGeneralizedGravity(m, m.createData(), q) for q in recording.q]
+            for m in (tilted, upright)
+        ]
+        recordings.append(added_torque(recording, np.subtract(*map(np.array, torque))))
+    result = diagnose(recordings, trusted=TRUSTED)
+    assert found(result) == [("gravity_tilt", None)] and (noise_ratios(result)[1] < 1.3).all()
+    # a planar arm observes the tilt in its plane and the gravity component in that plane
+    (finding,) = document(result)["findings"]
+    assert set(finding["parameters"]) == {"pitch"} and finding["not_shown"] == ["roll"]
+    truth = np.arctan(np.tan(pitch) / np.cos(roll))
+    assert finding["parameters"]["pitch"]["value"] == pytest.approx(
+        truth, rel=0.1 if abs(pitch) < 0.1 else 0.01
+    )
+
+
+def test_a_tilt_keeps_the_magnitude_of_gravity():
+    (large,) = (
+        shape
+        for shape in EFFECTS_BY_NAME["gravity_tilt"].candidates(diagnosed(None).model.motions)
+        if shape.values["large"]
+    )
+    gravity = SUBJECT.robot.model.gravity.linear / 9.81
+    roll, pitch = 0.3, -0.2
+    gx, gy, gz = pin.rpy.rpyToMatrix(roll, pitch, 0.0).T @ gravity
+    exact = np.array([-gy, gx, -1.0 - gz])
+    assert large.is_plausible(exact)
+    assert not large.is_plausible(exact + np.array([0.0, 0.0, 0.2]))
+    assert not large.is_plausible(exact - np.array([0.0, 0.0, 0.3]))
+    assert large.parameters(exact) == pytest.approx({"roll": roll, "pitch": pitch})
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e"])
+def test_a_payload_is_no_rotor_inertia(name, tmp_path):
+    """Only a payload is hidden; the prior file states the joint actuators exactly."""
+    pytest.importorskip("mujoco")
+    from simulated_robots import record_robot
+
+    from excite.simulator.effect_instance import EffectInstance
+    from excite.simulator.effects import EFFECT_TYPES
+    from excite.simulator.experiment import ExperimentSettings
+
+    def payload(robot, motion, rng):
+        values = {"mass": 0.5, "com_x": 0.02, "com_y": 0.0, "com_z": 0.06, "radius": 0.03}
+        names = {parameter.name for parameter in EFFECT_TYPES["payload"].parameters}
+        kept = {key: value for key, value in values.items() if key in names}
+        return [EffectInstance("payload", robot.joints[-1], "tuning", kept)]
+
+    settings = ExperimentSettings(seed=3, rate=200.0, noise=0.002, model_error=0.0)
+    case = record_robot(name, payload, tmp_path, 3, settings)
+    actuators = case.robot.actuators
+    stated = {"coulomb": "coulomb", "viscous": "viscous", "rotor_inertia": "inertia"}
+    joints = {
+        joint: {key: float(getattr(actuators, of)[i]) for key, of in stated.items()}
+        | {"offset": float(actuators.offset[i])}
+        for i, joint in enumerate(case.robot.joints)
+    }
+    prior = {"schema": "excite.prior/1", "trust_prior": True, "joints": joints}
+    (tmp_path / "prior.json").write_text(json.dumps(prior))
+    result = excite.diagnose(
+        name, case.files[:2], case.files[2:], prior=tmp_path / "prior.json", with_report=False
+    )
+    (finding,) = result.findings
+    assert (finding["effect"], finding["joint"]) == ("payload", case.robot.joints[-1])
+    assert finding["parameters"]["mass"]["value"] == pytest.approx(0.5, rel=0.1)

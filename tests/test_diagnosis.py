@@ -18,6 +18,7 @@ from diagnosis_cases import (
     diagnosed,
     found,
     friction_sign,
+    known_failures,
     noise_ratios,
     parameters,
     recordings_of,
@@ -40,21 +41,13 @@ EXPLAINED = 1.4
 """Held-out RMSE over the noise of a model that has the hidden effect."""
 
 
-def hidden_effects(worse: dict[str, str]) -> list[object]:
-    """Return the hidden effects; with a reason, those in which the diagnosis is known to fail."""
-    return [
-        pytest.param(n, marks=pytest.mark.xfail(strict=True, reason=worse[n])) if n in worse else n
-        for n in HIDDEN
-    ]
-
-
-@pytest.mark.parametrize("name", hidden_effects({}))
+@pytest.mark.parametrize("name", known_failures(HIDDEN, {}))
 def test_a_hidden_effect_is_the_only_finding(name):
     result, hidden = diagnosed(name), HIDDEN[name]
     assert found(result) == [(hidden.effect, hidden.joint)] and not result.unmodelled
 
 
-@pytest.mark.parametrize("name", hidden_effects({}))
+@pytest.mark.parametrize("name", known_failures(HIDDEN, {}))
 def test_the_parameters_of_a_hidden_effect_are_estimated(name):
     hidden = HIDDEN[name]
     estimates = parameters(diagnosed(name), hidden.effect, hidden.joint)
@@ -66,7 +59,7 @@ def test_the_parameters_of_a_hidden_effect_are_estimated(name):
             assert value == pytest.approx(truth, rel=tolerance)
 
 
-@pytest.mark.parametrize("name", hidden_effects({}))
+@pytest.mark.parametrize("name", known_failures(HIDDEN, {}))
 def test_the_saved_model_predicts_held_out_torque_to_the_noise(name):
     before, after = noise_ratios(diagnosed(name))
     assert (after < EXPLAINED).all() and (before > 1.5).any()

@@ -122,7 +122,7 @@ def estimate_effects(
             severity = posterior_of.severity(entry.effects)
             form = EXCHANGEABLE_STD if entry.name in EXCHANGEABLE else FORM_STD
             std = float(np.hypot(posterior_of.relative_std(entry.effects), form))
-            interval = tuple(severity * max(1.0 + z * std, 0.0) for z in (-QUANTILE, QUANTILE))
+            interval = _interval(severity, std)
             parameters = posterior_of.parameters(entry.effects, draws)
             equivalents = likeness.get((entry.name, entry.joint), ())
         if rivals is not None:
@@ -196,6 +196,12 @@ def with_unmodelled(
     return sorted(out, key=lambda e: (-e.probability, -e.log_bayes_factor))
 
 
+def _interval(severity: float, relative: float) -> tuple[float, float]:
+    """90 % interval of a severity with a relative standard deviation."""
+    low, high = (severity * max(1.0 + z * relative, 0.0) for z in (-QUANTILE, QUANTILE))
+    return low, high
+
+
 def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     """The delay of the clock."""
     model, seconds = of.model, float(of.model.delays[0])
@@ -207,7 +213,7 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     severity = of.severity_of(change)
     relative = float(np.hypot(std / abs(seconds), FORM_STD))
     present = float(probability.probability(factor, probability.RARE_LOG_ODDS))
-    interval = tuple(severity * max(1.0 + z * relative, 0.0) for z in (-QUANTILE, QUANTILE))
+    interval = _interval(severity, relative)
     return [
         EffectEstimate(
             "delay",

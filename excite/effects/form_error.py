@@ -41,8 +41,8 @@ def with_form_error(
         motions: Motions that it is fitted to.
         coefficients: Coefficients of the model, shape (k,), in whose units the further columns are.
     """
-    k, joint = len(coefficients), model.joint
-    count = (n := motions[0].n) + DERIVATIVES
+    k, n, joint = len(coefficients), motions[0].n, model.joint
+    count = n + DERIVATIVES
     if joint is not None:
         low, high = position_range(motions, joint)
         top = max(float(np.abs(m.samples.dq[:, joint]).max()) for m in motions)
@@ -61,7 +61,7 @@ def with_form_error(
             factors += [np.cos(np.pi * m * rate) for m in range(1, SPEED_WAVES + 1)]
             varied = total[:, :, None] * np.column_stack(factors)[:, None, :]
         derivatives, size = [total], np.sqrt(np.mean(total**2))
-        for _ in range(DERIVATIVES):
+        while len(derivatives) <= DERIVATIVES:
             slope = np.gradient(derivatives[-1], motion.time, axis=0)
             rms = np.sqrt(np.mean(slope**2))
             derivatives.append(slope * size / max(rms, 1e-300))

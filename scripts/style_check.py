@@ -65,28 +65,6 @@ ALLOWED: dict[str, dict[str, str]] = {
     "tests/test_concealed_trial.py": {"outsider": "key of excite.truth/1"},
     "excite/recordings/remark.py": {"waver": "value of a remark's kind in --json documents"},
     "excite/diagnosis/diagnosis_file.py": {"foreseen": "key of the diagnosis document"},
-    **{
-        f"excite/diagnosis/{stage}.py": {
-            "*": "replaced by the joint model; see issue 'A diagnosis that holds on real robots'"
-        }
-        for stage in (
-            "belief",
-            "blocks",
-            "columns",
-            "contest",
-            "course",
-            "equations",
-            "gram",
-            "half",
-            "held_out_test",
-            "hypothesis",
-            "judge",
-            "late",
-            "measured",
-            "once",
-            "search",
-        )
-    },
 }
 """Path prefix -> {term: reason}: places in which a banned term is right; "*" allows all terms."""
 

@@ -111,12 +111,14 @@ def estimate_effects(
     for entry in evidence:
         needed = not set(entry.effects) <= set(left_out)
         rivals = next((r for r in rare if r.key == (entry.name, entry.joint)), None)
+        unique = float((entry.severity / model.regression.sigma).max())
         present = float(
-            probability.probability(entry.log_bayes_factor, odds[entry.name, entry.joint])
+            probability.friction_probability(entry.log_bayes_factor, odds[entry.name])
+            if entry.name in DENSE_NAMES
+            else probability.rare_probability(entry.log_bayes_factor, unique)
         )
         equivalents: tuple[str, ...] = ()
         draws = posterior_of.draws(entry.effects) if needed else None
-        unique = float((entry.severity / model.regression.sigma).max())
         severity, interval, parameters = 0.0, (0.0, 0.0), {}
         if needed and draws is not None:
             severity = posterior_of.severity(entry.effects)
@@ -126,7 +128,7 @@ def estimate_effects(
             parameters = posterior_of.parameters(entry.effects, draws)
             equivalents = likeness.get((entry.name, entry.joint), ())
         if rivals is not None:
-            share, names = rivals.share(probability.TEMPERATURE)
+            share, names = rivals.share()
             present *= share
             equivalents = tuple(dict.fromkeys((*equivalents, *names)))
         equivalents = tuple(
@@ -212,7 +214,7 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     change[len(model.free) + model.n] = seconds
     severity = of.severity_of(change)
     relative = float(np.hypot(std / abs(seconds), FORM_STD))
-    present = float(probability.probability(factor, probability.RARE_LOG_ODDS))
+    present = float(probability.rare_probability(factor, severity))
     interval = _interval(severity, relative)
     return [
         EffectEstimate(
@@ -232,15 +234,14 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     ]
 
 
-def _log_odds(n: int, evidence: Sequence[EffectEvidence]) -> dict[tuple[str, int | None], float]:
-    """Prior log odds of every effect, those of the frictions shared over the joints."""
-    out = {(e.name, e.joint): probability.RARE_LOG_ODDS for e in evidence}
+def _log_odds(n: int, evidence: Sequence[EffectEvidence]) -> dict[str, float]:
+    """Prior log odds of the frictions that any joint may have, shared over the joints."""
+    out = {}
     for name in DENSE_NAMES:
         members = [e for e in evidence if e.name == name]
         factors = np.full(n, -np.inf)
         factors[: len(members)] = [e.log_bayes_factor for e in members]
-        shared = probability.shared_log_odds(factors)
-        out |= {(e.name, e.joint): shared for e in members}
+        out[name] = probability.shared_log_odds(factors)
     return out
 
 

@@ -70,10 +70,10 @@ def log_evidence(regression: JointRegression, solution: Solution) -> float:
 
 def is_needed(model: JointModel, evidence: EffectEvidence) -> bool:
     """Tell whether an effect of a model is more probable than not, and large enough to matter."""
-    odds = 0.0 if evidence.name in DENSE_NAMES else probability.RARE_LOG_ODDS
-    severity = float((evidence.severity / model.regression.sigma).max())
-    present = float(probability.probability(evidence.log_bayes_factor, odds))
-    return present > 0.5 and severity > MIN_SEVERITY
+    size = float((evidence.severity / model.regression.sigma).max())
+    if evidence.name in DENSE_NAMES:
+        return evidence.log_bayes_factor > 0.0 and size > MIN_SEVERITY
+    return float(probability.rare_probability(evidence.log_bayes_factor, size)) > 0.5
 
 
 def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:

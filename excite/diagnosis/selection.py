@@ -26,8 +26,12 @@ MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
 OPTIMISED_CANDIDATES = 4
 """Candidates whose nonlinear parameters are optimised before the best is chosen."""
+MIN_CANDIDATE_EVIDENCE = 5.0
+"""Log Bayes factor before the weights are renewed from which a candidate is tried."""
 MAX_MODELS = 2
 """Models of one effect at one joint, as the modes of a base or the waves of a curve."""
+RANKING_SHARE = 0.25
+"""Share of independent rows in the residual of a complete model, at least."""
 MAX_REJECTIONS = 3
 """Candidates that are tried in vain before the search ends."""
 
@@ -47,27 +51,30 @@ class RareEffect:
         evidence: Its log Bayes factor before it was added.
         before: Log Bayes factors of all other effects before it was added.
         after: The same after it was added; an effect that is not listed has none.
+        final: Its log Bayes factor with the weights of the rows after it was added.
     """
 
     key: Key
     evidence: float
     before: Mapping[Key, float]
     after: Mapping[Key, float]
+    final: float
 
-    def share(self, temperature: float) -> tuple[float, tuple[str, ...]]:
+    def share(self) -> tuple[float, tuple[str, ...]]:
         """Return the probability that it is this effect or an equivalent, and the equivalents.
 
         Another effect k may be in place of the chosen one, or beside it: the weights of the three
-        cases are exp(E/T), exp(E_k/T) and exp((E + E_k|chosen)/T).
-
-        Args:
-            temperature: Temperature T of the log Bayes factors.
+        cases are exp(E/T), exp(E_k/T) and exp((E + E_k|chosen)/T). E and E_k are scaled to the
+        weights of the rows that the chosen effect leaves.
         """
-        odds = probability.RARE_LOG_ODDS
+        odds, temperature = probability.RARE_LOG_ODDS, probability.RARE_TEMPERATURE
+        scale = max(self.final / max(self.evidence, 1e-9), 1.0)
         instead = {}
         for key, value in self.before.items():
             beside = max(self.after.get(key, -np.inf) / temperature + odds, -700.0)
-            relative = (value - self.evidence) / temperature - float(np.logaddexp(0.0, beside))
+            relative = scale * (value - self.evidence) / temperature - float(
+                np.logaddexp(0.0, beside)
+            )
             instead[key] = float(np.exp(np.clip(relative, -700.0, 700.0)))
         alike = [
             key
@@ -82,18 +89,28 @@ class RareEffect:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate model with its columns and its fit on top of a joint model."""
+    """A candidate model with its columns and its fit on top of a joint model.
+
+    Attributes:
+        model: The candidate.
+        columns: Its columns.
+        fit: Its fit.
+        share: Share of independent rows in the residual. An effect that is left out makes the
+            residual look correlated, so that the evidence is that of usual residuals.
+    """
 
     model: CandidateModel
     columns: Columns
     fit: CandidateFit
+
+    share: float = 1.0
 
     @property
     def evidence(self) -> float:
         """Log Bayes factor for the candidate, before the choice among its shapes."""
         precision = 1.0 / self.columns.prior_std**2
         occam = np.linalg.slogdet(self.fit.information / np.sqrt(np.outer(precision, precision)))[1]
-        return self.fit.gain - 0.5 * float(occam)
+        return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - 0.5 * float(occam)
 
 
 class CandidateColumns:
@@ -132,7 +149,7 @@ class CandidateColumns:
         for shape, columns in self.shapes[key]:
             fit = model.regression.candidate(columns)
             if shape.is_plausible(fit.coefficients):
-                scored.append(Candidate(shape, columns, fit))
+                scored.append(Candidate(shape, columns, fit, model.regression.independent_share))
         if not scored:
             return None
         best = max(scored, key=lambda c: c.evidence)
@@ -147,7 +164,8 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     current = model.columns(candidate.model)
     if current is None:
         return candidate
-    candidate = Candidate(candidate.model, current, model.regression.candidate(current))
+    share = model.regression.independent_share
+    candidate = Candidate(candidate.model, current, model.regression.candidate(current), share)
     if candidate.model.nonlinear is None:
         return candidate
 
@@ -165,7 +183,7 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     fit = model.regression.candidate(columns)
     if not shape.is_plausible(fit.coefficients) or fit.gain < candidate.fit.gain:
         return candidate
-    return Candidate(shape, columns, fit)
+    return Candidate(shape, columns, fit, share)
 
 
 def find_rare_effects(
@@ -207,7 +225,7 @@ def find_rare_effects(
                 key
                 for key, evidence in scores.items()
                 if key not in rejected
-                and _is_probable(evidence)
+                and evidence > MIN_CANDIDATE_EVIDENCE
                 and [f.key for f in found].count(key) < MAX_MODELS
             ),
             key=lambda key: -scores[key],
@@ -236,14 +254,14 @@ def find_rare_effects(
                     and _is_plausible(extended, groups[key])
                     and cross_validation.pays(extended, groups[key])
                 ):
-                    accepted = key
+                    accepted, final = key, result.log_bayes_factor
                     break
             rejected.add(key)
         if accepted is None:
             break
         model, rare = extended, (*rare, chosen)
         others = {key: score for key, score in scores.items() if key != accepted}
-        found.append(RareEffect(accepted, scores[accepted], others, {}))
+        found.append(RareEffect(accepted, scores[accepted], others, {}, final))
     return model, tuple(found)
 
 
@@ -255,8 +273,3 @@ def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:
         for shape in (model.models[e],)
     ]
     return all(shape.is_plausible(c) for shape, c in plain)
-
-
-def _is_probable(log_bayes_factor: float) -> bool:
-    """Tell whether an effect is more probable than not."""
-    return bool(probability.probability(log_bayes_factor, probability.RARE_LOG_ODDS) > 0.5)

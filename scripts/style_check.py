@@ -64,38 +64,7 @@ ALLOWED: dict[str, dict[str, str]] = {
     "scripts/concealed_trial/score.py": {"outsider": "key of excite.truth/1"},
     "tests/test_concealed_trial.py": {"outsider": "key of excite.truth/1"},
     "excite/recordings/remark.py": {"waver": "value of a remark's kind in --json documents"},
-<<<<<<< HEAD
-    "excite/report/diagnosis.py": {
-        "foretold": "key of the diagnosis document",
-        "foreseen": "key of the diagnosis document",
-    },
-    "tests/test_diagnosis_report.py": {"foretold": "key of the diagnosis document"},
-=======
-    "tests/test_cross_validation.py": {"foretold": "key of the diagnosis document"},
->>>>>>> wt-E
     "excite/diagnosis/diagnosis_file.py": {"foreseen": "key of the diagnosis document"},
-    **{
-        f"excite/diagnosis/{stage}.py": {
-            "*": "replaced by the joint model; see issue 'A diagnosis that holds on real robots'"
-        }
-        for stage in (
-            "belief",
-            "blocks",
-            "columns",
-            "contest",
-            "course",
-            "equations",
-            "gram",
-            "half",
-            "held_out_test",
-            "hypothesis",
-            "judge",
-            "late",
-            "measured",
-            "once",
-            "search",
-        )
-    },
 }
 """Path prefix -> {term: reason}: places in which a banned term is right; "*" allows all terms."""
 

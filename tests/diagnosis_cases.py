@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from scipy import integrate
 from scipy.interpolate import CubicSpline
 from synthetic_recordings import (
@@ -83,7 +84,7 @@ def diagnose(recordings: Sequence[Recording], **options: Any) -> Diagnosis:
     )
 
 
-def found(result: Diagnosis) -> list[tuple[str, int | None]]:
+def findings_of(result: Diagnosis) -> list[tuple[str, int | None]]:
     """Return effect and joint of the findings, the most probable first."""
     return [(finding.effect, finding.joint) for finding in result.findings]
 
@@ -94,6 +95,16 @@ def parameters(
     """Return value and standard deviation of each parameter of a finding."""
     (finding,) = (f for f in result.findings if (f.effect, f.joint) == (effect, joint))
     return finding.parameters
+
+
+def known_failures(names: Iterable[Any], reasons: Mapping[Any, str]) -> list[Any]:
+    """Return parameters of a test, those with a reason marked as a known failure."""
+    return [
+        pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=reasons[name]))
+        if name in reasons
+        else name
+        for name in names
+    ]
 
 
 def noise_ratios(result: Diagnosis) -> tuple[FloatArray, FloatArray]:
@@ -155,12 +166,12 @@ def cogging(q: FloatArray) -> FloatArray:
     return np.asarray(waves + 0.15 * np.cos(3.0 * angle + 1.0) + 0.3 * np.cos(27.0 * q))
 
 
-def inverted(produced: FloatArray, made: Callable[[FloatArray], FloatArray]) -> FloatArray:
+def inverted(produced: FloatArray, actuator: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return the recorded torque that makes a produced torque, by bisection."""
     low, high = np.zeros_like(produced), np.full_like(produced, 60.0)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        short = made(middle) < np.abs(produced)
+        short = actuator(middle) < np.abs(produced)
         low, high = np.where(short, middle, low), np.where(short, high, middle)
     return np.asarray(np.sign(produced) * low)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from diagnosis_cases import found, noise_ratios
+from diagnosis_cases import findings_of, noise_ratios
 
 import excite
 from excite.diagnosis import posterior
@@ -69,13 +69,13 @@ def case(request, tmp_path_factory) -> DenseCase:
 
 
 def test_only_hidden_effects_are_found(case):
-    assert len(case.truth) >= 5 and set(found(case.result)) <= case.truth.keys()
+    assert len(case.truth) >= 5 and set(findings_of(case.result)) <= case.truth.keys()
 
 
 def test_every_effect_above_the_noise_floor_is_found(case):
     severity = case.severity
     strong = {key for key in case.truth if severity.get(key, np.inf) >= 1.0 and key[1] is not None}
-    assert len(strong) >= 3 and strong <= set(found(case.result))
+    assert len(strong) >= 3 and strong <= set(findings_of(case.result))
 
 
 def test_held_out_torque_is_predicted_almost_to_the_noise(case):

@@ -16,8 +16,9 @@ from diagnosis_cases import (
     at_joint,
     diagnose,
     diagnosed,
-    found,
+    findings_of,
     friction_sign,
+    known_failures,
     noise_ratios,
     parameters,
     recordings_of,
@@ -40,21 +41,13 @@ EXPLAINED = 1.4
 """Held-out RMSE over the noise of a model that has the hidden effect."""
 
 
-def hidden_effects(worse: dict[str, str]) -> list[object]:
-    """Return the hidden effects; with a reason, those in which the diagnosis is known to fail."""
-    return [
-        pytest.param(n, marks=pytest.mark.xfail(strict=True, reason=worse[n])) if n in worse else n
-        for n in HIDDEN
-    ]
-
-
-@pytest.mark.parametrize("name", hidden_effects({}))
+@pytest.mark.parametrize("name", known_failures(HIDDEN, {}))
 def test_a_hidden_effect_is_the_only_finding(name):
     result, hidden = diagnosed(name), HIDDEN[name]
-    assert found(result) == [(hidden.effect, hidden.joint)] and not result.unmodelled
+    assert findings_of(result) == [(hidden.effect, hidden.joint)] and not result.unmodelled
 
 
-@pytest.mark.parametrize("name", hidden_effects({}))
+@pytest.mark.parametrize("name", known_failures(HIDDEN, {}))
 def test_the_parameters_of_a_hidden_effect_are_estimated(name):
     hidden = HIDDEN[name]
     estimates = parameters(diagnosed(name), hidden.effect, hidden.joint)
@@ -66,7 +59,7 @@ def test_the_parameters_of_a_hidden_effect_are_estimated(name):
             assert value == pytest.approx(truth, rel=tolerance)
 
 
-@pytest.mark.parametrize("name", hidden_effects({}))
+@pytest.mark.parametrize("name", known_failures(HIDDEN, {}))
 def test_the_saved_model_predicts_held_out_torque_to_the_noise(name):
     before, after = noise_ratios(diagnosed(name))
     assert (after < EXPLAINED).all() and (before > 1.5).any()
@@ -74,7 +67,7 @@ def test_the_saved_model_predicts_held_out_torque_to_the_noise(name):
 
 def test_a_robot_without_effects_has_no_findings():
     result = diagnosed(None)
-    assert result.verdict == "no-mismatch" and not found(result) and not result.unmodelled
+    assert result.verdict == "no-mismatch" and not findings_of(result) and not result.unmodelled
     np.testing.assert_allclose(result.held_out.rmse_after, result.noise_rms, rtol=0.25)
 
 
@@ -103,7 +96,7 @@ def test_static_friction_at_rest_is_no_mismatch():
         torque = recording.torque + 4.0 * still
         recordings.append(dataclasses.replace(recording, tau=torque, source=f"{seed}.csv"))
     result = diagnose(recordings)
-    assert not found(result) and not result.unmodelled
+    assert not findings_of(result) and not result.unmodelled
     assert (result.held_out.moving.mean(axis=0) < 0.9).all()
     assert (result.held_out.rmse_after < 1.3 * 0.1).all()
 
@@ -116,7 +109,7 @@ def test_an_eccentric_encoder_is_reported_with_its_first_harmonic():
         q[:, 1] += 0.02 * (np.sin(angle) + 0.4 * np.sin(2.0 * angle))
         recordings.append(dataclasses.replace(recording, q=q))
     result = diagnose(recordings)
-    assert found(result) == [("encoder_error", 1)]
+    assert findings_of(result) == [("encoder_error", 1)]
     estimates = parameters(result, "encoder_error", 1)
     assert estimates["order"][0] == pytest.approx(2.0, rel=0.1)
     assert estimates["amplitude"][0] == pytest.approx(0.02, rel=0.2)
@@ -134,14 +127,14 @@ def test_two_effects_are_both_reported(first, second, train):
             (*train, 5),
         )
     )
-    assert set(found(result)) == {(n, HIDDEN[n].joint) for n in (first, second)}
+    assert set(findings_of(result)) == {(n, HIDDEN[n].joint) for n in (first, second)}
     assert (noise_ratios(result)[1] < EXPLAINED).all()
 
 
 def test_several_frictions_at_both_joints_are_found_at_once():
     names = ("stribeck", "hysteresis", "load_friction")
     result = diagnose(recordings_of(lambda *s: sum(HIDDEN[n].torque(*s) for n in names), (2, 8, 5)))
-    assert set(found(result)) == {(name, HIDDEN[name].joint) for name in names}
+    assert set(findings_of(result)) == {(name, HIDDEN[name].joint) for name in names}
     assert parameters(result, "load_friction", 0)["mu"][0] == pytest.approx(0.1, rel=0.25)
     assert (noise_ratios(result)[1] < EXPLAINED).all()
 
@@ -180,7 +173,7 @@ def test_torque_outside_the_catalogue_is_unknown(name):
 
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_torque_outside_the_catalogue_is_not_named(name):
-    assert not found(outside_the_catalogue(name))
+    assert not findings_of(outside_the_catalogue(name))
 
 
 @pytest.mark.parametrize("name", [*HIDDEN, *OUTSIDE])

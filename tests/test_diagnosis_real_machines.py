@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import found, parameters
+from diagnosis_cases import findings_of, parameters
 
 from excite import recordings
 from excite.diagnosis import diagnosis
@@ -73,7 +73,7 @@ def test_emps_has_asymmetric_viscous_friction():
 @pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
 def test_tx40_has_coupled_wrist_joints():
     result = diagnose_machine("tx40", ("train",), "validate")
-    assert set(found(result)) >= {("coupling", 4), ("coupling", 5)}
+    assert set(findings_of(result)) >= {("coupling", 4), ("coupling", 5)}
     friction = parameters(result, "coupling", 4)
     assert friction["viscous"][0] == pytest.approx(0.62, rel=0.15)
     assert friction["coulomb"][0] == pytest.approx(1.95, rel=0.15)
@@ -83,7 +83,7 @@ def test_tx40_has_coupled_wrist_joints():
 
 def test_kuka_has_a_payload_and_a_counterbalance_spring():
     result = diagnose_machine("kuka_kr300", ("traj_A", "traj_B"), "traj_C", prior="prior.json")
-    assert {("payload", 5), ("spring", 1)} <= set(found(result))
+    assert {("payload", 5), ("spring", 1)} <= set(findings_of(result))
     assert parameters(result, "payload", 5)["mass"][0] == pytest.approx(150.0, rel=0.1)
     assert relative(result)[1] <= 0.05
     assert_not_worse_than_the_base_model(result)

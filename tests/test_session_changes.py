@@ -18,7 +18,7 @@ from diagnosis_cases import (
     added_torque,
     at_joint,
     diagnose,
-    found,
+    findings_of,
     friction_sign,
     noise_ratios,
     recording_of,
@@ -71,7 +71,7 @@ def assert_changes(result: Diagnosis, expected: Mapping[tuple[str, int], float])
 
 def test_a_change_of_the_held_out_session_is_reported_and_no_effect():
     result = diagnosed_sessions(None)
-    assert not found(result)
+    assert not findings_of(result)
     assert_changes(result, {("5.csv", 0): CHANGE[0], ("5.csv", 1): CHANGE[1]})
     stated = document(result)["between_recordings"]
     assert [change["joint"] for change in stated] == ["joint_1", "joint_2"]
@@ -87,7 +87,7 @@ def test_held_out_torque_is_predicted_with_the_mean_friction_of_the_sessions():
         for seed, change in ((2, 0.0), (8, 0.4), (5, 0.2))
     ]
     result = diagnose(recordings)
-    assert not found(result) and (noise_ratios(result)[1] < 1.2).all()
+    assert not findings_of(result) and (noise_ratios(result)[1] < 1.2).all()
     truth = {"2.csv": -0.2, "8.csv": 0.2}  # from their mean
     assert_changes(result, {(s, j): c for s, c in truth.items() for j in range(2)})
 
@@ -95,7 +95,7 @@ def test_held_out_torque_is_predicted_with_the_mean_friction_of_the_sessions():
 @pytest.mark.parametrize("name", ["stribeck", "torque_ripple", "position_friction", "coupling"])
 def test_an_effect_is_reported_although_friction_differs(name):
     result = diagnosed_sessions(name)
-    assert found(result) == [(name, HIDDEN[name].joint)]
+    assert findings_of(result) == [(name, HIDDEN[name].joint)]
     assert {change.joint for change in result.changes} == {0, 1}
 
 
@@ -127,7 +127,7 @@ def test_recordings_at_different_speeds_show_an_effect_and_no_session_changes(pl
         named = dataclasses.replace(recording, source=f"{number}.csv")
         recordings.append(added_torque(named, at_joint(0, friction) + noise))
     result = diagnose(recordings)
-    assert found(result) == ([("nonlinear_viscous", 0)] if planted else [])
+    assert findings_of(result) == ([("nonlinear_viscous", 0)] if planted else [])
     assert not result.changes and not result.unmodelled
     assert (noise_ratios(result)[1] < 1.3).all()
 

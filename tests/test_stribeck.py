@@ -14,7 +14,7 @@ from diagnosis_cases import (
     added_torque,
     at_joint,
     diagnose,
-    found,
+    findings_of,
     friction_sign,
     noise_ratios,
     parameters,
@@ -67,7 +67,7 @@ def diagnosed_form(form: str) -> Diagnosis:
 
 @pytest.mark.parametrize("form", list(FORMS))
 def test_stribeck_friction_of_any_form_is_the_only_finding(form):
-    assert found(diagnosed_form(form)) == [("stribeck", 0)]
+    assert findings_of(diagnosed_form(form)) == [("stribeck", 0)]
 
 
 @pytest.mark.parametrize("form", list(FORMS))

@@ -14,7 +14,7 @@ from diagnosis_cases import (
     at_joint,
     diagnose,
     effect_entry,
-    found,
+    findings_of,
     friction_sign,
     model_with_effects,
     motions,
@@ -75,7 +75,7 @@ def diagnosed_warmer(dry: bool) -> Diagnosis:
 def test_temperature_dependent_friction_predicts_a_warmer_recording(dry):
     result = diagnosed_warmer(dry)
     before, after = noise_ratios(result)
-    assert found(result) == [("thermal_drift", 0)] and not result.unmodelled
+    assert findings_of(result) == [("thermal_drift", 0)] and not result.unmodelled
     assert after[0] < 1.3 and before[0] > 1.5
 
 
@@ -121,7 +121,7 @@ def test_self_heating_follows_the_power_of_friction():
         ).y[0]
         heated.append(added_torque(recording, at_joint(0, change * warm * friction)))
     result = diagnose(heated)
-    assert found(result) == [("thermal_drift", 0)] and noise_ratios(result)[1][0] < 1.3
+    assert findings_of(result) == [("thermal_drift", 0)] and noise_ratios(result)[1][0] < 1.3
     statement = document(result)["findings"][0]["where"]["statement"]
     assert statement.endswith("its own power heats the joint")
     estimates = parameters(result, "thermal_drift", 0)

@@ -14,7 +14,7 @@ from diagnosis_cases import (
     at_joint,
     diagnose,
     diagnosed,
-    found,
+    findings_of,
     maxwell_slip_force,
     noise_ratios,
     parameters,
@@ -84,7 +84,7 @@ def diagnosed_filtered(effect: str | None) -> Diagnosis:
 def test_filtered_torque_is_reported_as_a_delay_and_hides_no_effect(effect):
     result = diagnosed_filtered(effect)
     expected = {("delay", None), *([(effect, HIDDEN[effect].joint)] if effect else [])}
-    assert set(found(result)) == expected and not result.unmodelled
+    assert set(findings_of(result)) == expected and not result.unmodelled
     value, std = parameters(result, "delay", None)["seconds"]
     keep = np.exp(-1.0 / (RATE * LAG))
     assert abs(value - keep / (1.0 - keep) / RATE) < max(2.0 * std, 1e-3)  # of the discrete filter
@@ -116,7 +116,7 @@ def test_an_effect_is_reported_jointly_with_the_delay_of_its_joint(effect):
         tau[:, 1] = np.interp(recording.t - seconds, recording.t, tau[:, 1])
         recordings.append(dataclasses.replace(recording, tau=tau))
     result = diagnose(recordings)
-    assert set(found(result)) == {(effect, 1), ("delay", 1)} and not result.unmodelled
+    assert set(findings_of(result)) == {(effect, 1), ("delay", 1)} and not result.unmodelled
     value, std = parameters(result, "delay", 1)["seconds"]
     assert abs(value - seconds) < 2.0 * std < 0.3 * seconds
     assert (noise_ratios(result)[1] < 1.6).all()

@@ -11,8 +11,8 @@ from diagnosis_cases import (
     at_joint,
     diagnose,
     diagnosed,
+    findings_of,
     force_along_x,
-    found,
     motions,
     noise_ratios,
     recording_of,
@@ -55,12 +55,12 @@ def test_a_contact_does_not_count_as_noise():
 
 
 def test_torque_that_recurs_with_the_period_is_no_contact():
-    assert "contact" not in {effect for effect, _ in found(recurring_push())}
+    assert "contact" not in {effect for effect, _ in findings_of(recurring_push())}
 
 
 def test_torque_that_recurs_is_unknown_and_not_named():
     result = recurring_push()
-    assert not found(result) and [unknown.joint for unknown in result.unmodelled] == [0]
+    assert not findings_of(result) and [unknown.joint for unknown in result.unmodelled] == [0]
     before, after = noise_ratios(result)
     assert (after <= 1.05 * np.maximum(before, 1.0)).all()
 

@@ -15,7 +15,7 @@ from diagnosis_cases import (
     at_joint,
     diagnose,
     diagnosed,
-    found,
+    findings_of,
     noise_ratios,
     parameters,
     recordings_of,
@@ -49,35 +49,35 @@ def changed(places: dict[int, float]) -> list[Recording]:
 
 def test_nothing_is_found_where_the_prior_is_right():
     result = diagnose(recordings_of(None), trusted=TRUSTED)
-    assert result.verdict == "no-mismatch" and not found(result)
+    assert result.verdict == "no-mismatch" and not findings_of(result)
 
 
 def test_an_offset_is_found_that_a_refit_absorbs():
     recordings = changed({SUBJECT.parameters.block("offset").start + 1: 1.0})
-    assert not found(diagnose(recordings))
+    assert not findings_of(diagnose(recordings))
     result = diagnose(recordings, trusted=TRUSTED)
-    assert found(result) == [("torque_offset", 1)]
+    assert findings_of(result) == [("torque_offset", 1)]
     assert parameters(result, "torque_offset", 1)["offset"][0] == pytest.approx(1.0, rel=0.05)
 
 
 def test_a_rotor_inertia_is_found_that_a_refit_absorbs():
     recordings = changed({SUBJECT.parameters.block("rotor_inertia").start: 0.2})
     result = diagnose(recordings, trusted=TRUSTED)
-    assert found(result) == [("rotor_inertia", 0)]
+    assert findings_of(result) == [("rotor_inertia", 0)]
     assert parameters(result, "rotor_inertia", 0)["inertia"][0] == pytest.approx(0.2, rel=0.05)
 
 
 def test_a_torque_gain_is_found():
     recordings = recordings_of(lambda t, q, dq, tau: at_joint(1, -0.08 * tau[:, 1]))
     result = diagnose(recordings, trusted=TRUSTED)
-    assert found(result) == [("torque_gain", 1)]
+    assert findings_of(result) == [("torque_gain", 1)]
     assert parameters(result, "torque_gain", 1)["gain"][0] == pytest.approx(1.0 / 0.92, rel=0.01)
 
 
 def test_a_payload_is_found_and_trusted_parameters_are_kept():
     load = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])  # mass and first moments of the last link
     result = diagnose(changed(dict(zip(range(10, 14), load, strict=True))), trusted=TRUSTED)
-    assert found(result) == [("payload", 1)]
+    assert findings_of(result) == [("payload", 1)]
     assert parameters(result, "payload", 1)["mass"][0] == pytest.approx(0.4, rel=0.1)
     np.testing.assert_allclose(result.final.motions[0].theta, SUBJECT.base.matrix @ PSI, atol=1e-12)
 
@@ -95,7 +95,7 @@ def test_the_tilt_of_the_base_is_estimated_with_its_sign(roll, pitch):
         ]
         recordings.append(added_torque(recording, np.subtract(*map(np.array, torque))))
     result = diagnose(recordings, trusted=TRUSTED)
-    assert found(result) == [("gravity_tilt", None)] and (noise_ratios(result)[1] < 1.3).all()
+    assert findings_of(result) == [("gravity_tilt", None)] and (noise_ratios(result)[1] < 1.3).all()
     # a planar arm observes the tilt in its plane and the gravity component in that plane
     (finding,) = document(result)["findings"]
     assert set(finding["parameters"]) == {"pitch"} and finding["not_shown"] == ["roll"]

@@ -33,7 +33,7 @@ from excite.cli.main import main
 from excite.collision import scene_file
 from excite.diagnosis import fitted_effects, joint_model
 from excite.effects import EFFECTS, recorded_motion, torque_ripple
-from excite.effects.effect import CandidateModel, Effect, RecordingDelay
+from excite.effects.effect import CandidateModel, Effect
 from excite.effects.recorded_motion import RecordedMotion
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.identification import identification, prior, segments
@@ -500,8 +500,8 @@ EFFECT_ENTRIES = (
         "effect": "stribeck",
         "joint": "joint_1",
         "from": None,
-        "values": {"velocity": 0.08, "exponent": 1.7, "width": 0.008, "usual": 1e-3},
-        "coefficients": [4.0, 0.9],
+        "values": {"top_speed": 2.0},
+        "coefficients": [4.0, 0.9, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0],
         "time": None,
         "recording": None,
     },
@@ -518,7 +518,7 @@ EFFECT_ENTRIES = (
         "effect": "backlash",
         "joint": "joint_2",
         "from": None,
-        "values": {"width": 1e-3, "hold": 3.0, "late": 0.004, "late_joint": 1.0},
+        "values": {"width": 1e-3, "hold": 3.0},
         "coefficients": [1.0],
         "time": None,
         "recording": None,
@@ -744,13 +744,10 @@ def tracks() -> list[recorded_motion.RecordedMotion]:
 
 
 def variants(shape: CandidateModel) -> Iterator[CandidateModel]:
-    """Return a candidate model, its variants, and all of them with a torque delay."""
+    """Return a candidate model and its variants."""
     yield shape
     for near in shape.variants():
         yield near.current
-    if shape.effect != "delay" and not shape.values.get("measured"):
-        yield shape.delayed(RecordingDelay(0.003), 1)
-        yield shape.delayed(RecordingDelay(0.003, lagging=True), None)
 
 
 def dense_models(effect: Effect, tracks: Sequence[RecordedMotion]) -> list[CandidateModel]:

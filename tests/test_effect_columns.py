@@ -49,13 +49,12 @@ EFFECTS = (
     effect("friction"),
     effect("asymmetric_viscous"),
     effect("stribeck", velocity=0.1, exponent=1.0),
-    effect("stribeck", velocity=0.1, exponent=2.0, rational=1.0),
+    effect("stribeck", velocity=0.1, exponent=2.0),
     effect("nonlinear_viscous", exponent=0.5),
     effect("nonlinear_viscous", exponent=3.0),
     effect("drag"),
     effect("load_friction", power=1.0, scale=100.0),
-    effect("load_friction", power=2.0, scale=100.0, driven=1.0),
-    effect("load_friction", power=1.0, scale=100.0, velocity=0.1, exponent=2.0),
+    effect("load_friction", power=2.0, scale=100.0),
     effect("position_friction", order=1.0, waves=2.0, low=-2.0, high=2.0),
     *(effect("spring", form=float(form)) for form in range(5)),
     effect("spring", order=1.3, about=0.2),
@@ -66,7 +65,6 @@ EFFECTS = (
     effect("torque_saturation", power=3.0, largest=200.0),
     effect("torque_saturation", level=200.0, bend=2.0, largest=200.0),
     effect("hysteresis", reach=0.02),
-    effect("hysteresis", reach=0.02, springs=3.0),
     effect("thermal_drift", time_constant=8.0, coulomb=4.0, viscous=5.0),
     effect("coupling", other=2, ratio=0.5),
     effect("delay", measured=0.0),
@@ -202,10 +200,8 @@ def test_gradients_equal_finite_differences(symbolic: SymbolicEffect):
     assert gradient == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-@pytest.mark.parametrize("slips", [False, True])
-def test_gradients_of_the_presliding_state_equal_finite_differences(slips: bool):
+def test_gradients_of_the_presliding_state_equal_finite_differences():
     t = 0.013 + np.arange(80) / 80.0 * 2.0 * np.pi  # no sample at a reversal
-    # extrema of different height: at equal ones a Maxwell-slip element has a kink
     q = 0.3 * np.sin(t) + 0.1 * np.sin(3 * t) + 0.05 * np.cos(2 * t)
     dq = 0.3 * np.cos(t) + 0.3 * np.cos(3 * t) - 0.1 * np.sin(2 * t)
     step, reach = 2.0 * np.pi / 80.0, 0.2
@@ -213,10 +209,10 @@ def test_gradients_of_the_presliding_state_equal_finite_differences(slips: bool)
     seed, by_q, by_dq = (rng.normal(size=80) for _ in range(3))
 
     def total(h: float) -> float:
-        z = presliding_state(q + h * by_q, dq + h * by_dq, step, reach, slips=slips).z
+        z = presliding_state(q + h * by_q, dq + h * by_dq, step, reach).z
         return float(seed @ z)
 
-    g_q, g_dq = presliding_state(q, dq, step, reach, slips=slips).gradients(seed)
+    g_q, g_dq = presliding_state(q, dq, step, reach).gradients(seed)
     expected = (total(1e-7) - total(-1e-7)) / 2e-7
     assert g_q @ by_q + g_dq @ by_dq == pytest.approx(expected, rel=1e-6)
 
@@ -224,8 +220,8 @@ def test_gradients_of_the_presliding_state_equal_finite_differences(slips: bool)
 def test_presliding_friction_reverses_over_its_reach():
     """Between two reversals the state goes from −1 to 1 and stays there."""
     t = np.arange(4000) / 4000.0 * 2.0 * np.pi
-    z: FloatArray = presliding_state(np.sin(t), np.cos(t), t[1], 0.05, slips=True).z
+    z: FloatArray = presliding_state(np.sin(t), np.cos(t), t[1], 0.05).z
     position = np.sin(t)
     falling = (t > 0.5 * np.pi) & (t < 1.5 * np.pi)
     travelled = 1.0 - position[falling]
-    np.testing.assert_allclose(z[falling], np.clip(1.0 - travelled / 0.05, -1.0, 1.0), atol=2e-3)
+    np.testing.assert_allclose(z[falling], 2.0 * np.exp(-travelled / 0.05) - 1.0, atol=2e-3)

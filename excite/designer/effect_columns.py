@@ -35,9 +35,6 @@ LOAD_ROUNDING = 1e-4
 """The same for the load, over its scale [1]."""
 CURVE_POINTS = 200
 """Positions at which the mean of a friction wave is taken, as in `effects.position_friction`."""
-SLIP_RATIO = 3.0
-"""Slip distance of a Maxwell-slip element over that of the one before, as in
-`effects.hysteresis`."""
 RATE_BAND = 0.5
 """Band of the derivative of the motor's torque over half the sampling rate [1]: a Gaussian that
 leaves 1/7 there, so that the derivative of a jump does not ring."""
@@ -167,13 +164,11 @@ class FrictionState:
 
     Attributes:
         joint: Index of the joint.
-        reach: Travel of the element [rad or m].
-        slips: True for a Maxwell-slip element, False for Dahl's model.
+        reach: Travel of Dahl's model [rad or m].
     """
 
     joint: int
     reach: float
-    slips: bool
 
 
 PeriodSignal = PeriodicFilter | FrictionState
@@ -228,10 +223,8 @@ def _local(
     return columns
 
 
-def _weakening(speed: ca.SX, values: Mapping[str, float]) -> ca.SX:
-    """Return the Stribeck curve, as `effects.friction.velocity_weakening`."""
-    x = (speed / values["velocity"]) ** values["exponent"]
-    return 1.0 / (1.0 + (np.e - 1.0) * x) if "rational" in values else ca.exp(-x)
+def _stribeck(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    return [b.sign(j) * ca.exp(-((b.speed(j) / values["velocity"]) ** values["exponent"]))]
 
 
 def _multiples(values: Mapping[str, float]) -> list[int]:
@@ -246,12 +239,8 @@ def _waves(values: Mapping[str, float], angle: ca.SX) -> list[ca.SX]:
 
 def _load_friction(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
     scale = values["scale"]
-    load = (b.signals.motor if "driven" in values else b.signals.load)[j] / scale
-    size = ca.sqrt(load**2 + LOAD_ROUNDING**2)
-    friction = b.sign(j) * scale * size ** values["power"]
-    if "velocity" not in values:
-        return [friction]
-    return [friction, friction * _weakening(b.speed(j), values)]
+    size = ca.sqrt((b.signals.load[j] / scale) ** 2 + LOAD_ROUNDING**2)
+    return [b.sign(j) * scale * size ** values["power"]]
 
 
 def _position_friction(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
@@ -310,12 +299,7 @@ def _coupling(b: _Builder, effect: SymbolicEffect) -> list[Column]:
 
 
 def _hysteresis(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
-    reach = values["reach"]
-    if "springs" not in values:
-        return [b.signal(FrictionState(j, reach, False)) - b.sign(j)]
-    count = int(values["springs"])
-    reaches = reach * SLIP_RATIO ** (np.arange(count) - count // 2)
-    return [b.signal(FrictionState(j, float(r), True)) - b.sign(j) for r in reaches]
+    return [b.signal(FrictionState(j, values["reach"])) - b.sign(j)]
 
 
 def _thermal(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
@@ -402,7 +386,7 @@ _COLUMNS: dict[str, Callable[[_Builder, SymbolicEffect], list[Column]]] = {
     "torque_offset": _local(lambda b, j, v: [ca.SX.ones(1)]),
     "friction": _local(lambda b, j, v: [b.sign(j), b.signals.dq[j]]),
     "asymmetric_viscous": _local(lambda b, j, v: [b.speed(j)]),
-    "stribeck": _local(lambda b, j, v: [b.sign(j) * _weakening(b.speed(j), v)]),
+    "stribeck": _local(_stribeck),
     "nonlinear_viscous": _local(lambda b, j, v: [b.sign(j) * b.speed(j) ** v["exponent"]]),
     "drag": _local(lambda b, j, v: [b.signals.dq[j] * b.speed(j)]),
     "load_friction": _local(_load_friction),
@@ -555,11 +539,7 @@ class EffectColumns:
                 extra[:, i] = matrices[i] @ (load if signal.source == "load" else motor)[:, j]
             else:
                 states[i] = presliding_state(
-                    motion.q[:, j],
-                    motion.dq[:, j],
-                    motion.period / count,
-                    signal.reach,
-                    slips=signal.slips,
+                    motion.q[:, j], motion.dq[:, j], motion.period / count, signal.reach
                 )
                 extra[:, i] = states[i].z
         inputs = [motion.q, motion.dq, motion.ddq, load, motor, extra]

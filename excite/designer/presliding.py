@@ -2,9 +2,8 @@
 
 Between two samples a joint either keeps its direction or reverses once, at the extremum of the
 cubic through both positions and velocities (Hermite). Over a travel Δ the state of Dahl's model
-becomes s + (z − s) exp(−|Δ|/r), s = sgn Δ (Dahl 1968), that of a Maxwell-slip
-element clip(z + Δ/r, −1, 1) (Iwan 1966). The state is that of the second period, when the
-transient from z = 0 has decayed.
+becomes s + (z − s) exp(−|Δ|/r), s = sgn Δ (Dahl 1968). The state is that of the second period, when
+the transient from z = 0 has decayed.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from .._types import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class PreslidingState:
-    """State of a friction element along a periodic motion and what its gradient needs.
+    """State of Dahl's model along a periodic motion and what its gradient needs.
 
     Attributes:
         z: State at each sample. Shape (N,).
@@ -95,17 +94,14 @@ def _extremum_place(travel: FloatArray, v: FloatArray, w: FloatArray) -> FloatAr
     return np.asarray(np.where(inside, first, np.nan_to_num(second)))
 
 
-def presliding_state(
-    q: FloatArray, dq: FloatArray, step: float, reach: float, *, slips: bool
-) -> PreslidingState:
-    """Compute the state of a friction element along a periodic motion.
+def presliding_state(q: FloatArray, dq: FloatArray, step: float, reach: float) -> PreslidingState:
+    """Compute the state of Dahl's model along a periodic motion.
 
     Args:
         q: Positions over one period. Shape (N,) [rad or m].
         dq: Velocities. Shape (N,) [rad/s or m/s].
         step: Time between samples [s].
-        reach: Travel r of the element [rad or m].
-        slips: True for a Maxwell-slip element, False for Dahl's model.
+        reach: Travel r of the model [rad or m].
 
     Returns:
         The state, −1 to 1.
@@ -121,18 +117,10 @@ def presliding_state(
     signs, decays = np.sign(travels), np.exp(-np.abs(travels) / reach)
     states, state = [], 0.0
     slope, by_travel = np.empty(len(travels)), np.empty(len(travels))
-    for k, (travel, sign, decay) in enumerate(
-        zip(travels.tolist(), signs.tolist(), decays.tolist(), strict=True)
-    ):
+    for k, (sign, decay) in enumerate(zip(signs.tolist(), decays.tolist(), strict=True)):
         states.append(state)
-        if slips:
-            moved = state + travel / reach
-            free = -1.0 < moved < 1.0
-            slope[k], by_travel[k] = float(free), free / reach
-            state = min(max(moved, -1.0), 1.0)
-        else:
-            slope[k] = decay
-            by_travel[k] = (sign - state) * decay * sign / reach
-            state = sign + (state - sign) * decay
+        slope[k] = decay
+        by_travel[k] = (sign - state) * decay * sign / reach
+        state = sign + (state - sign) * decay
     z = np.array(states[2 * len(q) :: 2])
     return PreslidingState(z, slope, by_travel, reverses, place, step)

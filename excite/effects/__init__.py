@@ -63,8 +63,3 @@ EFFECTS: tuple[Effect, ...] = (
 of measured torque in this order: an actuator's loss before a clock's delay."""
 EFFECTS_BY_NAME = {effect.name: effect for effect in EFFECTS}
 """The effects by their names in `diagnosis.json`."""
-
-
-def are_confusable(name: str, other: str) -> bool:
-    """Return True if either effect may be mistaken for the other."""
-    return name in EFFECTS_BY_NAME[other].similar or other in EFFECTS_BY_NAME[name].similar

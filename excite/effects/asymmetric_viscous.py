@@ -50,6 +50,5 @@ ASYMMETRIC_VISCOUS = Effect(
     ("thermal_drift", "drag"),
     "constant speeds in both directions, several of them",
     form_std={"positive": 0.09, "negative": 0.09},
-    residual_log_offset=0.4,
 )
 """Direction-dependent viscous friction."""

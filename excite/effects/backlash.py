@@ -85,6 +85,5 @@ BACKLASH = Effect(
     ("hysteresis", "elasticity"),
     "slow reversals through zero load",
     form_std={"width": 0.47},
-    residual_log_offset=3.0,
 )
 """Backlash; users call it gear play or lost motion."""

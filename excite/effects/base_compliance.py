@@ -26,9 +26,6 @@ from .gear_dynamics import (
 )
 from .recorded_motion import RecordedMotion
 
-THRESHOLD_FACTOR = 16.0
-"""Factor on the evidence required: timestamp jitter disturbs all joints at once, as a base does,
-and most where the motion is fast."""
 MODES = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides horizontally, tilts about both horizontal axes, turns about the
 vertical, or tilts about one axis."""
@@ -199,8 +196,6 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 parameters=named_coefficients(frequency=frequency),
                 is_plausible=_follows_force,
                 variants=variants,
-                allows_several=True,
-                threshold_factor=THRESHOLD_FACTOR,
             )
 
         return model
@@ -243,6 +238,5 @@ BASE_COMPLIANCE = Effect(
     ("elasticity", "backlash"),
     "a chirp of joint 1 with the arm stretched",
     form_std={"frequency": 0.2},
-    residual_log_offset=2.0,
 )
 """Compliant base; users call it a wobbly table, a soft mount or an oscillating pedestal."""

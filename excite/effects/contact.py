@@ -22,8 +22,6 @@ a sine, 0 if it is constant; number of knots of a piecewise linear course, 0 for
 """
 KNOT_EXTENSION = 0.3
 """Extension of a piecewise linear course before and after the interval, over its length."""
-THRESHOLD_FACTOR = 4.0
-"""Factor on the evidence required: timestamp jitter also acts for some of the time."""
 MIN_INTERVAL_POWER = 3.0
 """Smoothed residual power over its median from which an interval stands out."""
 
@@ -77,8 +75,6 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                         interval,
                         motion.segment.source,
                         _largest_force,
-                        allows_several=True,
-                        threshold_factor=THRESHOLD_FACTOR,
                     )
 
 
@@ -105,6 +101,5 @@ CONTACT = Effect(
     (),
     "the same motion without anything near the robot",
     form_std={"force": 0.1},
-    residual_log_offset=0.5,
 )
 """Collision or contact with the environment or a person."""

@@ -100,6 +100,5 @@ COUPLING = Effect(
     ("load_friction",),
     "each joint singly, then together",
     form_std={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1},
-    residual_log_offset=-0.4,
 )
 """Transmission coupling of wrist joints; users call it gear coupling or a differential wrist."""

@@ -20,8 +20,6 @@ Positions smoothed within the encoder's steps reverse late where friction is lar
 seems early: by up to 0.27 of that time in 91 simulated robots without any effect; late by 0.08."""
 MIN_LEAD_DWELL = 0.3
 """Smallest lead of the torque, over the same time."""
-THRESHOLD_FACTOR = 6.0
-"""Factor on the evidence required: any error of positions shifts friction's steps in time."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -73,9 +71,9 @@ def _at_joint(model: CandidateModel, torque: FloatArray) -> FloatArray:
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Small delays to first order, positive or negative; and larger delays and lags."""
+    """Delays of one joint: small ones to first order, of either sign, and larger ones and lags."""
 
-    def family(joint: int | None, kind: Mapping[str, float]) -> Callable[[float], CandidateModel]:
+    def family(joint: int, kind: Mapping[str, float]) -> Callable[[float], CandidateModel]:
         def model(seconds: float) -> CandidateModel:
             return CandidateModel(
                 "delay",
@@ -84,12 +82,10 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 {"seconds": seconds, **kind},
                 parameters=named_coefficients("seconds"),
                 is_plausible=is_between(0.5 * seconds, 2.0 * seconds),
-                threshold_factor=THRESHOLD_FACTOR,
             )
 
         return model
 
-    is_single_joint = motions[0].n == 1
     dwell = min(
         (
             float(motion.reversal_dwell.min())
@@ -99,7 +95,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         default=0.0,
     )
     is_plausible = _is_resolved(MIN_DELAY_DWELL * dwell, MIN_LEAD_DWELL * dwell)
-    for joint in (*(() if is_single_joint else (None,)), *range(motions[0].n)):
+    for joint in range(motions[0].n):
         for measured in (0.0, 1.0):
             yield CandidateModel(
                 "delay",
@@ -108,7 +104,6 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 {"measured": measured},
                 parameters=named_coefficients("seconds"),
                 is_plausible=is_plausible,
-                threshold_factor=THRESHOLD_FACTOR,
             )
         for kind in ({}, {"lagging": 1.0}):
             yield from grid_candidates(DELAYS, family(joint, kind))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,22 +14,6 @@ HARMONIC_KEYS = {2: "twice", 3: "thrice"}
 """Multiples of a spatial frequency that a candidate may fit jointly, by their key in its values."""
 MAX_VARIANT_STEPS = 4
 """Largest number of moves from a model variant to a better neighbouring one."""
-SIMPLEX_SIZE = 0.3
-"""Edge of the initial Nelder-Mead simplex [natural logarithm of a parameter]."""
-MAX_SIMPLEX_EVALUATIONS = 150
-"""Largest number of evaluations of a Nelder-Mead search."""
-
-
-class RecordingDelay(NamedTuple):
-    """Time by which the torque is recorded later than the position.
-
-    Attributes:
-        seconds: Dead time, or the time constant of a first-order lag [s].
-        lagging: True for a first-order lag, False for a dead time.
-    """
-
-    seconds: float
-    lagging: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,9 +37,6 @@ class CandidateModel:
             dissipation.
         nonlinear: The nonlinear parameter to optimise; None if there is none.
         variants: Returns nonlinear parameters of neighbouring models that no grid contains.
-        allows_several: Whether a joint may have more than one effect of this kind.
-        threshold_factor: Factor on the evidence required if an encoder is coarse; its root applies
-            to fine encoders.
         max_noise_ratio: Torque noise over torque above which columns made of measured torque are
             too noisy to be used.
         nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
@@ -64,8 +44,6 @@ class CandidateModel:
             joint.
         prior_shares: Share of `prior_std` of each coefficient; empty: 1.
         form_columns: Number of last columns that are the discrepancy of its form.
-        column_noise: RMS noise in columns · coefficients over the torque noise, of columns made of
-            measured torque.
         signature: Description of the residual, if it differs from the effect's.
     """
 
@@ -79,58 +57,21 @@ class CandidateModel:
     parameters: Callable[[FloatArray], dict[str, float]] = lambda c: {}
     is_plausible: Callable[[FloatArray], bool] = lambda c: bool(np.isfinite(c).all())
     nonlinear: NonlinearParameter | None = None
-    variants: Callable[[], Sequence[NonlinearParameter | NonlinearParameterSet]] = tuple
-    allows_several: bool = False
-    threshold_factor: float = 1.0
+    variants: Callable[[], Sequence[NonlinearParameter]] = tuple
     max_noise_ratio: float = np.inf
     nonnegative: tuple[bool, ...] = ()
     prior_std: float | None = None
     prior_shares: tuple[float, ...] = ()
     form_columns: int = 0
-    column_noise: Callable[[FloatArray], float] = lambda c: 0.0
     signature: str = ""
 
     def columns(self, motion: RecordedMotion) -> FloatArray:
         """Return the torque per unit of each coefficient at the motion's rows.
 
-        Where the values state a recording delay, the columns are delayed: those of one joint
-        ("late_joint"), or all.
-
         Returns:
             Torque columns [N m], shape (N, n, k).
         """
-        if "late" not in self.values:
-            return self.torque_columns(motion, self)
-        delayed = self.torque_columns(
-            motion.delayed(self.values["late"], "lagging" in self.values), self
-        )
-        if "late_joint" not in self.values:
-            return delayed
-        joint = int(self.values["late_joint"])
-        if not np.delete(delayed, joint, axis=1).any():
-            return delayed
-        out = self.torque_columns(motion, self)
-        out[:, joint] = delayed[:, joint]
-        return out
-
-    def delayed(self, delay: RecordingDelay, joint: int | None) -> CandidateModel:
-        """Return the same model for torque that is recorded later.
-
-        Args:
-            delay: The recording delay.
-            joint: Index of the joint whose torque is delayed; None for all joints.
-        """
-        values = {**self.values, "late": delay.seconds} | (
-            {} if joint is None else {"late_joint": float(joint)}
-        )
-        values |= {"lagging": 1.0} if delay.lagging else {}
-        nonlinear = None if self.nonlinear is None else self.nonlinear.delayed(delay, joint)
-        return replace(
-            self,
-            values=values,
-            nonlinear=nonlinear,
-            variants=lambda: [variant.delayed(delay, joint) for variant in self.variants()],
-        )
+        return self.torque_columns(motion, self)
 
     @property
     def joint_index(self) -> int:
@@ -144,8 +85,6 @@ TorqueColumns = Callable[[RecordedMotion, CandidateModel], FloatArray]
 PredictedTorque = Callable[[RecordedMotion, CandidateModel, FloatArray, FloatArray], FloatArray]
 """Torque of an effect of measured torque where none is measured: by coefficients, shape (k,), and
 the torque that the actuators produce, shape (M, n); returns shape (M, n)."""
-FittedModels = Sequence[tuple[CandidateModel, FloatArray]]
-"""Candidate models of one effect at one joint with their coefficients, the largest first."""
 
 
 @dataclass(frozen=True)
@@ -175,17 +114,11 @@ class NonlinearParameter:
             gains = [(gain(variant.current), variant) for variant in best.variants()]
             if not gains:
                 break
-            sets = [pair for pair in gains if isinstance(pair[1], NonlinearParameterSet)]
-            attempts = sets or [max(gains, key=lambda pair: pair[0])]
-            better, better_gain = max(
-                (variant.maximise(gain, start) for start, variant in attempts),
-                key=lambda pair: pair[1],
-            )
+            start, variant = max(gains, key=lambda pair: pair[0])
+            better, better_gain = variant.maximise(gain, start)
             if better_gain <= best_gain + 1e-6:
                 break
             best, best_gain = better, better_gain
-            if sets:
-                break  # all parameters were optimised jointly
         return best
 
     @property
@@ -217,68 +150,9 @@ class NonlinearParameter:
             return best, best_gain
         return self.current, current_gain
 
-    def delayed(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameter:
-        """Return the parameter of the delayed model; see `CandidateModel.delayed`."""
-        return replace(self, model=lambda value: self.model(value).delayed(delay, joint))
-
     def at(self, value: float) -> CandidateModel:
         """Return the model at a value; the value may be optimised further in the same range."""
         return replace(self.model(value), nonlinear=replace(self, value=value))
-
-
-@dataclass(frozen=True)
-class NonlinearParameterSet:
-    """Several nonlinear parameters that compensate each other and are optimised jointly.
-
-    Attributes:
-        values: By name: present value, lower bound, upper bound.
-        model: Returns the candidate model at other values.
-    """
-
-    values: Mapping[str, tuple[float, float, float]]
-    model: Callable[[Mapping[str, float]], CandidateModel]
-
-    @property
-    def current(self) -> CandidateModel:
-        """The model at the present values."""
-        return self.model({name: value for name, (value, _, _) in self.values.items()})
-
-    def maximise(
-        self, gain: Callable[[CandidateModel], float], current_gain: float
-    ) -> tuple[CandidateModel, float]:
-        """Maximise the gain over all parameters, in logarithms, by Nelder & Mead (1965).
-
-        Returns:
-            The best model and its gain; the present model and `current_gain` if none is better.
-        """
-        from scipy.optimize import minimize  # slow to import
-
-        start, low, high = np.log(np.array(list(self.values.values()))).T
-
-        def at(x: FloatArray) -> CandidateModel:
-            return self.model(dict(zip(self.values, np.exp(x).tolist(), strict=True)))
-
-        step = np.where(start + SIMPLEX_SIZE < high, SIMPLEX_SIZE, -SIMPLEX_SIZE)
-        corners = np.vstack([start, start + np.diag(step)])
-        solution = minimize(
-            lambda x: -max(gain(at(x)), -1e12),
-            start,
-            method="Nelder-Mead",
-            bounds=list(zip(low, high, strict=True)),
-            options={
-                "xatol": 3e-3,
-                "fatol": 0.1,
-                "maxfev": MAX_SIMPLEX_EVALUATIONS,
-                "initial_simplex": corners,
-            },
-        )
-        if -solution.fun > current_gain + 1e-6:
-            return at(solution.x), -float(solution.fun)
-        return self.current, current_gain
-
-    def delayed(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameterSet:
-        """Return the parameters of the delayed model; see `CandidateModel.delayed`."""
-        return replace(self, model=lambda values: self.model(values).delayed(delay, joint))
 
 
 def variants_within(
@@ -336,14 +210,8 @@ class Effect:
         prior_only: Whether a refit of the base model absorbs the effect, so that it can be found
             only with a trusted prior.
         form_std: Relative standard deviation of the parameters where the robot's effect has not
-            exactly the form of the model; fitted by `scripts/calibrate.py`.
-        residual_log_offset: Mean logarithm of the residual share that a correct finding leaves,
-            above the mean over all effects (see `diagnosis/belief.py`); fitted by
-            `scripts/calibrate.py`.
-        reported_parameters: Combines the candidate models found at one joint, the largest first,
-            into reported parameters.
+            exactly the form of the model.
         predicted_torque: Torque of candidate models of measured torque where none is measured.
-        unobserved_std: Standard deviation of parameters by what no recording shows.
     """
 
     name: str
@@ -356,12 +224,12 @@ class Effect:
     experiment: str
     prior_only: bool = False
     form_std: Mapping[str, float] = field(default_factory=dict)
-    residual_log_offset: float = 0.0
-    reported_parameters: Callable[[FittedModels], dict[str, float]] = lambda parts: parts[0][
-        0
-    ].parameters(parts[0][1])
     predicted_torque: PredictedTorque | None = None
-    unobserved_std: Callable[[FittedModels], dict[str, float]] = lambda parts: {}
+
+
+def no_candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Yield nothing: the joint model of a diagnosis has the effect from the start."""
+    return iter(())
 
 
 def single_joint_columns(motion: RecordedMotion, joint: int, x: FloatArray) -> FloatArray:

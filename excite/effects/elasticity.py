@@ -148,6 +148,5 @@ ELASTICITY = Effect(
     ("delay", "base_compliance"),
     "fast motion at several poses",
     form_std={"stiffness": 0.14},
-    residual_log_offset=2.0,
 )
 """Flexible joint; users call it joint flexibility, gear compliance or harmonic-drive torsion."""

@@ -67,7 +67,6 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 {"order": order, **multiples},
                 parameters=pair_amplitude(order=order),
                 is_plausible=is_small,
-                allows_several=True,
                 variants=variants,
             )
 
@@ -90,6 +89,5 @@ ENCODER_ERROR = Effect(
     ("torque_ripple",),
     "constant speeds, slow and fast, over a turn",
     form_std={"amplitude": 0.4, "order": 0.4},
-    residual_log_offset=0.8,
 )
 """Periodic encoder error; users call it encoder eccentricity or sensor ripple."""

@@ -48,7 +48,7 @@ def with_form_error(
         top = max(float(np.abs(m.samples.dq[:, joint]).max()) for m in motions)
         count = POSITION_WAVES + SPEED_WAVES + DERIVATIVES
 
-    def columns(motion: RecordedMotion, _: CandidateModel) -> FloatArray:
+    def columns(motion: RecordedMotion, _model: CandidateModel) -> FloatArray:
         torque = model.torque_columns(motion, model)
         total = torque @ coefficients
         if joint is None:  # the joints' shares of it may differ

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect, FittedModels
+from .effect import CandidateModel, Effect
 from .recorded_motion import RecordedMotion
 
 ANGLE_STEP = 1e-4
@@ -75,15 +75,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                     {"angle": is_angle, "whole": moves_link},
                     parameters=norm(name),
                     is_plausible=is_small,
-                    allows_several=True,
                 )
-
-
-def _angle_and_length(parts: FittedModels) -> dict[str, float]:
-    """Angle and length of a joint where both are wrong; of two models of either, the larger."""
-    return {
-        name: value for model, c in reversed(parts) for name, value in model.parameters(c).items()
-    }
 
 
 KINEMATIC_ERROR = Effect(
@@ -96,6 +88,5 @@ KINEMATIC_ERROR = Effect(
     ("payload",),
     "poses, and an external measurement of them",
     prior_only=True,
-    reported_parameters=_angle_and_length,
 )
 """Geometric calibration error."""

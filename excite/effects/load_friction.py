@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from .._types import FloatArray
-from .effect import (
-    CandidateModel,
-    Effect,
-    grid_candidates,
-    is_between,
-    named_coefficients,
-    single_joint_columns,
-)
-from .friction import joint_speed, max_speed, velocity_weakening
+from .effect import CandidateModel, Effect, no_candidates, single_joint_columns
 from .recorded_motion import RecordedMotion
-
-WEAKENING_THRESHOLD_FACTOR = 6.0
-"""Factor on the evidence for load friction that falls with speed: a coarse encoder's reversal
-error, wherever there is load, looks like it."""
 
 EFFICIENCY_DIFFERENCE = 0.1
 """Usual difference of load friction between driving and being driven, over the prior of μ."""
@@ -30,24 +17,15 @@ PRIOR_COEFFICIENT = 0.2
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """sgn q̇ times a power of the load; with a "velocity", also the part that falls with speed.
-
-    The load is the torque of the links, or where the model is "driven" that of the motor.
-    """
+    """The columns of `dense_model`, or μ |τ_L|^k sgn q̇ of `designer.effect_columns`."""
     values, j = model.values, model.joint_index
-    scale = values["scale"]
+    scale, load, sign = values["scale"], motion.transmitted_torque[:, j], motion.sign(j)
+    share = np.abs(load) / scale
     if "dense" in values:
-        load, sign = motion.transmitted_torque[:, j], motion.sign(j)
-        share = np.abs(load) / scale
         return single_joint_columns(
             motion, j, scale * np.column_stack([sign * share, sign * share**2, load / scale])
         )
-    load = (motion.motor_torque if "driven" in values else motion.transmitted_torque)[:, j]
-    friction = motion.sign(j) * scale * (np.abs(load) / scale) ** values["power"]
-    if "velocity" not in values:
-        return single_joint_columns(motion, j, friction)
-    weakening = friction * velocity_weakening(joint_speed(motion, j), values)
-    return single_joint_columns(motion, j, np.column_stack([friction, weakening]))
+    return single_joint_columns(motion, j, sign * scale * share ** values["power"])
 
 
 def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
@@ -70,59 +48,11 @@ def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel
     )
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Powers of the link or motor torque, and linear friction that falls with speed."""
-
-    def family(j: int, fixed: Mapping[str, float]) -> Callable[[float], CandidateModel]:
-        def model(velocity: float) -> CandidateModel:
-            candidate = CandidateModel(
-                "load_friction",
-                j,
-                _columns,
-                {**fixed, "velocity": velocity},
-                is_plausible=_decreases_with_speed,
-                threshold_factor=WEAKENING_THRESHOLD_FACTOR,
-            )
-            weakening = [
-                velocity_weakening(joint_speed(motion, j), candidate.values) for motion in motions
-            ]
-            # friction coefficient averaged over the motion
-            mean = float(np.mean(np.concatenate(weakening)))
-            return replace(candidate, parameters=lambda c: {"mu": float(c[0] + mean * c[1])})
-
-        return model
-
-    for j in range(motions[0].n):
-        largest = (float(np.abs(motion.transmitted_torque[:, j]).max()) for motion in motions)
-        scale = {"scale": max(*largest, 1e-9)}
-        speeds = (np.array([0.02, 0.06, 0.2]) * max_speed(motions, j)).tolist()
-        for powers, source in ((1.0, 1.5, 2.0), {}), ((1.0,), {"driven": 1.0}):
-            for power in powers:
-                yield CandidateModel(
-                    "load_friction",
-                    j,
-                    _columns,
-                    {"power": power, **scale, **source},
-                    parameters=named_coefficients("mu"),
-                    is_plausible=is_between(0.0, 1.0),
-                )
-            for exponent in (1.0, 2.0):
-                yield from grid_candidates(
-                    speeds, family(j, {"power": 1.0, "exponent": exponent, **scale, **source})
-                )
-
-
-def _decreases_with_speed(c: FloatArray) -> bool:
-    """Check that friction grows with the load at every speed, and most at low speed."""
-    return bool(c[0] >= 0.0 and c[1] > 0.0 and c[0] + c[1] < 1.0)
-
-
 LOAD_FRICTION = Effect(
     "load_friction",
-    "μ |τ_L|^k sgn q̇ (Hamon, Gautier & Garrec 2010); |τ_L| (μ + μ_s exp(−(|q̇|/v)^δ)) sgn q̇ "
-    "(Bittencourt & Gunnarsson 2012)",
+    "μ |τ_L|^k sgn q̇ (Hamon, Gautier & Garrec 2010)",
     _columns,
-    _candidates,
+    no_candidates,
     {"mu": "1"},
     "friction grows with the torque carried",
     ("position_friction", "coupling"),

@@ -10,7 +10,6 @@ from .._types import FloatArray
 from .effect import (
     CandidateModel,
     Effect,
-    FittedModels,
     grid_candidates,
     pair_amplitude,
     single_joint_columns,
@@ -18,7 +17,7 @@ from .effect import (
 from .recorded_motion import RecordedMotion, position_range
 
 CURVE_POINTS = 200
-"""Positions at which a wave is evaluated to find its mean and its amplitude."""
+"""Positions at which a wave is evaluated to find its mean."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -57,7 +56,6 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 _columns,
                 {"order": order, "waves": waves, "low": low, "high": high},
                 parameters=pair_amplitude(),
-                allows_several=True,
             )
 
         return model
@@ -65,24 +63,6 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for j in range(motions[0].n):
         yield from grid_candidates((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6), family(j, 1.0))
         yield from grid_candidates((0.5, 1.0, 2.0), family(j, 3.0))
-
-
-def _amplitude(parts: FittedModels) -> dict[str, float]:
-    """Half of the variation of friction over the joint's range, by all waves together."""
-    values = parts[0][0].values
-    turns = max(model.values["order"] * model.values["waves"] for model, _ in parts) / (2.0 * np.pi)
-    angle = np.linspace(
-        values["low"],
-        values["high"],
-        int(CURVE_POINTS * max(1.0, turns * (values["high"] - values["low"]))) + 1,
-    )
-    wave = np.zeros(len(angle))
-    for model, c in parts:
-        for k, (cosine, sine) in enumerate(c.reshape(-1, 2), start=1):
-            wave += cosine * np.cos(k * model.values["order"] * angle) + sine * np.sin(
-                k * model.values["order"] * angle
-            )
-    return {"amplitude": 0.5 * float(np.ptp(wave))}
 
 
 POSITION_FRICTION = Effect(
@@ -94,8 +74,6 @@ POSITION_FRICTION = Effect(
     "friction depends on where the joint is",
     ("load_friction",),
     "the same stroke at shifted positions",
-    reported_parameters=_amplitude,
     form_std={"amplitude": 0.5},
-    residual_log_offset=-0.8,
 )
 """Friction that varies with joint position, as by a misaligned bearing or a tight spot."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar, cast
@@ -76,7 +75,7 @@ def fitted_robot(robot: Robot, parameters: Parameters, psi: FloatArray) -> Fitte
 
 
 class memoized(Generic[T]):
-    """A property that is computed once for a recorded motion and all its delayed copies."""
+    """A property that is computed once for a recorded motion."""
 
     def __init__(self, compute: Callable[[RecordedMotion], T]) -> None:
         self.compute, self.__doc__ = compute, compute.__doc__
@@ -107,7 +106,6 @@ class RecordedMotion:
         kept: Rows of the regression's grid that are far enough from the segment's ends.
         time: Times of the kept rows [s], shape (N,).
         grid: Grid to which `lowpass` reduces.
-        behind: Dead time and first-order time constant by which the torque is recorded later [s].
         cache: Values of the `memoized` properties.
     """
 
@@ -122,7 +120,6 @@ class RecordedMotion:
     kept: slice
     time: FloatArray
     grid: Grid = Grid.KEPT
-    behind: tuple[float, float] = (0.0, 0.0)
     cache: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -132,17 +129,6 @@ class RecordedMotion:
     def n(self) -> int:
         """Number of joints."""
         return int(self.torque.shape[1])
-
-    def delayed(self, seconds: float, lagging: bool = False) -> RecordedMotion:
-        """Return the motion for torque that is recorded later, with the same cache.
-
-        Args:
-            seconds: Dead time, or the time constant of a first-order lag [s].
-            lagging: True for a first-order lag.
-        """
-        out = copy.copy(self)
-        object.__setattr__(out, "behind", (0.0, seconds) if lagging else (seconds, 0.0))
-        return out
 
     def with_base_model(
         self, fitted_robot: FittedRobot, widths: FloatArray, theta: FloatArray, coulomb: IntArray
@@ -265,7 +251,7 @@ class RecordedMotion:
         )
 
     def lowpass(self, x: FloatArray, of: Grid = Grid.RECORDED) -> FloatArray:
-        """Low-pass signals and return their kept rows, with the recording delay.
+        """Low-pass signals and return their kept rows.
 
         Args:
             x: Signals of shape (M, …) or (C, …).
@@ -276,14 +262,8 @@ class RecordedMotion:
         """
         if self.grid is Grid.RECORDED and of is Grid.COARSE:
             x = self.upsample(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
-        delay, time_constant = self.behind
-        return self.band.filter(
-            x,
-            self.grid,
-            source=Grid.RECORDED if self.grid is Grid.RECORDED else of,
-            delay=delay,
-            time_constant=time_constant,
-        )[self.kept]
+        source = Grid.RECORDED if self.grid is Grid.RECORDED else of
+        return self.band.filter(x, self.grid, source=source)[self.kept]
 
     def upsample(self, x: FloatArray) -> FloatArray:
         """Interpolate from the coarse grid to every sample: (C, k) -> (M, k)."""

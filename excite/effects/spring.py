@@ -112,6 +112,5 @@ SPRING = Effect(
     "poses up to both ends",
     # a refit base model absorbs as much of the slope into gravity as the form permits
     form_std={"stiffness": 1.0, "amplitude": 0.25},
-    residual_log_offset=-0.9,
 )
 """Position-dependent torque; users call it counterbalance, gas spring, cable or dress pack."""

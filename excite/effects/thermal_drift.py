@@ -182,6 +182,5 @@ THERMAL_DRIFT = Effect(
     ("asymmetric_viscous",),
     "a long run that ends with its first motion, temperatures recorded",
     form_std={"change": 0.25, "time_constant": 0.25},
-    residual_log_offset=-0.4,
 )
 """Warm-up: friction that falls as lubricant and gear get warm."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,8 +14,6 @@ MAX_POWER_NOISE = 0.01
 """Torque noise over torque up to which powers of the measured torque are used."""
 MAX_LEVEL_NOISE = 0.003
 """The same for a torque that levels off, whose column is nearly the torque itself."""
-MEASURED_THRESHOLD_FACTOR = 3.0
-"""Factor on the evidence for models of measured torque."""
 POWERS = (2.0, 3.0, 5.0)
 """Powers of the torque that are lost."""
 SHARPNESSES = (1.0, 2.0, 4.0)
@@ -73,7 +70,6 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         # median torque in motion: a joint at standstill may carry none
         moving = speed >= STANDSTILL_SPEED_RATIO * speed.max()
         usual = max(float(np.median(torque[moving])), 1e-9)
-        x = np.linspace(0.0, 1.1 * largest, 400)
 
         def model(
             max_coefficient: float, max_noise_ratio: float, **values: float
@@ -83,8 +79,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             usual_loss, largest_loss = (
                 lost_torque(fixed, np.array([usual, largest])) / [usual, largest]
             ).tolist()
-            slope = np.gradient(lost_torque(fixed, x), x)[np.searchsorted(x, usual)]
-            candidate = CandidateModel(
+            return CandidateModel(
                 "torque_saturation",
                 joint,
                 _columns,
@@ -93,10 +88,8 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 is_plausible=is_between(
                     0.0, min(max_coefficient, MAX_USUAL_LOSS / max(usual_loss, 1e-9))
                 ),
-                threshold_factor=MEASURED_THRESHOLD_FACTOR,
                 max_noise_ratio=max_noise_ratio,
             )
-            return replace(candidate, column_noise=lambda c: abs(float(c[0]) * slope))
 
         def family(sharpness: float) -> Callable[[float], CandidateModel]:
             return lambda level: model(
@@ -153,6 +146,5 @@ TORQUE_SATURATION = Effect(
     ("load_friction", "nonlinear_viscous"),
     "short bursts near the torque limit",
     predicted_torque=_predicted_torque,
-    residual_log_offset=-0.2,
 )
 """Motor saturation, current limit, torque constant that falls with current."""

@@ -24,7 +24,6 @@ POSITIVE = Range(1e-12, 1e9, "1")
 EXPONENT = Range(1e-2, 1e2, "1")
 SPATIAL_FREQUENCY = Range(1e-6, 1e6, "1/rad or 1/m")
 SECONDS = Range(1e-9, 1e6, "s")
-DELAY = Range(-10.0, 10.0, "s")
 FREQUENCY = Range(1e-3, 1e5, "Hz")
 FRICTION_SPEED = Range(1e-12, ranges.VELOCITY.upper, "rad/s or m/s")
 POSITION = ranges.POSITION
@@ -34,9 +33,7 @@ VISCOUS = Range(0.0, ranges.VISCOUS_FRICTION.upper, "N m s/rad or N s/m")
 STIFFNESS = Range(1e-6, 1e12, "N m/rad or N/m")
 DAMPING_RATIO = Range(1e-6, 10.0, "1")
 WAVE_MULTIPLES = {"twice": FLAG, "thrice": FLAG}
-DELAYED = {"late": DELAY, "lagging": FLAG, "late_joint": Range(0.0, 1000.0, "1")}
-"""Optional values of any effect whose torque is recorded later than the position."""
-INTEGERS = ("late_joint", "waves", "knots", "springs", "elements", "way", "form", "link", "count")
+INTEGERS = ("waves", "knots", "elements", "way", "form", "link", "count")
 """Values that are integers."""
 AXES_OF_WAYS = (2, 2, 1, 1, 1)
 """Number of coordinates of each mode in which a base can move."""
@@ -74,10 +71,10 @@ STRIBECK_CURVES = 8
 """Curves of friction that falls with speed, over a joint's largest speed."""
 VISCOUS_CURVES = 8
 """Curves of friction that is not linear in speed, over a joint's largest speed."""
+HYSTERESIS_ELEMENTS = 16
+"""Maxwell-slip elements of presliding hysteresis."""
 UNEQUAL_ELEMENTS = 2
 """Maxwell-slip elements whose branches may be unequal."""
-_LOAD = {"scale": TORQUE, "power": EXPONENT}
-_SETTLED = {"velocity": FRICTION_SPEED, "exponent": EXPONENT}
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "torque_offset": (EffectForm(),),
     "torque_gain": (EffectForm(),),
@@ -87,24 +84,13 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     ),
     "asymmetric_viscous": (EffectForm(),),
     "stribeck": (
-        EffectForm(_SETTLED, {"rational": FLAG}),
-        EffectForm(
-            {**_SETTLED, "width": FRICTION_SPEED, "usual": FRICTION_SPEED},
-            {"rational": FLAG},
-            lambda values: 2,
-        ),
         EffectForm({"top_speed": FRICTION_SPEED}, coefficients=lambda values: STRIBECK_CURVES),
     ),
     "nonlinear_viscous": (
-        EffectForm({"exponent": EXPONENT}),
         EffectForm({"top_speed": FRICTION_SPEED}, coefficients=lambda values: VISCOUS_CURVES),
     ),
     "drag": (EffectForm(),),
-    "load_friction": (
-        EffectForm(_LOAD, {"driven": FLAG}),
-        EffectForm({**_LOAD, **_SETTLED}, {"driven": FLAG}, lambda values: 2),
-        EffectForm({"dense": FLAG, "scale": TORQUE}, coefficients=lambda values: 3),
-    ),
+    "load_friction": (EffectForm({"dense": FLAG, "scale": TORQUE}, coefficients=lambda values: 3),),
     "position_friction": (
         EffectForm(
             {"order": SPATIAL_FREQUENCY, "waves": COUNT, "low": POSITION, "high": POSITION},
@@ -113,14 +99,9 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     ),
     "friction": (EffectForm(coefficients=lambda values: 2),),
     "hysteresis": (
-        EffectForm({"reach": POSITIVE}),
         EffectForm(
-            {"reach": POSITIVE, "springs": COUNT},
-            coefficients=lambda values: int(values["springs"]),
-        ),
-        EffectForm(
-            {"elements": COUNT},
-            coefficients=lambda values: int(values["elements"]) + UNEQUAL_ELEMENTS,
+            {"elements": Range(HYSTERESIS_ELEMENTS, HYSTERESIS_ELEMENTS, "1")},
+            coefficients=lambda values: HYSTERESIS_ELEMENTS + UNEQUAL_ELEMENTS,
         ),
     ),
     "thermal_drift": (
@@ -158,13 +139,12 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
         ),
     ),
     "torque_ripple": (
-        EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),
         EffectForm({"order": SPATIAL_FREQUENCY, "load": TORQUE}, coefficients=lambda values: 4),
     ),
     "encoder_error": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
     "delay": (
         EffectForm({"measured": SWITCH}, joint=None),
-        EffectForm({"seconds": Range(1e-9, 10.0, "s")}, {"lagging": FLAG}, joint=None),
+        EffectForm({"seconds": Range(1e-9, 10.0, "s")}, {"lagging": FLAG}),
     ),
     "payload": (
         EffectForm(
@@ -244,9 +224,9 @@ def _form(effect: str, values: Values) -> EffectForm:
     """Find the form with the given values; raise ValueError without one."""
     forms = FORMS[effect]
     for form in forms:
-        if form.needed.keys() <= values.keys() <= {*form.needed, *form.optional, *DELAYED}:
+        if form.needed.keys() <= values.keys() <= {*form.needed, *form.optional}:
             return form
-    known = {key for form in forms for key in (*form.needed, *form.optional)} | DELAYED.keys()
+    known = {key for form in forms for key in (*form.needed, *form.optional)}
     for key in values:
         if key not in known:
             raise ValueError(f"values: '{effect}' has no {shown(key)}")
@@ -256,14 +236,12 @@ def _form(effect: str, values: Values) -> EffectForm:
 
 def _check_values(values: Values, form: EffectForm) -> None:
     """Raise ValueError for a value outside its range, or for two that contradict each other."""
-    accepted = {**DELAYED, **form.optional, **form.needed}
+    accepted = {**form.optional, **form.needed}
     for key, value in values.items():
         if not accepted[key].accepts(value):
             raise ValueError(f"values.{key}: {shown(value)} should be {accepted[key]}")
         if key in INTEGERS and value != round(value):
             raise ValueError(f"values.{key}: {shown(value)} should be a whole number")
-    if ("lagging" in values or "late_joint" in values) and not {"late", "seconds"} & values.keys():
-        raise ValueError("values: states a delay without 'late'")
     if "low" in values and not values["low"] < values["high"]:
         raise ValueError(f"values.low: {values['low']:g} should be below high, {values['high']:g}")
     if "count" in values and int(values["count"]) not in (4, 10):

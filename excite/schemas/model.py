@@ -89,9 +89,6 @@ class ModelDocument(msgspec.Struct):
             for key, named in (("joint", effect.joint), ("from", effect.other)):
                 if named is not None and named not in self.joints:
                     raise ValueError(f"effects[{i}].{key}: {shown(named)} is none of the joints")
-            if effect.values.get("late_joint", 0.0) >= len(self.joints):
-                number = effect.values["late_joint"]
-                raise ValueError(f"effects[{i}].values.late_joint: there is no joint {number:g}")
             if effect.values.get("link", 0.0) >= len(self.links):
                 raise ValueError(
                     f"effects[{i}].values.link: {effect.values['link']:g} is the number of no link"

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import effect_entry
 from identified_models import model_torque, random_states, read_model, write_model
 from test_python_friction import FRICTION_EFFECTS, WIDTH, unfiltered
 
@@ -66,7 +65,11 @@ def test_the_c_file_gives_the_torque_of_the_model(name, tmp_path):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "name", ["stribeck, rational", "load_friction, driven", "spring, bend", "coupling"]
+    "name",
+    [
+        *("stribeck", "nonlinear_viscous", "load_friction", "torque_ripple", "spring, curve"),
+        *("spring, bend", "coupling"),
+    ],
 )
 def test_effects_without_memory_are_in_the_c_file(name, tmp_path):
     path = write_model(tmp_path, "two_link", (FRICTION_EFFECTS[name],))
@@ -81,7 +84,7 @@ def test_effects_without_memory_are_in_the_c_file(name, tmp_path):
 
 
 def test_effects_with_memory_are_named(tmp_path):
-    effects = (effect_entry("hysteresis", "joint_1", {"reach": 0.05}, 0.8),)
+    effects = (FRICTION_EFFECTS["hysteresis"],)
     exported = excite.export_model(write_model(tmp_path, "two_link", effects), "c")
     assert [part.text for part in exported.remainders] == ["hysteresis at joint_1: torque unknown"]
     assert "hysteresis at joint_1" in exported.text and "0: joint_1" in exported.text

@@ -187,8 +187,8 @@ def test_effects_that_mujoco_holds_are_parameters_of_the_file(tmp_path):
 
 def test_every_file_states_what_its_simulator_cannot_hold(tmp_path):
     effects = (
-        effect_entry("load_friction", "joint_1", {"power": 1.0, "scale": 20.0}, 0.1),
-        effect_entry("torque_ripple", "joint_2", {"order": 23.0}, 0.3, 0.4),
+        effect_entry("load_friction", "joint_1", {"dense": 1.0, "scale": 20.0}, 0.1, 0.0, 0.0),
+        effect_entry("torque_ripple", "joint_2", {"order": 23.0, "load": 9.0}, 0.3, 0.4, 0.1, 0.1),
     )
     path = write_model(tmp_path, "two_link", effects)
     for name in ("mjcf", "urdf", "sdf", "isaaclab"):
@@ -231,7 +231,8 @@ def test_the_friction_of_mujoco_has_the_width_that_was_identified():
 
 
 def test_isaac_lab_is_per_radian_and_usd_per_degree(tmp_path):
-    effects = (effect_entry("stribeck", "joint_2", {"velocity": 0.1, "exponent": 1.0}, 0.7),)
+    curves = (0.3, 0.0, 0.2, 0.0, 0.0, 0.1, 0.1, 0.0)
+    effects = (effect_entry("stribeck", "joint_2", {"top_speed": 2.0}, *curves),)
     path = write_model(tmp_path, "two_link", effects)
     model = read_model(path)
     scope: dict[str, dict[str, dict[str, float]]] = {}

@@ -23,29 +23,18 @@ from excite.robot.samples import Samples
 
 FRICTION_EFFECTS = {
     "asymmetric_viscous": effect_entry("asymmetric_viscous", "joint_2", {}, 0.3),
-    "stribeck": effect_entry("stribeck", "joint_1", {"velocity": 0.3, "exponent": 1.3}, 0.8),
-    "stribeck, rational": effect_entry(
-        "stribeck", "joint_1", {"velocity": 0.3, "exponent": 2.0, "rational": 1.0}, 0.8
+    "stribeck": effect_entry(
+        "stribeck", "joint_1", {"top_speed": 2.0}, *(0.4, 0.0, 0.2, 0.1, 0.0, 0.3, 0.2, 0.1)
     ),
-    "stribeck, width": effect_entry(
-        "stribeck",
-        "joint_1",
-        {"velocity": 0.3, "exponent": 2.0, "width": 0.2, "usual": 0.1},
-        0.8,
-        0.4,
+    "nonlinear_viscous": effect_entry(
+        "nonlinear_viscous", "joint_2", {"top_speed": 2.0}, *(0.5, 0.2, 0.1, 0.3, 0.1, 0.2, 0.1, 0)
     ),
-    "nonlinear_viscous": effect_entry("nonlinear_viscous", "joint_2", {"exponent": 0.6}, 0.5),
+    "nonlinear_viscous, convex": effect_entry(
+        "nonlinear_viscous", "joint_2", {"top_speed": 2.0}, *(0, 0, 0, 0, 0, 0, 0.4, 0.3)
+    ),
     "drag": effect_entry("drag", "joint_1", {}, 0.4),
-    "load_friction": effect_entry("load_friction", "joint_1", {"power": 1.5, "scale": 9.0}, 0.1),
-    "load_friction, driven": effect_entry(
-        "load_friction", "joint_1", {"power": 1.0, "scale": 9.0, "driven": 1.0}, 0.1
-    ),
-    "load_friction, weakening": effect_entry(
-        "load_friction",
-        "joint_1",
-        {"power": 1.0, "scale": 9.0, "velocity": 0.5, "exponent": 2.0},
-        0.1,
-        0.05,
+    "load_friction": effect_entry(
+        "load_friction", "joint_1", {"dense": 1.0, "scale": 9.0}, 0.1, 0.05, -0.02
     ),
     "position_friction": effect_entry(
         "position_friction",
@@ -60,16 +49,25 @@ FRICTION_EFFECTS = {
     "spring, waves": effect_entry("spring", "joint_2", {"form": 4.0}, 0.4, 0.2, 0.3, 0.1),
     "spring, slow wave": effect_entry("spring", "joint_2", {"order": 1.4, "about": 0.2}, 1, 2, 3),
     "spring, bend": effect_entry("spring", "joint_2", {"bend": 0.3}, 1.0, 2.0),
+    "spring, curve": effect_entry(
+        "spring",
+        "joint_2",
+        {"waves": 6.0, "low": -0.4, "high": 0.5},
+        *(0.5, 0.3, -0.2, 0.1, 0.1, 0.05),
+    ),
     "torque_ripple": effect_entry(
-        "torque_ripple", "joint_2", {"order": 5.0, "thrice": 1.0}, 0.3, 0.2, 0.1, 0.4
+        "torque_ripple", "joint_2", {"order": 5.0, "load": 4.0}, 0.3, 0.2, 0.1, 0.4
     ),
     "coupling": effect_entry("coupling", "joint_1", {"ratio": -0.7}, 0.2, 0.5, 0.1)
     | {"from": "joint_2"},
     "coupling, light": effect_entry("coupling", "joint_1", {"ratio": 0.7, "light": 1.0}, 0.2, 0.5)
     | {"from": "joint_2"},
-    "hysteresis": effect_entry("hysteresis", "joint_1", {"reach": 0.05}, 0.8),
-    "hysteresis, springs": effect_entry(
-        "hysteresis", "joint_1", {"reach": 0.02, "springs": 3.0}, 0.8, 0.3, 0.2
+    "hysteresis": effect_entry(
+        "hysteresis",
+        "joint_1",
+        {"elements": 16.0},
+        *(0.1, 0, 0, 0.2, 0, 0, 0.3, 0, 0.2, 0, 0.1, 0, 0.2, 0, 0, 0.1),
+        *(0.05, -0.03),
     ),
 }
 """Effects of every form that is a torque of one joint."""
@@ -104,9 +102,23 @@ def unfiltered(model: IdentifiedModel) -> tuple[FloatArray, Samples, FloatArray,
     return torque, motion, bare.torque(motion, motion.dq), (t > 0.5) & (t < t[-1] - 0.5)
 
 
-@pytest.mark.parametrize("name", FRICTION_EFFECTS)
-def test_the_module_gives_the_torque_that_the_model_predicts(name, tmp_path):
-    path = write_model(tmp_path, "two_link", (FRICTION_EFFECTS[name],))
+DENSE = tuple(
+    FRICTION_EFFECTS[name]
+    for name in (
+        *("stribeck", "nonlinear_viscous", "load_friction", "position_friction", "spring, curve"),
+        *("torque_ripple", "hysteresis", "asymmetric_viscous"),
+    )
+)
+"""Effects of a robot with several frictions at each joint, as a diagnosis writes them."""
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [*((effect,) for effect in FRICTION_EFFECTS.values()), DENSE],
+    ids=[*FRICTION_EFFECTS, "dense"],
+)
+def test_the_module_gives_the_torque_that_the_model_predicts(effects, tmp_path):
+    path = write_model(tmp_path, "two_link", effects)
     model = dataclasses.replace(read_model(path), widths=np.full(2, WIDTH))
     exported = excite.export_model(path, "python-friction")
     assert not exported.remainders
@@ -141,7 +153,7 @@ def test_with_links_and_rotors_it_is_the_inverse_dynamics_of_the_model(tmp_path)
 
 
 def test_hysteresis_is_passive_and_independent_of_rate_and_of_repeated_calls(tmp_path):
-    effect = FRICTION_EFFECTS["hysteresis, springs"]
+    effect = FRICTION_EFFECTS["hysteresis"]
     path = write_model(tmp_path, "two_link", (effect,))
     friction = module(excite.export_model(path, "python-friction").text)["FRICTION"]
     q = 0.2 * np.sin(np.linspace(0.0, 4.0 * np.pi, 801))
@@ -204,3 +216,17 @@ def test_effects_that_are_no_friction_are_named(tmp_path):
     exported = excite.export_model(path, "python-friction")
     assert [part.name for part in exported.remainders] == ["delay"]
     assert "delay: torque unknown" in exported.text
+
+
+@pytest.mark.parametrize("name", ["mjcf", "urdf", "sdf", "isaaclab", "c", "python-friction"])
+def test_the_header_names_each_effect_of_a_dense_robot_that_the_file_does_not_hold(name, tmp_path):
+    delay = effect_entry("delay", None, {"measured": 1.0}, 0.004)
+    exported = excite.export_model(write_model(tmp_path, "two_link", (*DENSE, delay)), name)
+    names = {part.name for part in exported.remainders} - {"rotor inertia", "offset"}
+    held = {
+        "isaaclab": {"stribeck"},
+        "c": {effect["effect"] for effect in DENSE} - {"hysteresis"},
+        "python-friction": {effect["effect"] for effect in DENSE},
+    }
+    assert names == {effect["effect"] for effect in (*DENSE, delay)} - held.get(name, set())
+    assert all(f"{effect}" in exported.text for effect in names)

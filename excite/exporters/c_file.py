@@ -66,23 +66,15 @@ def torque_functions(model: SimulatorModel) -> list[ca.Function]:
 def _friction(model: SimulatorModel, x: dict[str, ca.SX]) -> ca.SX:
     """Torque of all terms without memory, as an expression. Shape (n,)."""
     table = friction_table(model)
-    terms = [Term(**term) for term in table["terms"]]
-    widths, rotor_inertia = table["widths"], table["rotor_inertia"]
-    driven = x["load"] + ca.SX(rotor_inertia) * x["ddq"]
     out = ca.SX.zeros(model.model.robot.n)
-    base = [term for term in terms if term.effect in friction_runtime.BASE]
-    other = [term for term in terms if term not in base]
-    for term in base:
-        torque = _term_torque(term, x, x["load"], widths)
-        driven[term.joint] += torque
-        out[term.joint] += torque
-    for term in other:
+    for entry in table["terms"]:
+        term = Term(**entry)
         if term.effect not in friction_runtime.WITH_MEMORY:
-            out[term.joint] += _term_torque(term, x, driven, widths)
+            out[term.joint] += _term_torque(term, x, table["widths"])
     return out
 
 
-def _term_torque(term: Term, x: dict[str, ca.SX], driven: ca.SX, widths: Sequence[float]) -> ca.SX:
+def _term_torque(term: Term, x: dict[str, ca.SX], widths: Sequence[float]) -> ca.SX:
     """Torque of a term at its joint, as an expression."""
     j, other = term.joint, max(term.other, 0)
     motion = JointMotion(
@@ -90,7 +82,6 @@ def _term_torque(term: Term, x: dict[str, ca.SX], driven: ca.SX, widths: Sequenc
         x["dq"][j],
         x["ddq"][j],
         x["load"][j],
-        driven[j],
         x["dq"][other],
         x["ddq"][other],
         float(widths[j]),

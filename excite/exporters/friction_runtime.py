@@ -8,9 +8,9 @@ the rigid links and rotors: friction opposes the motion, so that a simulator app
 
 Positions, velocities and loads have the shape (n,), or (environments, n) for many robots at once.
 The load is the torque of the rigid links, without rotors and friction [N m]: inverse dynamics of q,
-dq, ddq. Presliding hysteresis (Dahl's model, Maxwell-slip elements) has a
-state, which `torque` advances by the change of q since the last call; `reset` forgets it. The state
-does not depend on time, so that repeated calls at one position change nothing.
+dq, ddq. Presliding hysteresis (Maxwell-slip elements) has a state, which `torque` advances by the
+change of q since the last call; `reset` forgets it. The state does not depend on time, so that
+repeated calls at one position change nothing.
 
 MuJoCo: `install(mujoco, model, friction, beyond="mjcf")` subtracts from the passive forces what the
 exported MJCF does not hold. Isaac Lab: subtract `friction.torque(q, dq, load, beyond="isaaclab")`
@@ -25,8 +25,16 @@ import numpy as np
 
 CURVE_POINTS = 200
 """Positions over which the mean of a wave of position-dependent friction is formed."""
-REACH_RATIO = 3.0
-"""Slip distance of a Maxwell-slip element over that of the one before."""
+STRIBECK_SPEEDS = np.geomspace(0.03, 0.3, 4)
+"""Speeds to which Stribeck curves fall, over the largest speed."""
+ASINH_SPEEDS = (0.02, 0.1, 0.4)
+"""Speeds of the asinh curves of nonlinear viscous friction, over the largest speed."""
+TANH_SPEEDS = (0.1, 0.4)
+"""Speeds of its tanh curves, over the largest speed."""
+SLIP_DISTANCES = 1e-3 * 2.0 ** np.arange(0.0, 8.0, 0.5)
+"""Deflections at which the Maxwell-slip elements slip [rad or m]."""
+UNEQUAL_ELEMENTS = [6, 10]
+"""Maxwell-slip elements whose branches may be unequal."""
 
 
 class JointMotion(NamedTuple):
@@ -37,7 +45,6 @@ class JointMotion(NamedTuple):
         dq: Velocity.
         ddq: Acceleration.
         load: Torque of the rigid links [N m or N].
-        driven: Torque of the motor by the base model [N m or N].
         other_dq: Velocity of the joint that a coupling comes from.
         other_ddq: Acceleration of that joint.
         width: Width of the base model's sign function [rad/s or m/s].
@@ -47,7 +54,6 @@ class JointMotion(NamedTuple):
     dq: Any
     ddq: Any
     load: Any
-    driven: Any
     other_dq: Any
     other_ddq: Any
     width: float
@@ -71,12 +77,6 @@ class Term(NamedTuple):
     values: dict[str, float]
     coefficients: list[float]
     held_by: list[str]
-
-
-def weakening(dq: Any, values: dict[str, float], m: Any) -> Any:
-    """Stribeck curve: 1 at rest, 1/e at the velocity."""
-    x = (m.fabs(dq) / values["velocity"]) ** values["exponent"]
-    return 1.0 / (1.0 + (np.e - 1.0) * x) if "rational" in values else m.exp(-x)
 
 
 def stateless(term: Term, x: JointMotion, m: Any = np) -> tuple[Any, Any]:
@@ -104,16 +104,25 @@ def _asymmetric_viscous(
 
 
 def _stribeck(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    if "width" not in v:
-        return 0.0, c[0] * weakening(x.dq, v, m)
-    sign, usual = m.tanh(x.dq / v["width"]), m.tanh(x.dq / v["usual"])
-    return c[0] * sign * weakening(x.dq, v, m) + c[1] * (sign - usual), 0.0
+    shares = [m.fabs(x.dq) / (speed * v["top_speed"]) for speed in STRIBECK_SPEEDS.tolist()]
+    curves = [m.exp(-share) for share in shares] + [m.exp(-(share**2)) for share in shares]
+    return 0.0, _combination(c, curves)
 
 
 def _nonlinear_viscous(
     v: dict[str, float], c: list[float], x: JointMotion, m: Any
 ) -> tuple[Any, Any]:
-    return 0.0, c[0] * m.fabs(x.dq) ** v["exponent"]
+    share = x.dq / v["top_speed"]
+    size = m.fabs(share)
+    curves = [m.arcsinh(share / w) / float(np.arcsinh(1.0 / w)) for w in ASINH_SPEEDS]
+    curves += [m.tanh(share / w) / float(np.tanh(1.0 / w)) for w in TANH_SPEEDS]
+    curves += [m.sign(share) * m.sqrt(size), share * size, share**3]
+    return _combination(c, [curve - share for curve in curves]), 0.0
+
+
+def _combination(c: list[float], curves: list[Any]) -> Any:
+    """Sum of curves times their coefficients."""
+    return sum(a * curve for a, curve in zip(c, curves, strict=True))
 
 
 def _drag(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
@@ -121,10 +130,8 @@ def _drag(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[
 
 
 def _load_friction(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    load = x.driven if "driven" in v else x.load
-    size = v["scale"] * (m.fabs(load) / v["scale"]) ** v["power"]
-    factor = c[0] + c[1] * weakening(x.dq, v, m) if "velocity" in v else c[0]
-    return 0.0, factor * size
+    size = m.fabs(x.load)
+    return c[2] * x.load, c[0] * size + c[1] * size**2 / v["scale"]
 
 
 def _position_friction(
@@ -150,6 +157,10 @@ def _torque_offset(v: dict[str, float], c: list[float], x: JointMotion, m: Any) 
 
 def _spring(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
     q = x.q
+    if "waves" in v:
+        share = (q - v["low"]) / (v["high"] - v["low"])
+        phase = np.pi * m.fmin(m.fmax(share, 0.0), 1.0)
+        return _combination(c, [m.cos((k + 1) * phase) for k in range(int(v["waves"]))]), 0.0
     if "bend" in v:
         distance = q - v["bend"]
         return c[0] * m.fmin(distance, 0.0) + c[1] * m.fmax(distance, 0.0), 0.0
@@ -164,16 +175,12 @@ def _spring(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tupl
         (q, q**2, q**3),
         (m.cos(q), m.sin(q), m.cos(2 * q), m.sin(2 * q)),
     )[int(v["form"])]
-    return sum(a * column for a, column in zip(c, columns, strict=True)), 0.0
+    return _combination(c, list(columns)), 0.0
 
 
 def _torque_ripple(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    multiples = [1, *(k for k, key in ((2, "twice"), (3, "thrice")) if key in v)]
-    total = 0.0
-    for i, k in enumerate(multiples):
-        angle = k * v["order"] * x.q
-        total = total + c[2 * i] * m.cos(angle) + c[2 * i + 1] * m.sin(angle)
-    return total, 0.0
+    angle, load = v["order"] * x.q, x.load / v["load"]
+    return (c[0] + c[2] * load) * m.cos(angle) + (c[1] + c[3] * load) * m.sin(angle), 0.0
 
 
 def _coupling(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
@@ -201,26 +208,27 @@ _FUNCTIONS = {
 viscous and Coulomb friction of the base model, "base_offset" its offset."""
 WITH_MEMORY = ("hysteresis",)
 """Effects whose torque depends on the past of the position."""
-BASE = ("base", "base_offset")
-"""Terms of the base model: with links and rotors, the torque of the motor."""
 KNOWN = (*_FUNCTIONS, *WITH_MEMORY)
 """Effects that this module computes."""
 
 
 class MaxwellSlipBank:
-    """Presliding hysteresis of one joint: Maxwell-slip elements, or Dahl's model.
+    """Presliding hysteresis of one joint: Maxwell-slip elements (Iwan 1966).
 
-    Each Maxwell-slip element is a spring that slips at its reach, so that its force is
-    rate-independent and passive: z advances by dq/reach and stays within -1 and 1. Dahl's model
-    approaches the sign exponentially, dz = (sign - z) |dq|/reach.
+    Each element is a spring that slips at its distance d, so that its force is rate-independent:
+    z advances by dq/d and stays within -1 and 1. The force of an element with unequal branches also
+    has a part that is proportional to |z| - 1.
+
+    Attributes:
+        strengths: Force of each element while it slips, shape (elements,) [N m or N].
+        unequal: Factor of |z| - 1 of the elements `UNEQUAL_ELEMENTS` [N m or N].
     """
 
     def __init__(self, term: Term) -> None:
-        reach = term.values["reach"]
-        self.is_dahl = "springs" not in term.values
-        count = 1 if self.is_dahl else int(term.values["springs"])
-        ratios = np.array([1.0]) if self.is_dahl else REACH_RATIO ** (np.arange(count) - count // 2)
-        self.reaches, self.strengths = reach * ratios, np.array(term.coefficients, float)
+        """Begin with relaxed springs."""
+        count = len(SLIP_DISTANCES)
+        self.strengths = np.array(term.coefficients[:count], float)
+        self.unequal = np.array(term.coefficients[count:], float)
         self.last: Any = None
         self.z: Any = None
 
@@ -228,15 +236,10 @@ class MaxwellSlipBank:
         """Move to a position, shape (...); return the force [N m or N]."""
         q = np.asarray(q, float)
         if self.z is None or self.z.shape[:-1] != q.shape:
-            self.last, self.z = q.copy(), np.zeros((*q.shape, len(self.reaches)))
-        step = (q - self.last)[..., None] / self.reaches
-        if self.is_dahl:
-            limit = np.sign(step)
-            self.z = np.where(step == 0.0, self.z, limit + (self.z - limit) * np.exp(-np.abs(step)))
-        else:
-            self.z = np.clip(self.z + step, -1.0, 1.0)
+            self.last, self.z = q.copy(), np.zeros((*q.shape, len(SLIP_DISTANCES)))
+        self.z = np.clip(self.z + (q - self.last)[..., None] / SLIP_DISTANCES, -1.0, 1.0)
         self.last = q.copy()
-        return self.z @ self.strengths
+        return self.z @ self.strengths + (np.abs(self.z[..., UNEQUAL_ELEMENTS]) - 1) @ self.unequal
 
 
 class Friction:
@@ -251,7 +254,6 @@ class Friction:
         """Build the terms from a table as this module states it."""
         self.joints = list(table["joints"])
         self.widths = np.array(table["widths"], float)
-        self.rotor_inertia = np.array(table["rotor_inertia"], float)
         self.terms = [Term(**term) for term in table["terms"]]
         self.banks: dict[int, MaxwellSlipBank] = {}
         self.reset()
@@ -271,13 +273,6 @@ class Friction:
         q, dq = np.asarray(q, float), np.asarray(dq, float)
         load = np.zeros_like(q) if load is None else np.asarray(load, float)
         ddq = np.zeros_like(q) if ddq is None else np.asarray(ddq, float)
-        driven = load + self.rotor_inertia * ddq
-        for term in self.terms:
-            if term.effect in BASE:
-                s, d = stateless(term, self._motion(term, q, dq, ddq, load, driven))
-                driven[..., term.joint] += s + d * np.tanh(
-                    dq[..., term.joint] / self.widths[term.joint]
-                )
         smooth, dry = np.zeros_like(q), np.zeros_like(q)
         for k, term in enumerate(self.terms):
             if k in self.banks:
@@ -286,7 +281,7 @@ class Friction:
                     smooth[..., term.joint] += force
                     dry[..., term.joint] -= self.banks[k].strengths.sum()
             elif beyond not in term.held_by:
-                s, d = stateless(term, self._motion(term, q, dq, ddq, load, driven))
+                s, d = stateless(term, self._motion(term, q, dq, ddq, load))
                 smooth[..., term.joint] += s
                 dry[..., term.joint] += d
         return smooth, dry
@@ -300,8 +295,7 @@ class Friction:
             q: Positions, shape (..., n) [rad or m].
             dq: Velocities.
             load: Torque of the rigid links [N m or N]; None: 0.
-            ddq: Accelerations; None: 0. Only couplings with inertia and friction that grows with
-                the motor's torque depend on them.
+            ddq: Accelerations; None: 0. Only couplings with inertia depend on them.
             beyond: Simulator whose exported file is in use ("mjcf", "isaaclab"): only what it does
                 not hold. None: all terms.
 
@@ -311,14 +305,13 @@ class Friction:
         smooth, dry = self.parts(q, dq, load, ddq, beyond)
         return smooth + dry * np.tanh(np.asarray(dq, float) / self.widths)
 
-    def _motion(self, term: Term, q: Any, dq: Any, ddq: Any, load: Any, driven: Any) -> JointMotion:
+    def _motion(self, term: Term, q: Any, dq: Any, ddq: Any, load: Any) -> JointMotion:
         j, other = term.joint, max(term.other, 0)
         return JointMotion(
             q[..., j],
             dq[..., j],
             ddq[..., j],
             load[..., j],
-            driven[..., j],
             dq[..., other],
             ddq[..., other],
             float(self.widths[j]),

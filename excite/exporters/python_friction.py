@@ -35,7 +35,7 @@ def friction_table(model: SimulatorModel) -> dict[str, Any]:
     robot, base = model.model.robot, model.model
     drive = {
         kind: base.psi[base.layout.block(kind)].tolist() if kind in base.drive else [0.0] * robot.n
-        for kind in ("viscous", "coulomb", "offset", "rotor_inertia")
+        for kind in ("viscous", "coulomb", "offset")
     }
     terms: list[dict[str, Any]] = []
     for j in range(robot.n):
@@ -51,7 +51,6 @@ def friction_table(model: SimulatorModel) -> dict[str, Any]:
     return {
         "joints": list(robot.joints),
         "widths": model.torques.widths.tolist(),
-        "rotor_inertia": drive["rotor_inertia"],
         "terms": terms,
     }
 

@@ -383,8 +383,6 @@ def _add_effect(
     model: IdentifiedModel, effect: EffectDocument, psi: FloatArray, out: JointTorques
 ) -> Held | None:
     """Add an effect to the parameters; return the quantity that stands for it, None without."""
-    if "late" in effect.values:
-        return None  # its torque is recorded late
     if effect.effect == "payload":
         link, count = int(effect.values["link"]), int(effect.values["count"])
         psi[10 * link : 10 * link + count] += np.array(effect.coefficients)
@@ -404,8 +402,8 @@ def _add_joint_effect(
     if effect.effect in _ADDITIONS:
         held, add = _ADDITIONS[effect.effect]
         add(out, j, c)
-    elif effect.effect == "stribeck" and "velocity" in values and "width" not in values:
-        out.static[j] += c[0]
+    elif effect.effect == "stribeck":
+        out.static[j] += c.sum()  # each of its curves is 1 at rest
         held = Held.STATIC_FRICTION
     elif effect.effect == "spring" and int(values.get("form", -1)) in SPRING_FORMS:
         powers = SPRING_FORMS[int(values["form"])]
@@ -419,7 +417,7 @@ def _add_delay(model: IdentifiedModel, effect: EffectDocument, out: JointTorques
 
     Torque that is recorded after the motion is a delay of its measurement, not of the actuator.
     """
-    seconds = float(effect.values.get("seconds", effect.coefficients[0]))
+    seconds = float(effect.coefficients[0])
     if seconds >= 0.0:
         return None
     chosen = slice(None) if effect.joint is None else model.robot.joints.index(effect.joint)

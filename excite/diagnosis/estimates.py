@@ -10,13 +10,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
 from ..effects.effect import CandidateModel
-from . import joint_model, probability
+from . import joint_model, posterior, probability
 from .joint_model import JointModel
-from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence
+from .posterior import MIN_SEVERITY, EffectEvidence
 from .regression import Solution
 from .selection import RareEffect
 from .unmodelled import UnmodelledTorque
@@ -38,6 +39,8 @@ ALIKE_CORRELATION = -0.6
 """Posterior correlation of the torques of two effects below which one may stand for the other."""
 PERCENTILES = (15.87, 84.13)
 """Percentiles of the normal distribution one standard deviation below and above the mean."""
+LEFT_STD = 0.3
+"""Relative standard deviation η of what a rare effect leaves by its form."""
 FRICTIONS = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction")
 """Frictions that any joint may have."""
 QUANTILE = 1.645
@@ -105,18 +108,14 @@ def estimate_effects(
     """
     posterior_of = _Posterior(model, model.regression.without(left_out))
     clock = _clock_delay(posterior_of)
-    odds = _log_odds(model.n, evidence)
+    probabilities = posterior.probabilities(model, evidence)
     likeness = _likeness(posterior_of, evidence, left_out)
     out = []
     for entry in evidence:
         needed = not set(entry.effects) <= set(left_out)
         rivals = next((r for r in rare if r.key == (entry.name, entry.joint)), None)
         unique = float((entry.severity / model.regression.sigma).max())
-        present = float(
-            probability.friction_probability(entry.log_bayes_factor, odds[entry.name])
-            if entry.name in DENSE_NAMES
-            else probability.rare_probability(entry.log_bayes_factor, unique)
-        )
+        present = probabilities[entry.name, entry.joint]
         equivalents: tuple[str, ...] = ()
         draws = posterior_of.draws(entry.effects) if needed else None
         severity, interval, parameters = 0.0, (0.0, 0.0), {}
@@ -177,8 +176,9 @@ def with_unmodelled(
     """Return estimates whose probabilities take account of torque that no effect explains.
 
     Where torque of size u remains at a joint, a rare effect that explains torque of size s beyond
-    all others may stand for a part of the same unnamed thing: its probability is multiplied by
-    s²/(s² + u²).
+    all others may stand for a part of the same unnamed thing: its probability is multiplied by that
+    of a form error of its own which leaves as much, 2 Φ(−u/(η s)). An effect of all joints may be
+    there beside what remains at one of them: its probability is multiplied by s²/(s² + u²).
 
     Args:
         effects: The estimates.
@@ -193,7 +193,12 @@ def with_unmodelled(
         u = left.max() if effect.joint is None else left[effect.joint]
         share = 1.0
         if effect.effect not in FRICTIONS and effect.needed and u > 0.0:
-            share = effect.unique_severity**2 / (effect.unique_severity**2 + float(u) ** 2)
+            ratio = float(u) / max(effect.unique_severity, 1e-9)
+            share = (
+                1.0 / (1.0 + ratio**2)
+                if effect.joint is None
+                else 2.0 * float(special.ndtr(-ratio / LEFT_STD))
+            )
         out.append(replace(effect, probability=effect.probability * share))
     return sorted(out, key=lambda e: (-e.probability, -e.log_bayes_factor))
 
@@ -232,17 +237,6 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
             abs(seconds) > joint_model.MIN_DELAY and severity > MIN_SEVERITY,
         )
     ]
-
-
-def _log_odds(n: int, evidence: Sequence[EffectEvidence]) -> dict[str, float]:
-    """Prior log odds of the frictions that any joint may have, shared over the joints."""
-    out = {}
-    for name in DENSE_NAMES:
-        members = [e for e in evidence if e.name == name]
-        factors = np.full(n, -np.inf)
-        factors[: len(members)] = [e.log_bayes_factor for e in members]
-        out[name] = probability.shared_log_odds(factors)
-    return out
 
 
 class _Posterior:

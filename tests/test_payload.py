@@ -271,6 +271,11 @@ def test_options_of_a_design_for_a_payload_are_checked(tmp_path, capsys):
         (["--for-payload", "nowhere"], "no frame 'nowhere'"),
         (["--for-payload", "tool0", "--criterion", "d"], "--for-payload: has the A-criterion"),
         (["--for-payload", "base_link"], "does not move"),
+        (["--for-payload", "tool0", "--for", "a.csv"], "--for and --for-payload are two criteria"),
+        (
+            ["--for-payload", "tool0", "--discriminate", "diagnosis.json"],
+            "--discriminate and --for-payload are two criteria",
+        ),
     ):
         assert main(["design", ROBOT, *options, "-o", str(tmp_path / "out"), "-q"]) == 2
         error = capsys.readouterr().err

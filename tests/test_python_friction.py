@@ -29,6 +29,9 @@ FRICTION_EFFECTS = {
     "nonlinear_viscous": effect_entry(
         "nonlinear_viscous", "joint_2", {"top_speed": 2.0}, *(0.5, 0.2, 0.1, 0.3, 0.1, 0.2, 0.1, 0)
     ),
+    "nonlinear_viscous, beyond the fitted speeds": effect_entry(
+        "nonlinear_viscous", "joint_2", {"top_speed": 0.5}, *(0.5, 0.2, 0.1, 0.3, 0.1, 0.2, 0.1, 0)
+    ),
     "nonlinear_viscous, convex": effect_entry(
         "nonlinear_viscous", "joint_2", {"top_speed": 2.0}, *(0, 0, 0, 0, 0, 0, 0.4, 0.3)
     ),

@@ -30,6 +30,6 @@ def sandwiched(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatAr
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = np.inf  # what is nowhere is nothing, for sure
     inverse = np.linalg.pinv((A / size).T @ (A / size), rcond=1e-10) / np.outer(size, size)
-    found = inverse @ (A.T @ y)
-    scores = np.array([columns.T @ (right - columns @ found) for columns, right in blocks])
-    return found, inverse @ (scores.T @ scores) @ inverse
+    estimate = inverse @ (A.T @ y)
+    scores = np.array([columns.T @ (right - columns @ estimate) for columns, right in blocks])
+    return estimate, inverse @ (scores.T @ scores) @ inverse

@@ -67,10 +67,12 @@ def torque_budget(
     shares: dict[str, FloatArray] = {}
     variances: dict[str, FloatArray] = {}
     for effect, theta, torque in zip(final.saved_effects, absorbed, torques, strict=True):
-        own = np.sum(np.where(moving, torque - gamma @ theta, 0.0) * held_out.base, axis=0) / power
+        share = (
+            np.sum(np.where(moving, torque - gamma @ theta, 0.0) * held_out.base, axis=0) / power
+        )
         name = effect.shape.effect
-        shares[name] = shares.get(name, np.zeros(n)) + own
-        std = own * relative.get((name, effect.shape.joint), 0.0)
+        shares[name] = shares.get(name, np.zeros(n)) + share
+        std = share * relative.get((name, effect.shape.joint), 0.0)
         variances[name] = variances.get(name, np.zeros(n)) + std**2
     explained = sum(shares.values(), np.zeros(n))
     return TorqueBudget(

@@ -270,7 +270,7 @@ def _changes(final: FinalModel, held_out: HeldOutErrors) -> list[SessionChange]:
     """Changes of friction between the recordings that are significant."""
     solution = final.regression.residual(final.solution)
     moving = final.regression.moving
-    found = [
+    changes = [
         *(
             session_changes.changes(final.motions, solution, moving)
             if len(session_changes.sources(final.motions)) > 1
@@ -280,6 +280,6 @@ def _changes(final: FinalModel, held_out: HeldOutErrors) -> list[SessionChange]:
     ]
     return [
         change
-        for change in found
+        for change in changes
         if change.wald > session_changes.WALD_THRESHOLD and change.share > session_changes.MIN_SHARE
     ]

@@ -178,7 +178,7 @@ def with_unmodelled(
     Where torque of size u remains at a joint, a rare effect that explains torque of size s beyond
     all others may stand for a part of the same unnamed thing: its probability is multiplied by that
     of a form error of its own which leaves as much, 2 Φ(−u/(η s)). An effect of all joints may be
-    there beside what remains at one of them: its probability is multiplied by s²/(s² + u²).
+    there next to what remains at one of them: its probability is multiplied by s²/(s² + u²).
 
     Args:
         effects: The estimates.
@@ -324,16 +324,16 @@ class _Posterior:
         largest = max(sizes, key=lambda e: sizes[e])
         shape = self.model.models[largest]
         part = self.model.regression.slices[largest]
-        own = self.places([largest])
-        columns = np.searchsorted(self.places(effects), own)
+        places = self.places([largest])
+        columns = np.searchsorted(self.places(effects), places)
         c = self.solution.coefficients[part]
         values = shape.parameters(c)
         cloud = []
-        shift, log_std = self._nonlinear(shape, c, own)
+        shift, log_std = self._nonlinear(shape, c, places)
         logs = log_std * np.random.default_rng(2).normal(size=len(draws))
         for draw, log in zip(draws, logs.tolist(), strict=True):
             changed = c.copy()
-            changed[own - part.start] = draw[columns] + shift * log
+            changed[places - part.start] = draw[columns] + shift * log
             moved = shape
             if shape.nonlinear is not None and log:
                 factor = float(np.exp(np.clip(log, -MAX_LOG_CHANGE, MAX_LOG_CHANGE)))
@@ -354,13 +354,13 @@ class _Posterior:
         return float(c @ self.projected(places, places) @ c)
 
     def _nonlinear(
-        self, shape: CandidateModel, c: FloatArray, own: IntArray
+        self, shape: CandidateModel, c: FloatArray, places: IntArray
     ) -> tuple[FloatArray, float]:
         """Change of an effect's coefficients per logarithm of its nonlinear parameter, and its std.
 
         The nonlinear parameter has a prior of standard deviation 1 in the logarithm.
         """
-        none = np.zeros(len(own)), 0.0
+        none = np.zeros(len(places)), 0.0
         if shape.nonlinear is None:
             return none
         parts = []
@@ -378,7 +378,7 @@ class _Posterior:
             for a, b in zip(up.values, down.values, strict=True)
         )
         slope, information = self.model.regression.sensitivity(up.joints, values, self.solution)
-        place = np.searchsorted(self.active, own)
+        place = np.searchsorted(self.active, places)
         return slope[place], float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
 
 
@@ -392,7 +392,7 @@ def _likeness(
     out: dict[tuple[str, int | None], tuple[str, ...]] = {}
     for first in needed:
         a = of.places(first.effects)
-        own = float(np.sum(of.covariance(a, a) * of.projected(a, a)))
+        variance = float(np.sum(of.covariance(a, a) * of.projected(a, a)))
         names = []
         for second in needed:
             if second is first or second.joint != first.joint or second.name == first.name:
@@ -400,7 +400,7 @@ def _likeness(
             b = of.places(second.effects)
             other = float(np.sum(of.covariance(b, b) * of.projected(b, b)))
             shared = float(np.sum(of.covariance(a, b) * of.projected(a, b)))
-            if shared < ALIKE_CORRELATION * np.sqrt(max(own * other, 1e-300)):
+            if shared < ALIKE_CORRELATION * np.sqrt(max(variance * other, 1e-300)):
                 names.append(second.name)
         out[first.name, first.joint] = tuple(names)
     return out

@@ -427,8 +427,8 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
         psi[places] += change
         for kind in ("rotor_inertia", "viscous", "coulomb"):
             if kind in model.parameters.drive:
-                own = model.parameters.block(kind)
-                psi[own] = np.maximum(psi[own], 0.0)
+                block = model.parameters.block(kind)
+                psi[block] = np.maximum(psi[block], 0.0)
         return psi
     others = solution.active.copy()
     others[:p] = False

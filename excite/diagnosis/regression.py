@@ -297,14 +297,14 @@ class JointRegression:
         matrix, score, power = self._assembled()
         measured = np.where(self.moving, self.torque, 0.0)
         for fold in folds:
-            rest, right = matrix.copy(), score.copy()
+            remaining, right = matrix.copy(), score.copy()
             held_out = [gram.columns[fold] for gram in self._grams]
             for j, (gram, x) in enumerate(zip(self._grams, held_out, strict=True)):
                 weight = float(self.weights[j])
-                rest[np.ix_(gram.places, gram.places)] -= weight * (x.T @ x)
+                remaining[np.ix_(gram.places, gram.places)] -= weight * (x.T @ x)
                 right[gram.places] -= weight * (x.T @ measured[fold, j])
             for v, mask in enumerate(used):
-                c = self._minimum(mask, rest, right, power).coefficients
+                c = self._minimum(mask, remaining, right, power).coefficients
                 for j, (gram, x) in enumerate(zip(self._grams, held_out, strict=True)):
                     error = measured[fold, j] - x @ c[gram.places]
                     out[v, j] += float(self.weights[j] * (error @ error))

@@ -63,7 +63,7 @@ class RareEffect:
     def share(self) -> tuple[float, tuple[str, ...]]:
         """Return the probability that it is this effect or an equivalent, and the equivalents.
 
-        Another effect k may be in place of the chosen one, or beside it: the weights of the three
+        Another effect k may be in place of the chosen one, or next to it: the weights of the three
         cases are exp(E/T), exp(E_k/T) and exp((E + E_k|chosen)/T). E and E_k are scaled to the
         weights of the rows that the chosen effect leaves.
         """
@@ -71,9 +71,9 @@ class RareEffect:
         scale = max(self.final / max(self.evidence, 1e-9), 1.0)
         instead = {}
         for key, value in self.before.items():
-            beside = max(self.after.get(key, -np.inf) / temperature + odds, -700.0)
+            jointly = max(self.after.get(key, -np.inf) / temperature + odds, -700.0)
             relative = scale * (value - self.evidence) / temperature - float(
-                np.logaddexp(0.0, beside)
+                np.logaddexp(0.0, jointly)
             )
             instead[key] = float(np.exp(np.clip(relative, -700.0, 700.0)))
         alike = [
@@ -83,8 +83,8 @@ class RareEffect:
             and (key[1] == self.key[1] or None in (key[1], self.key[1]))
         ]
         total = 1.0 + sum(instead.values())
-        own = 1.0 + sum(instead[key] for key in alike)
-        return own / total, tuple(name for name, _ in alike)
+        weight = 1.0 + sum(instead[key] for key in alike)
+        return weight / total, tuple(name for name, _ in alike)
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def find_rare_effects(
         The joint model and its rare effects.
     """
     rare: tuple[CandidateModel, ...] = ()
-    found: list[RareEffect] = []
+    effects: list[RareEffect] = []
     model = joint_model.fit(identified, motions)
     rejected: set[Key] = set()
     candidates = CandidateColumns(model, trusted, names)
@@ -218,15 +218,15 @@ def find_rare_effects(
             if (entry := candidates.best(model, key)) is not None
         }
         scores = {key: evidence for key, (evidence, _) in best.items()}
-        if found:
-            found[-1] = replace(found[-1], after=scores)
+        if effects:
+            effects[-1] = replace(effects[-1], after=scores)
         promising = sorted(
             (
                 key
                 for key, evidence in scores.items()
                 if key not in rejected
                 and evidence > MIN_CANDIDATE_EVIDENCE
-                and [f.key for f in found].count(key) < MAX_MODELS
+                and [f.key for f in effects].count(key) < MAX_MODELS
             ),
             key=lambda key: -scores[key],
         )
@@ -261,8 +261,8 @@ def find_rare_effects(
             break
         model, rare = extended, (*rare, chosen)
         others = {key: score for key, score in scores.items() if key != accepted}
-        found.append(RareEffect(accepted, scores[accepted], others, {}, final))
-    return model, tuple(found)
+        effects.append(RareEffect(accepted, scores[accepted], others, {}, final))
+    return model, tuple(effects)
 
 
 def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:

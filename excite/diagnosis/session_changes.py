@@ -96,9 +96,9 @@ def columns(motion: RecordedMotion, motions: Sequence[RecordedMotion]) -> FloatA
     if len(names) == 1:
         return np.zeros((len(motion), motion.n, 0))
     first = motion.segment.source == names[0]
-    own = actuator_columns(motion)
+    actuators = actuator_columns(motion)
     signs = [-1.0 if first else float(motion.segment.source == name) for name in names[1:]]
-    return np.concatenate([sign * own for sign in signs], axis=2)
+    return np.concatenate([sign * actuators for sign in signs], axis=2)
 
 
 def prior_std(motions: Sequence[RecordedMotion]) -> FloatArray:

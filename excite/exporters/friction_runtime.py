@@ -112,7 +112,8 @@ def _stribeck(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tu
 def _nonlinear_viscous(
     v: dict[str, float], c: list[float], x: JointMotion, m: Any
 ) -> tuple[Any, Any]:
-    share = x.dq / v["top_speed"]
+    # beyond the speeds of the fit the friction goes on linearly
+    share = m.fmin(m.fmax(x.dq / v["top_speed"], -1.0), 1.0)
     size = m.fabs(share)
     curves = [m.arcsinh(share / w) / float(np.arcsinh(1.0 / w)) for w in ASINH_SPEEDS]
     curves += [m.tanh(share / w) / float(np.tanh(1.0 / w)) for w in TANH_SPEEDS]

@@ -17,20 +17,32 @@ from excite.diagnosis.regression import Columns, JointRegression
 ROWS = 40
 """Rows of the small regressions below."""
 finite = st.floats(-1e4, 1e4)
+sizes = st.floats(0.0, 1e3)
 
 
 @given(first=finite, second=finite, odds=st.floats(-20.0, 20.0))
-def test_the_probability_grows_with_the_evidence(first, second, odds):
+def test_the_probability_of_a_friction_grows_with_evidence_and_odds(first, second, odds):
     low, high = sorted((first, second))
-    p, q = (float(probability.probability(x, odds)) for x in (low, high))
+    p, q = (float(probability.friction_probability(x, odds)) for x in (low, high))
     assert 0.0 <= p <= q <= 1.0
-    assert float(probability.probability(low, odds + 1.0)) >= p
-    assert probability.probability(0.0, odds) == pytest.approx(1.0 / (1.0 + np.exp(-odds)))
+    assert float(probability.friction_probability(low, odds + 1.0)) >= p
+    even = probability.friction_probability(0.0, odds)
+    assert even == pytest.approx(1.0 / (1.0 + np.exp(-odds)))
 
 
-def test_the_probability_of_impossible_evidence_is_zero():
-    assert probability.probability(-np.inf, 3.0) == pytest.approx(0.0, abs=1e-300)
-    assert probability.probability(np.inf, -3.0) == 1.0
+@given(evidence=st.tuples(finite, finite), size=st.tuples(sizes, sizes))
+def test_the_probability_of_a_rare_effect_grows_with_evidence_and_size(evidence, size):
+    (low, high), (small, large) = sorted(evidence), sorted(size)
+    p = float(probability.rare_probability(low, small))
+    assert 0.0 <= p <= float(probability.rare_probability(high, small)) <= 1.0
+    assert p <= float(probability.rare_probability(low, large)) <= 1.0
+
+
+def test_the_probability_without_evidence_or_size_is_zero():
+    assert probability.friction_probability(-np.inf, 3.0) == 0.0
+    assert probability.rare_probability(-np.inf, 10.0) == 0.0
+    assert probability.rare_probability(1e3, 0.0) == pytest.approx(0.0, abs=1e-12)
+    assert probability.rare_probability(1e3, 30.0) == pytest.approx(1.0)
 
 
 @given(evidence=st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=8), more=st.floats(0.0, 50.0))
@@ -42,14 +54,17 @@ def test_shared_odds_follow_the_joints(evidence, more):
     assert probability.shared_log_odds(np.array([evidence[0] + more, *evidence[1:]])) >= odds - 1e-6
 
 
-def test_an_effect_of_most_joints_is_more_probable_at_the_last():
-    strong, absent = np.full(5, 40.0), np.full(5, -np.inf)
-    weak = 2.0
-    probable, improbable = (
-        float(probability.probability(weak, probability.shared_log_odds(np.array([*x, weak]))))
-        for x in (strong, absent)
+def test_a_friction_of_most_joints_is_more_probable_at_the_last():
+    weak = 0.5 * probability.TEMPERATURE
+    most, none = (
+        float(
+            probability.friction_probability(
+                weak, probability.shared_log_odds(np.array([*[others] * 5, weak]))
+            )
+        )
+        for others in (20.0 * probability.TEMPERATURE, -np.inf)
     )
-    assert probable > 0.8 and improbable < 0.4
+    assert most > 0.7 and none < 0.4
 
 
 def small_regression(seed: int, nonnegative: tuple[bool, ...]) -> JointRegression:
@@ -94,7 +109,7 @@ def test_log_evidence_with_signs_agrees_with_numerical_integration(seed):
     regression = small_regression(seed, (True, True))
     assert (regression.solution.coefficients[1:] > 0.3).all()  # away from zero
     x, y = regression._grams[0].columns, regression.torque[:, 0]
-    theta, c = np.linspace(-3.0, 4.0, 81), np.linspace(0.0, 2.5, 61)
+    theta, c = np.linspace(0.0, 2.0, 61), np.linspace(0.0, 1.2, 41)
     grid = np.array(list(itertools.product(theta, c, c)))
     error = y - grid @ x.T
     log = -0.5 * np.sum(error**2, axis=1) / 0.25

@@ -102,7 +102,7 @@ FAULTY_TRAJECTORIES = {
 FAULTY_MODELS = {
     "m_band_tiny.json": "band_hz",
     "m_coef_inf.json": "effects[0].coefficients[0]",
-    "m_effect_joint_null.json": "effects[0].joint",
+    "m_effect_joint_null.json": "effects[0].values",  # of a form of former versions
     "m_effect_other.json": "effects[0].values",
     "m_effect_time.json": "effects[0].time",
     "m_effect_values_null.json": "effects[0].values",

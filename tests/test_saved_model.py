@@ -178,6 +178,7 @@ def test_a_torque_loss_is_applied_to_the_predicted_torque():
             "coefficients: 'drag' should have 1, not 2",
         ),
         (effect_entry("slack", "joint_1", {}, 1.0), "effect: this version has no effect 'slack'"),
+        (effect_entry("drag", None, {}, 1.0), "joint: 'drag' needs a joint, not null"),
     ],
 )
 def test_an_effect_of_an_unknown_form_is_refused_in_one_line(effect, problem):

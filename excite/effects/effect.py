@@ -174,11 +174,6 @@ def grid_candidates(
         yield NonlinearParameter(value, low, high, family).at(value)
 
 
-def harmonic_numbers(values: Mapping[str, float]) -> list[int]:
-    """Return the multiples of a model's spatial frequency that it fits; 1 comes first."""
-    return [1, *(k for k, key in HARMONIC_KEYS.items() if key in values)]
-
-
 def harmonic_columns(values: Mapping[str, float], angle: FloatArray) -> FloatArray:
     """Return cosine and sine of a model's spatial frequency and its multiples.
 
@@ -189,8 +184,9 @@ def harmonic_columns(values: Mapping[str, float], angle: FloatArray) -> FloatArr
     Returns:
         Columns of shape (M, k).
     """
+    numbers = [1, *(k for k, key in HARMONIC_KEYS.items() if key in values)]
     return np.column_stack(
-        [f(k * values["order"] * angle) for k in harmonic_numbers(values) for f in (np.cos, np.sin)]
+        [f(k * values["order"] * angle) for k in numbers for f in (np.cos, np.sin)]
     )
 
 
@@ -202,7 +198,8 @@ class Effect:
         name: Name in `diagnosis.json`.
         equation: Equation and its source.
         torque_columns: Torque per unit of each coefficient of a candidate model.
-        candidates: Yields all candidate models for a robot with these recorded motions.
+        candidates: Yields all candidate models for a robot with these recorded motions;
+            `no_candidates` for an effect that is part of the joint model.
         units: Units of the reported parameters.
         signature: Description of the residual that the effect causes.
         similar: Names of effects that this one may be confused with.

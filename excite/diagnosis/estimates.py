@@ -10,7 +10,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
 from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
@@ -39,8 +38,6 @@ ALIKE_CORRELATION = -0.6
 """Posterior correlation of the torques of two effects below which one may stand for the other."""
 PERCENTILES = (15.87, 84.13)
 """Percentiles of the normal distribution one standard deviation below and above the mean."""
-LEFT_STD = 0.3
-"""Relative standard deviation η of what a rare effect leaves by its form."""
 FRICTIONS = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction")
 """Frictions that any joint may have."""
 QUANTILE = 1.645
@@ -176,9 +173,8 @@ def with_unmodelled(
     """Return estimates whose probabilities take account of torque that no effect explains.
 
     Where torque of size u remains at a joint, a rare effect that explains torque of size s beyond
-    all others may stand for a part of the same unnamed thing: its probability is multiplied by that
-    of a form error of its own which leaves as much, 2 Φ(−u/(η s)). An effect of all joints may be
-    there next to what remains at one of them: its probability is multiplied by s²/(s² + u²).
+    all others may stand for a part of the same unnamed thing: its probability is multiplied by
+    s²/(s² + u²).
 
     Args:
         effects: The estimates.
@@ -193,12 +189,7 @@ def with_unmodelled(
         u = left.max() if effect.joint is None else left[effect.joint]
         share = 1.0
         if effect.effect not in FRICTIONS and effect.needed and u > 0.0:
-            ratio = float(u) / max(effect.unique_severity, 1e-9)
-            share = (
-                1.0 / (1.0 + ratio**2)
-                if effect.joint is None
-                else 2.0 * float(special.ndtr(-ratio / LEFT_STD))
-            )
+            share = effect.unique_severity**2 / (effect.unique_severity**2 + float(u) ** 2)
         out.append(replace(effect, probability=effect.probability * share))
     return sorted(out, key=lambda e: (-e.probability, -e.log_bayes_factor))
 

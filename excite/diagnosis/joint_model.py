@@ -432,8 +432,8 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
         psi[places] += change
         for kind in ("rotor_inertia", "viscous", "coulomb"):
             if kind in model.parameters.drive:
-                block = model.parameters.block(kind)
-                psi[block] = np.maximum(psi[block], 0.0)
+                indices = model.parameters.block(kind)
+                psi[indices] = np.maximum(psi[indices], 0.0)
         return psi
     others = solution.active.copy()
     others[:p] = False

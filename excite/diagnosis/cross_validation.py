@@ -1,6 +1,6 @@
 """Cross-validation of effects: what is fitted to some recordings has to predict the others.
 
-Folds are the training recordings, or thirds of a single one.
+Folds are the training recordings, or interleaved blocks of a single one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from .joint_model import JointModel
 from .posterior import EffectEvidence
 
 PARTS = 3
-"""Parts of a single recording."""
+"""Folds of a single recording."""
+BLOCK = 2.0
+"""Length of their interleaved blocks [s]."""
 WORSE = 1.02
 """Squared error of a joint over that of the base model from which its effects do not predict."""
 
@@ -27,8 +29,10 @@ def folds(model: JointModel) -> list[BoolArray]:
     names = session_changes.sources(model.motions)
     if len(names) > 1:
         return [np.asarray(of_row == name) for name in names]
-    parts = np.array_split(np.arange(len(of_row)), PARTS)
-    return [np.isin(np.arange(len(of_row)), part) for part in parts]
+    block = np.concatenate(
+        [((motion.time - motion.time[0]) / BLOCK).astype(int) for motion in model.motions]
+    )
+    return [np.asarray(block % PARTS == part) for part in range(PARTS)]
 
 
 def pays(model: JointModel, effects: Sequence[int]) -> bool:

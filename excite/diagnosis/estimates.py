@@ -14,9 +14,9 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
 from ..effects.effect import CandidateModel
-from . import joint_model, probability
+from . import joint_model, posterior, probability
 from .joint_model import JointModel
-from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence
+from .posterior import MIN_SEVERITY, EffectEvidence
 from .regression import Solution
 from .selection import RareEffect
 from .unmodelled import UnmodelledTorque
@@ -105,18 +105,14 @@ def estimate_effects(
     """
     posterior_of = _Posterior(model, model.regression.without(left_out))
     clock = _clock_delay(posterior_of)
-    odds = _log_odds(model.n, evidence)
+    probabilities = posterior.probabilities(model, evidence)
     likeness = _likeness(posterior_of, evidence, left_out)
     out = []
     for entry in evidence:
         needed = not set(entry.effects) <= set(left_out)
         rivals = next((r for r in rare if r.key == (entry.name, entry.joint)), None)
         unique = float((entry.severity / model.regression.sigma).max())
-        present = float(
-            probability.friction_probability(entry.log_bayes_factor, odds[entry.name])
-            if entry.name in DENSE_NAMES
-            else probability.rare_probability(entry.log_bayes_factor, unique)
-        )
+        present = probabilities[entry.name, entry.joint]
         equivalents: tuple[str, ...] = ()
         draws = posterior_of.draws(entry.effects) if needed else None
         severity, interval, parameters = 0.0, (0.0, 0.0), {}
@@ -232,17 +228,6 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
             abs(seconds) > joint_model.MIN_DELAY and severity > MIN_SEVERITY,
         )
     ]
-
-
-def _log_odds(n: int, evidence: Sequence[EffectEvidence]) -> dict[str, float]:
-    """Prior log odds of the frictions that any joint may have, shared over the joints."""
-    out = {}
-    for name in DENSE_NAMES:
-        members = [e for e in evidence if e.name == name]
-        factors = np.full(n, -np.inf)
-        factors[: len(members)] = [e.log_bayes_factor for e in members]
-        out[name] = probability.shared_log_odds(factors)
-    return out
 
 
 class _Posterior:

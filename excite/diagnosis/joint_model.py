@@ -46,6 +46,8 @@ MAX_DELAY_STEP = 0.01
 """Prior standard deviation of the delay [s]."""
 MIN_DELAY = 1e-5
 """Delay of the clock below which there is none [s]."""
+MIN_FREEDOM = 0.1
+"""Smallest share of rows that counts as degrees of freedom of the residual."""
 MIN_DELAY_EVIDENCE = 5.0
 """Log Bayes factor from which a delay of the clock enters the model."""
 MIN_LEVEL_SHARE = 0.3
@@ -292,10 +294,13 @@ def _fit_round(
 
 def reweight(regression: JointRegression) -> None:
     """Set the weights of the rows by the residual, twice, since they change it."""
+    rows = np.maximum(regression.moving.sum(axis=0), 1)
     for _ in range(2):
         residual = regression.residual()
+        freedom = np.maximum(rows - regression.fitted_per_joint(), MIN_FREEDOM * rows)
         regression.reweighted(
-            rms(residual, regression.moving), independent_share(residual, regression.moving)
+            rms(residual, regression.moving) * np.sqrt(rows / freedom),
+            independent_share(residual, regression.moving),
         )
 
 

@@ -76,6 +76,31 @@ def is_needed(model: JointModel, evidence: EffectEvidence) -> bool:
     return float(probability.rare_probability(evidence.log_bayes_factor, size)) > 0.5
 
 
+def probabilities(
+    model: JointModel, evidence: Sequence[EffectEvidence]
+) -> dict[tuple[str, int | None], float]:
+    """Return the probability of every effect; the odds of frictions are shared over the joints.
+
+    Args:
+        model: The joint model.
+        evidence: Evidence of all its effects.
+    """
+    out = {}
+    for e in evidence:
+        if e.name not in DENSE_NAMES:
+            size = float((e.severity / model.regression.sigma).max())
+            out[e.name, e.joint] = float(probability.rare_probability(e.log_bayes_factor, size))
+    for name in DENSE_NAMES:
+        members = [e for e in evidence if e.name == name]
+        factors = np.full(model.n, -np.inf)
+        factors[: len(members)] = [e.log_bayes_factor for e in members]
+        odds = probability.shared_log_odds(factors)
+        for e in members:
+            p = probability.friction_probability(e.log_bayes_factor, odds)
+            out[e.name, e.joint] = float(p)
+    return out
+
+
 def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     """Leave out effects that are not needed, the least needed first.
 
@@ -95,7 +120,12 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     }
     out: list[EffectEvidence] = []
     while evidence:
-        unneeded = [k for k in evidence if not is_needed(model, evidence[k])]
+        present = probabilities(model, [*evidence.values(), *out])
+        unneeded = [
+            k
+            for k, e in evidence.items()
+            if present[k] < 0.5 or float((e.severity / regression.sigma).max()) < MIN_SEVERITY
+        ]
         if not unneeded:
             break
         key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)

@@ -315,6 +315,21 @@ class JointRegression:
         x = (solution or self.solution).coefficients
         return self.torque - np.column_stack([g.columns @ x[g.places] for g in self._grams])
 
+    def fitted_per_joint(self) -> FloatArray:
+        """Return the number of coefficients that are fitted to the rows of each joint, shape (n,).
+
+        A coefficient that acts on several joints counts as a part in each. One that the data do not
+        determine counts little: by 1 − Λ/A, with its prior precision Λ and total information A.
+        """
+        solution = self.solution
+        total = np.maximum(np.diag(solution.information), 1e-300)
+        weight = np.where(solution.active, 1.0 - np.diag(self.prior_matrix) / total, 0.0)
+        joints = np.zeros(len(weight))
+        for gram in self._grams:
+            joints[gram.places] += 1.0
+        weight = np.clip(weight, 0.0, 1.0) / np.maximum(joints, 1.0)
+        return np.array([float(weight[gram.places].sum()) for gram in self._grams])
+
     def torque_along(self, coefficients: FloatArray) -> FloatArray:
         """Return the torque of given coefficients, shape (N, n) [N m]; zero at standstill."""
         return np.column_stack([g.columns @ coefficients[g.places] for g in self._grams])

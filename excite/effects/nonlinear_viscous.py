@@ -28,7 +28,8 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """|q̇|^k sgn q̇, or the curves of `dense_model`."""
     j = model.joint_index
     if "top_speed" in model.values:
-        share = joint_speed(motion, j) / model.values["top_speed"]
+        # beyond the speeds of the fit the friction goes on linearly
+        share = np.clip(joint_speed(motion, j) / model.values["top_speed"], -1.0, 1.0)
         return single_joint_columns(motion, j, _curves(share))
     return single_joint_columns(
         motion, j, motion.sign(j) * np.abs(joint_speed(motion, j)) ** model.values["exponent"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 from diagnosis_cases import (
     HELD_OUT,
     added_torque,

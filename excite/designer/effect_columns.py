@@ -100,8 +100,11 @@ class RobotConstants:
         """Mean inertia of the links about each joint. Shape (n,) [kg m²]."""
         model = self.robot.model.copy()
         for i in range(self.parameters.bodies):
-            model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(
-                self.psi[10 * i : 10 * i + 10]
+            body = self.psi[10 * i : 10 * i + 10]
+            # a body without mass has no centre of mass
+            massless = not body[0] > 0.0
+            model.inertias[i + 1] = (
+                pin.Inertia.Zero() if massless else pin.Inertia.FromDynamicParameters(body)
             )
         data, rng = model.createData(), np.random.default_rng(0)
         bounds = np.where(np.isfinite(self.limits.position), self.limits.position, [-np.pi, np.pi])
@@ -343,8 +346,9 @@ def _lagging_link(
 def _elasticity(b: _Builder, effect: SymbolicEffect) -> list[Column]:
     """Deflection δ of a linear oscillator: (M s² + D s + K) δ = τ_load, D = 2 ζ √(K M)."""
     assert effect.joint is not None
-    stiffness, ratio = effect.values["stiffness"], effect.values["damping"]
-    inertia = float(b.constants.mean_inertia[effect.joint])
+    # a link without inertia has no resonance: neither value may be zero
+    stiffness, ratio = max(effect.values["stiffness"], 1e-12), effect.values["damping"]
+    inertia = max(float(b.constants.mean_inertia[effect.joint]), 1e-15)
     damping = 2.0 * ratio * np.sqrt(stiffness * inertia)
 
     def rate(order: int) -> Callable[[FloatArray], FloatArray]:

@@ -72,6 +72,9 @@ doubted because of it [1]."""
 MIN_EXPLAINED_AS_CHANGED = 0.85
 """Smallest explained share of that joint with the other sign or zero [1]: 0.92 to 0.99 on simulated
 arms, 0.51 at most on ten real machines, whose signs and zeros are right."""
+MAX_SCALE_RATIO = 2.0
+"""Measured over nominal torque, or its inverse, up to which a changed position explains a joint: a
+wrong zero or sign leaves the scale as it is [1]."""
 MIN_EXPLAINED_GAIN = 0.4
 """Smallest sum over the joints of the changes of the explained shares [1]."""
 ZERO_OFFSETS_DEG = (90, -90, 180)
@@ -368,12 +371,14 @@ def _position_doubts(
                 continue
             changed = _changed_position(motion, j, offset)
             gravity, dynamic = nominal_torque(robot, changed)
-            after = _explained(_comparison(torque, changed, gravity, dynamic))
+            compared = _comparison(torque, changed, gravity, dynamic)
+            after = _explained(compared)
             gain = after - before
             k = int(np.argmax(gain))
             if (
                 before[k] > MAX_EXPLAINED_AS_READ
                 or after[k] < MIN_EXPLAINED_AS_CHANGED
+                or abs(np.log(max(compared.slopes()[0][k], 1e-9))) > np.log(MAX_SCALE_RATIO)
                 or gain.sum() < MIN_EXPLAINED_GAIN
                 or (after[before > MIN_EXPLAINED] < MIN_EXPLAINED).any()
                 or (best is not None and gain.sum() <= best[0])

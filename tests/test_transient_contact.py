@@ -43,7 +43,6 @@ def test_a_contact_is_located_in_time():
     assert {model.source for model in finding.models} == {"2.csv"}
 
 
-@pytest.mark.xfail(strict=True, reason="two contacts at the same time")
 def test_a_contact_is_one_finding_of_one_model():
     for name in ("contact", "dragging_contact", "contact_of_a_period"):
         (finding,) = diagnosed(name).findings

@@ -28,8 +28,9 @@ OPTIMISED_CANDIDATES = 4
 """Candidates whose nonlinear parameters are optimised before the best is chosen."""
 MIN_CANDIDATE_EVIDENCE = 5.0
 """Log Bayes factor before the weights are renewed from which a candidate is tried."""
-MAX_MODELS = 2
-"""Models of one effect at one joint, as the modes of a base or the waves of a curve."""
+MAX_MODELS = {"base_compliance": 2, "spring": 2, "position_friction": 2, "encoder_error": 2}
+"""Models of one effect at one joint, where several describe it: modes of a base, waves of a curve;
+1 of all others."""
 RANKING_SHARE = 0.25
 """Share of independent rows in the residual of a complete model, at least."""
 MAX_REJECTIONS = 3
@@ -226,7 +227,7 @@ def find_rare_effects(
                 for key, evidence in scores.items()
                 if key not in rejected
                 and evidence > MIN_CANDIDATE_EVIDENCE
-                and [f.key for f in effects].count(key) < MAX_MODELS
+                and [f.key for f in effects].count(key) < MAX_MODELS.get(key[0], 1)
             ),
             key=lambda key: -scores[key],
         )

@@ -68,7 +68,9 @@ def test_torque_of_effects_and_base_add_up():
     regression, columns = random_regression(5, nonnegative=True)
     predicted = regression.torque - regression.residual()
     base = columns[:, :, :3] @ regression.solution.coefficients[:3]
-    parts = np.column_stack([regression.torque_of(0, j) for j in range(2)])
+    of_effect = np.zeros(len(regression.solution.coefficients))
+    of_effect[regression.slices[0]] = regression.solution.coefficients[regression.slices[0]]
+    parts = regression.torque_along(of_effect)
     np.testing.assert_allclose(base + parts, predicted, atol=1e-10)
 
 

@@ -60,7 +60,7 @@ def test_a_signal_below_the_cutoff_passes_a_first_order_filter(periodic):
 
 
 def test_the_delay_of_the_clock_moves_into_the_time_stamps():
-    np.testing.assert_allclose(diagnosed("delay").model.delays, 6e-3, rtol=0.03)
+    np.testing.assert_allclose(diagnosed("delay").model.delay, 6e-3, rtol=0.03)
 
 
 LAG = 0.015

@@ -76,7 +76,7 @@ class DiagnosisResult:
         out = (
             identified_model.model_document(plain, self.recordings)
             if self.doubts
-            else self.diagnosis.final.document(self.recordings)
+            else dict(self.diagnosis.document)
         )
         out["without_effects"] = dict(
             zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)

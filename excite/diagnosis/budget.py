@@ -45,7 +45,6 @@ def torque_budget(
     final: FinalModel,
     effects: Sequence[EffectEstimate],
     held_out: HeldOutErrors,
-    torques: Sequence[FloatArray],
 ) -> TorqueBudget:
     """Return the torque budget of held-out motions.
 
@@ -55,10 +54,10 @@ def torque_budget(
         final: The saved model.
         effects: Estimates of all effects.
         held_out: Held-out errors.
-        torques: Torque of each effect of the model there, shapes (N, n) [N m].
     """
     gamma = np.concatenate([motion.gamma for motion in held_out.motions])
     absorbed = final_model.absorbed_parameters(final, identified, motions)
+    torques = final_model.effect_torques(final, held_out.motions)
     moving = held_out.moving
     power = np.sum(np.where(moving, held_out.base, 0.0) ** 2, axis=0)
     power = np.maximum(power, 1e-300)

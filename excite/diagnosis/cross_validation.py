@@ -88,7 +88,7 @@ def _errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArra
     """Cross-validated errors of variants, shape (variants, n)."""
     regression = model.regression
     unused = np.zeros(len(regression.nonnegative), bool)
-    unused[len(model.free) + model.n + 1 : regression.base_count] = True
+    unused[model.session_places] = True
     for shape, part in zip(model.models, regression.slices, strict=True):
         if shape.form_columns:  # the saved model has none
             unused[part.stop - shape.form_columns : part.stop] = True

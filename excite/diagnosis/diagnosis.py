@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -111,6 +112,7 @@ class Diagnosis:
         unmodelled: Torque that no effect explains, by joint.
         held_out: Errors on the held-out recordings.
         budget: What each effect explains of the held-out torque.
+        document: Content of the `model.json` by which the held-out errors are computed.
         changes: Changes of friction between recordings.
         gears: Gear parameters of joints with two encoders.
     """
@@ -128,6 +130,7 @@ class Diagnosis:
     unmodelled: tuple[UnmodelledTorque, ...]
     held_out: HeldOutErrors
     budget: TorqueBudget
+    document: Mapping[str, Any]
     changes: tuple[SessionChange, ...] = ()
     gears: tuple[GearEstimate, ...] = ()
 
@@ -220,8 +223,8 @@ def diagnose(
     remaining = unmodelled.find(model, residual, floor)
     effects = estimates.with_unmodelled(effects, model, remaining)
     progress("held-out recordings")
-    renewed, torques = final_model.effect_torques(final, halves[1])
-    held_out = _held_out_errors(final, train, validate, halves[1], renewed)
+    document = final.document(train)
+    held_out = _held_out_errors(final, document, validate, halves[1])
     return Diagnosis(
         identified,
         options,
@@ -235,7 +238,8 @@ def diagnose(
         rms(residual, model.regression.moving),
         tuple(remaining),
         held_out,
-        budget.torque_budget(identified, halves[0], final, effects, held_out, torques),
+        budget.torque_budget(identified, halves[0], final, effects, held_out),
+        document,
         tuple(_changes(final, held_out)),
         gear_encoders.gears(halves, (train, validate)),
     )
@@ -243,20 +247,19 @@ def diagnose(
 
 def _held_out_errors(
     final: FinalModel,
-    train: Sequence[Recording],
+    document: Mapping[str, Any],
     validate: Sequence[Recording],
     motions: Sequence[RecordedMotion],
-    renewed: Sequence[RecordedMotion],
 ) -> HeldOutErrors:
     """Errors of the base model and of the model that is read back from the saved file."""
     base = np.concatenate([motion.residual for motion in motions])
     torque = np.concatenate([motion.torque for motion in motions])
     moving = np.concatenate([motion.moving for motion in motions])
-    saved = model_check.read_back(final.document(train))
+    saved = model_check.read_back(document)
     residual = np.where(moving, model_check.residuals(saved, validate, motions), 0.0)
     base = np.where(moving, base, 0.0)
     return HeldOutErrors(
-        tuple(renewed),
+        tuple(final_model.renewed(final, motions)),
         torque,
         base,
         residual,
@@ -268,11 +271,10 @@ def _held_out_errors(
 
 def _changes(final: FinalModel, held_out: HeldOutErrors) -> list[SessionChange]:
     """Changes of friction between the recordings that are significant."""
-    solution = final.regression.residual(final.solution)
-    moving = final.regression.moving
+    residual, moving = final.regression.residual(), final.regression.moving
     changes = [
         *(
-            session_changes.changes(final.motions, solution, moving)
+            session_changes.changes(final.motions, residual, moving)
             if len(session_changes.sources(final.motions)) > 1
             else []
         ),

@@ -14,6 +14,7 @@ from . import effect_curves, motion_rows, session_changes, unmodelled
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .gear_encoders import GearEstimate
+from .motion_rows import MotionRows
 from .session_changes import SessionChange
 from .unmodelled import UnmodelledTorque
 
@@ -52,6 +53,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     """
     joints = diagnosis.identified.model.robot.joints
     held_out, floor = diagnosis.held_out, diagnosis.floor
+    motion = motion_rows.motion_rows(diagnosis.model.motions)
     rows = {
         joint: joint_entry(
             float(floor[i]),
@@ -64,10 +66,12 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
-        "findings": [_entry(diagnosis, effect) for effect in diagnosis.findings],
+        "findings": [_entry(diagnosis, effect, motion) for effect in diagnosis.findings],
         "joints": rows,
         "unknown": [_unknown(diagnosis, entry) for entry in diagnosis.unmodelled],
-        "considered": [_entry(diagnosis, effect) for effect in diagnosis.considered[:CONSIDERED]],
+        "considered": [
+            _entry(diagnosis, effect, motion) for effect in diagnosis.considered[:CONSIDERED]
+        ],
         "band_hz": diagnosis.hertz,
         "budget": _budget(diagnosis),
         "model_check": dict(zip(joints, held_out.rmse_after.tolist(), strict=True)),
@@ -102,7 +106,7 @@ def _joint(diagnosis: Diagnosis, joint: int | None) -> str | None:
     return None if joint is None else diagnosis.identified.model.robot.joints[joint]
 
 
-def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
+def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -> dict[str, Any]:
     """Element of "findings" or "considered"."""
     effect, shape = EFFECTS_BY_NAME[estimate.effect], estimate.models[0]
     place = "all joints" if estimate.joint is None else f"joint '{_joint(diagnosis, shape.joint)}'"
@@ -136,7 +140,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
         },
         "experiment": effect.experiment,
         "modelled": estimate.needed,
-        "curve": _curve(diagnosis, estimate, regime),
+        "curve": _curve(diagnosis, estimate, motion, regime),
     }
     if shape.other is not None:
         out["from"] = _joint(diagnosis, shape.other)
@@ -145,12 +149,13 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
     return out
 
 
-def _curve(diagnosis: Diagnosis, estimate: EffectEstimate, regime: str) -> dict[str, Any] | None:
+def _curve(
+    diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows, regime: str
+) -> dict[str, Any] | None:
     """Torque of an effect of the model over the quantity on which it depends."""
     if not estimate.needed:
         return None
-    rows = motion_rows.motion_rows(diagnosis.model.motions)
-    curve = effect_curves.effect_curve(diagnosis.model, estimate, rows, regime)
+    curve = effect_curves.effect_curve(diagnosis.model, estimate, motion, regime)
     if curve is None:
         return None
     return {

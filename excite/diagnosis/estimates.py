@@ -15,8 +15,8 @@ from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
 from ..effects.effect import CandidateModel
 from . import joint_model, posterior, probability
-from .joint_model import JointModel
-from .posterior import MIN_SEVERITY, EffectEvidence
+from .joint_model import FRICTIONS, JointModel
+from .posterior import MIN_SEVERITY, EffectEvidence, Key
 from .regression import Solution
 from .selection import RareEffect
 from .unmodelled import UnmodelledTorque
@@ -38,8 +38,6 @@ ALIKE_CORRELATION = -0.6
 """Posterior correlation of the torques of two effects below which one may stand for the other."""
 PERCENTILES = (15.87, 84.13)
 """Percentiles of the normal distribution one standard deviation below and above the mean."""
-FRICTIONS = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction")
-"""Frictions that any joint may have."""
 QUANTILE = 1.645
 """Quantile of the normal distribution of a 90 % interval."""
 
@@ -95,7 +93,7 @@ def estimate_effects(
     left_out: Collection[int],
     evidence: Sequence[EffectEvidence],
 ) -> list[EffectEstimate]:
-    """Estimate all effects of a joint model, the most probable first.
+    """Estimate all effects of a joint model.
 
     Args:
         model: The joint model.
@@ -105,14 +103,13 @@ def estimate_effects(
     """
     posterior_of = _Posterior(model, model.regression.without(left_out))
     clock = _clock_delay(posterior_of)
-    probabilities = posterior.probabilities(model, evidence)
+    probabilities = posterior.probabilities(model.n, evidence)
     likeness = _likeness(posterior_of, evidence, left_out)
     out = []
     for entry in evidence:
         needed = not set(entry.effects) <= set(left_out)
-        rivals = next((r for r in rare if r.key == (entry.name, entry.joint)), None)
-        unique = float((entry.severity / model.regression.sigma).max())
-        present = probabilities[entry.name, entry.joint]
+        rivals = next((r for r in rare if r.key == entry.key), None)
+        present = probabilities[entry.key]
         equivalents: tuple[str, ...] = ()
         draws = posterior_of.draws(entry.effects) if needed else None
         severity, interval, parameters = 0.0, (0.0, 0.0), {}
@@ -122,7 +119,7 @@ def estimate_effects(
             std = float(np.hypot(posterior_of.relative_std(entry.effects), form))
             interval = _interval(severity, std)
             parameters = posterior_of.parameters(entry.effects, draws)
-            equivalents = likeness.get((entry.name, entry.joint), ())
+            equivalents = likeness.get(entry.key, ())
         if rivals is not None:
             share, names = rivals.share()
             present *= share
@@ -145,13 +142,13 @@ def estimate_effects(
                 entry.log_bayes_factor,
                 severity,
                 interval,
-                unique,
+                entry.size,
                 parameters,
                 equivalents,
                 needed,
             )
         )
-    return sorted([*out, *clock], key=lambda e: (-e.probability, -e.log_bayes_factor))
+    return [*out, *clock]
 
 
 def _same_by_definition(
@@ -170,7 +167,8 @@ def with_unmodelled(
     model: JointModel,
     unmodelled: Sequence[UnmodelledTorque],
 ) -> list[EffectEstimate]:
-    """Return estimates whose probabilities take account of torque that no effect explains.
+    """Return estimates whose probabilities take account of torque that no effect explains, the most
+    probable first.
 
     Where torque of size u remains at a joint, a rare effect that explains torque of size s beyond
     all others may stand for a part of the same unnamed thing: its probability is multiplied by
@@ -202,12 +200,12 @@ def _interval(severity: float, relative: float) -> tuple[float, float]:
 
 def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     """The delay of the clock."""
-    model, seconds = of.model, float(of.model.delays[0])
+    model, seconds = of.model, of.model.delay
     if not seconds:
         return []
     factor, std = joint_model.delay_evidence(model, seconds)
     change = np.zeros(len(of.solution.coefficients))
-    change[len(model.free) + model.n] = seconds
+    change[model.delay_place] = seconds
     severity = of.severity_of(change)
     relative = float(np.hypot(std / abs(seconds), FORM_STD))
     present = float(probability.rare_probability(factor, severity))
@@ -239,7 +237,7 @@ class _Posterior:
         self.active = np.flatnonzero(solution.active)
         p = regression.base_count
         weighted = solution.information - regression.prior_matrix
-        base = np.delete(np.arange(p), len(model.free) + model.n)  # all but the delay
+        base = np.delete(np.arange(p), model.delay_place)
         self._base = base
         self._weighted = weighted
         a = weighted[np.ix_(base, base)] + 1e-9 * np.diag(np.diag(weighted)[base] + 1e-300)
@@ -329,7 +327,7 @@ class _Posterior:
             if shape.nonlinear is not None and log:
                 factor = float(np.exp(np.clip(log, -MAX_LOG_CHANGE, MAX_LOG_CHANGE)))
                 moved = shape.nonlinear.model(shape.nonlinear.value * factor)
-            cloud.append(moved.parameters(changed[: len(c) - shape.form_columns]))
+            cloud.append(moved.parameters(shape.plain(changed)))
         form = EFFECTS_BY_NAME[shape.effect].form_std
         out = {}
         for key, value in values.items():
@@ -375,12 +373,12 @@ class _Posterior:
 
 def _likeness(
     of: _Posterior, evidence: Sequence[EffectEvidence], left_out: Collection[int]
-) -> dict[tuple[str, int | None], tuple[str, ...]]:
+) -> dict[Key, tuple[str, ...]]:
     """Names of effects at the same joint that may stand for each effect of the model."""
     needed = [
         e for e in evidence if not set(e.effects) <= set(left_out) and len(of.places(e.effects))
     ]
-    out: dict[tuple[str, int | None], tuple[str, ...]] = {}
+    out: dict[Key, tuple[str, ...]] = {}
     for first in needed:
         a = of.places(first.effects)
         variance = float(np.sum(of.covariance(a, a) * of.projected(a, a)))
@@ -393,5 +391,5 @@ def _likeness(
             shared = float(np.sum(of.covariance(a, b) * of.projected(a, b)))
             if shared < ALIKE_CORRELATION * np.sqrt(max(variance * other, 1e-300)):
                 names.append(second.name)
-        out[first.name, first.joint] = tuple(names)
+        out[first.key] = tuple(names)
     return out

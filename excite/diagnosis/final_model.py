@@ -16,8 +16,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from .._types import FloatArray
-from ..effects import EFFECTS_BY_NAME, delay, recorded_motion
+from ..effects import delay, recorded_motion
 from ..effects.effect import CandidateModel
+from ..effects.form_error import without_form_error
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency, identification, identified_model
 from ..identification.identification import Identification
@@ -25,7 +26,7 @@ from ..recordings import Recording
 from . import fitted_effects, joint_model
 from .fitted_effects import FittedEffect
 from .joint_model import JointModel, model_columns
-from .regression import JointRegression, Solution, independent_share, rms
+from .regression import JointRegression, independent_share, rms
 
 
 @dataclass(frozen=True)
@@ -35,19 +36,15 @@ class FinalModel:
     Attributes:
         identified: The base model, fitted without the torque of the effects.
         motions: The fitted motions, with that base model and with torque moved by the delays.
-        effects: The effects in the order of `places`, without a delay of the clock.
-        places: Numbers of the effects in the joint model.
-        regression: Regression of the coefficients.
-        solution: Its solution at the parameters of the base model.
+        effects: The effects, without a delay of the clock.
+        regression: Regression of their coefficients at the parameters of the base model.
         delay: Delay of the clock [s].
     """
 
     identified: Identification
     motions: tuple[RecordedMotion, ...]
     effects: tuple[FittedEffect, ...]
-    places: tuple[int, ...]
     regression: JointRegression
-    solution: Solution
     delay: float
 
     @property
@@ -69,19 +66,6 @@ class FinalModel:
         return out
 
 
-def without_form_error(model: CandidateModel) -> CandidateModel:
-    """Return a model without the discrepancy of its form."""
-    if not model.form_columns:
-        return model
-    kept = model.nonnegative[: -model.form_columns]
-    return dataclasses.replace(
-        model,
-        torque_columns=EFFECTS_BY_NAME[model.effect].torque_columns,
-        nonnegative=kept,
-        form_columns=0,
-    )
-
-
 def fit(
     identified: Identification,
     model: JointModel,
@@ -99,16 +83,14 @@ def fit(
         progress: Called with each line of progress.
     """
     solution = model.regression.without(left_out)
-    places = tuple(
-        i
-        for i, part in enumerate(model.regression.slices)
+    shapes = [
+        without_form_error(shape)
+        for i, (shape, part) in enumerate(zip(model.models, model.regression.slices, strict=True))
         if i not in left_out and solution.coefficients[part].any()
-    )
-    shapes = [without_form_error(model.models[i]) for i in places]
-    first = _regression(identified, model, model.motions, shapes, None)
-    effects = _fitted(shapes, first, first.solution)
-    clock = float(model.delays[0]) if len(model.delays) else 0.0
-    cleaned = [_cleaned(effects, clock, recording, model.motions) for recording in recordings]
+    ]
+    first = _with_effects(model.regression.base_only(), model, model.motions, shapes)
+    effects = _fitted(shapes, first)
+    cleaned = [_cleaned(effects, recording, model.motions) for recording in recordings]
     refitted = identification.identify(
         identified.model.robot,
         identified.model.parameters,
@@ -123,39 +105,28 @@ def fit(
     for new, old in zip(motions, model.motions, strict=True):
         for name in ("motor_torque", "measured_torque"):
             new.cache[name] = old.cache[name]
-    regression = _regression(identified, model, motions, shapes, psi)
-    final = regression.solution
+    torque = np.concatenate([motion.residual for motion in motions])
+    fixed_base = JointRegression.of_base(
+        torque,
+        model.regression.moving,
+        np.zeros((*torque.shape, 0)),
+        (np.zeros(0), np.zeros((0, 0))),
+        model.regression.sigma,
+        model.regression.independent_share,
+    )
+    regression = _with_effects(fixed_base, model, motions, shapes)
     return FinalModel(
-        refitted,
-        tuple(motions),
-        _fitted(shapes, regression, final),
-        places,
-        regression,
-        final,
-        clock,
+        refitted, tuple(motions), _fitted(shapes, regression), regression, model.delay
     )
 
 
-def _regression(
-    identified: Identification,
+def _with_effects(
+    regression: JointRegression,
     model: JointModel,
     motions: Sequence[RecordedMotion],
     shapes: Sequence[CandidateModel],
-    psi: FloatArray | None,
 ) -> JointRegression:
-    """Regression of some effects, jointly with the base model, or at its given parameters."""
-    if psi is None:
-        regression = model.regression.base_only()
-    else:
-        torque = np.concatenate([motion.residual for motion in motions])
-        regression = JointRegression.of_base(
-            torque,
-            model.regression.moving,
-            np.zeros((*torque.shape, 0)),
-            (np.zeros(0), np.zeros((0, 0))),
-            model.regression.sigma,
-            model.regression.independent_share,
-        )
+    """Add the columns of some effects to a regression."""
     for shape in shapes:
         columns = model_columns(shape, motions, model.level)
         assert columns is not None  # they were not zero in the joint model
@@ -164,17 +135,17 @@ def _regression(
 
 
 def _fitted(
-    shapes: Sequence[CandidateModel], regression: JointRegression, solution: Solution
+    shapes: Sequence[CandidateModel], regression: JointRegression
 ) -> tuple[FittedEffect, ...]:
+    """Effects with the coefficients of a regression."""
     return tuple(
-        FittedEffect(shape, np.asarray(solution.coefficients[part]))
+        FittedEffect(shape, np.asarray(regression.solution.coefficients[part]))
         for shape, part in zip(shapes, regression.slices, strict=True)
     )
 
 
 def _cleaned(
     effects: Sequence[FittedEffect],
-    clock: float,
     recording: Recording,
     motions: Sequence[RecordedMotion],
 ) -> Recording:
@@ -188,28 +159,33 @@ def _cleaned(
     return dataclasses.replace(recording, tau=tau)
 
 
-def effect_torques(
-    final: FinalModel, motions: Sequence[RecordedMotion]
-) -> tuple[list[RecordedMotion], list[FloatArray]]:
-    """Return the torque of each saved effect along motions.
+def renewed(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[RecordedMotion]:
+    """Return motions with the saved base model.
 
     Args:
         final: The model.
         motions: Motions with any base model.
-
-    Returns:
-        The motions with this base model, and torque of shape (N, n) of each effect [N m].
     """
-    psi = joint_model.initial_parameters(final.identified)
-    renewed = joint_model.renewed(final.identified, motions, psi, final.identified.model.widths)
+    identified = final.identified
+    psi = joint_model.initial_parameters(identified)
+    return joint_model.renewed(identified, motions, psi, identified.model.widths)
+
+
+def effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
+    """Return the torque of each saved effect along motions, shapes (N, n) [N m].
+
+    Args:
+        final: The model.
+        motions: Motions with the saved base model.
+    """
     out = []
     for effect in final.effects:
-        columns = np.concatenate([effect.shape.columns(motion) for motion in renewed])
+        columns = np.concatenate([effect.shape.columns(motion) for motion in motions])
         out.append(np.asarray(columns @ effect.coefficients))
     if len(final.saved_effects) > len(final.effects):
-        total = np.concatenate([m.gamma @ m.theta for m in renewed]) + sum(out, np.zeros(1))
-        out.append(_delayed(final, renewed, total) - total)
-    return renewed, out
+        total = np.concatenate([m.gamma @ m.theta for m in motions]) + sum(out, np.zeros(1))
+        out.append(_delayed(final, motions, total) - total)
+    return out
 
 
 def absorbed_parameters(
@@ -225,7 +201,7 @@ def absorbed_parameters(
     Returns:
         Base parameters, shape (p,), for each effect.
     """
-    torques = effect_torques(final, final.motions)[1]
+    torques = effect_torques(final, final.motions)
     gamma = np.concatenate([motion.gamma for motion in motions])
     residual = np.concatenate([motion.residual for motion in motions])
     moving = final.regression.moving

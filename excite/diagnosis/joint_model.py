@@ -80,8 +80,13 @@ MIN_WAVE_ROWS = 0.05
 """Smallest share of rows in which a wave lies below the cutoff frequency."""
 MIN_WAVES = 3.0
 """Periods over the range of a joint from which a torque counts as periodic."""
-DENSE_EFFECTS = (stribeck, nonlinear_viscous, hysteresis, load_friction)
-"""Frictions that are fitted at every joint."""
+FRICTIONS = {
+    "stribeck": stribeck,
+    "nonlinear_viscous": nonlinear_viscous,
+    "hysteresis": hysteresis,
+    "load_friction": load_friction,
+}
+"""Frictions that are fitted at every joint: name and module with its `dense_model`."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +94,10 @@ class JointModel:
     """A fitted joint model.
 
     Attributes:
-        motions: Recorded motions, with the base model and with the torque moved by the delays.
+        motions: Recorded motions, with the base model and with the torque moved by the delay.
         models: Effects in the order of the regression.
         regression: The regression.
-        delays: Time by which the torque of each joint is recorded late, shape (n,) [s].
+        delay: Time by which all torque is recorded late [s].
         level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
         psi: Standard parameters, shape (P,).
         free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
@@ -102,7 +107,7 @@ class JointModel:
     motions: tuple[RecordedMotion, ...]
     models: tuple[CandidateModel, ...]
     regression: JointRegression
-    delays: FloatArray
+    delay: float
     level: FloatArray
     psi: FloatArray
     free: IntArray
@@ -112,6 +117,16 @@ class JointModel:
     def n(self) -> int:
         """Number of joints."""
         return self.motions[0].n
+
+    @property
+    def delay_place(self) -> int:
+        """Place of the delay among the coefficients: after base parameters and widths."""
+        return len(self.free) + self.n
+
+    @property
+    def session_places(self) -> slice:
+        """Places of the changes between recordings, the last coefficients of the base model."""
+        return slice(self.delay_place + 1, self.regression.base_count)
 
     @property
     def solution(self) -> Solution:
@@ -141,23 +156,15 @@ def model_columns(
     if not np.isfinite(torque).all() or not np.abs(torque).max(initial=0.0) > 1e-9:
         return None
     k = torque.shape[2]
-    std = model.prior_std
-    if std is None:
-        std = float(np.max(level) if model.joint is None else level[model.joint])
-        # coefficients in units of their own: a column of unit RMS has the friction level
-        size = np.sqrt(np.mean(torque**2, axis=(0, 1)) * torque.shape[1])
-        prior = (
-            std / np.maximum(size, 1e-3 * size.max())
-            if not any(model.nonnegative)
-            else np.full(k, std)
-        ) * np.array(
-            (
-                *(model.prior_shares or (1.0,) * (k - model.form_columns)),
-                *(1.0,) * model.form_columns,
-            )
-        )
+    if model.prior_std is not None:
+        prior = np.full(k, model.prior_std)
     else:
-        prior = np.full(k, std) * np.array(model.prior_shares or (1.0,) * k)
+        prior = np.full(k, float(np.max(level) if model.joint is None else level[model.joint]))
+        if not any(model.nonnegative):
+            # coefficients in units of their own: a column of unit RMS has the friction level
+            size = np.sqrt(np.mean(torque**2, axis=(0, 1)) * torque.shape[1])
+            prior /= np.maximum(size, 1e-3 * size.max())
+    prior[: len(model.prior_shares)] *= model.prior_shares
     if model.form_columns:
         prior[-model.form_columns :] = RELATIVE_STD
     nonnegative = np.array(model.nonnegative or (False,) * k)
@@ -166,7 +173,9 @@ def model_columns(
 
 def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
     """Return the friction models of every joint."""
-    return [effect.dense_model(motions, j) for j in range(motions[0].n) for effect in DENSE_EFFECTS]
+    return [
+        effect.dense_model(motions, j) for j in range(motions[0].n) for effect in FRICTIONS.values()
+    ]
 
 
 def fit(
@@ -184,17 +193,17 @@ def fit(
     coulomb = _coulomb_columns(identified)
     psi, widths = initial_parameters(identified), identified.model.widths
     recorded = [motion.segment.torque for motion in motions]
-    delays = np.zeros(motions[0].n)
+    delay = 0.0
     waves: list[CandidateModel] = []
     weights: tuple[FloatArray, float] | None = None
     for step in range(ROUNDS):
         present = [
-            motion.with_torque(_moved(motion, torque, delays))
+            motion.with_torque(_moved(motion, torque, delay))
             for motion, torque in zip(motions, recorded, strict=True)
         ]
         current = renewed(identified, present, psi, widths, coulomb)
         fitted = _fit_round(
-            identified, current, [*dense_models(current), *rare, *waves], delays, psi, weights
+            identified, current, [*dense_models(current), *rare, *waves], delay, psi, weights
         )
         weights = fitted.regression.sigma, fitted.regression.independent_share
         if step == ROUNDS - 1:
@@ -202,11 +211,11 @@ def fit(
                 motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
             break
         x = fitted.solution.coefficients
-        p, n = len(fitted.free), fitted.n
-        delays = delays + x[p + n]
-        if not _is_probable(fitted, float(delays[0])):
-            delays = np.zeros(n)
-        widths = widths * np.exp(np.clip(x[p : p + n], -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
+        delay += float(x[fitted.delay_place])
+        if delay_evidence(fitted, delay)[0] <= MIN_DELAY_EVIDENCE:
+            delay = 0.0
+        width_steps = x[len(fitted.free) : fitted.delay_place]
+        widths = widths * np.exp(np.clip(width_steps, -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
         psi = consistent_parameters(identified, fitted)
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
@@ -225,16 +234,11 @@ def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
         seconds: The delay d [s].
     """
     place = np.zeros((int(np.count_nonzero(fitted.solution.active)), 1))
-    place[len(fitted.free) + fitted.n] = 1.0  # all base coefficients are active
-    square = float(fitted.solution.solve(place)[len(fitted.free) + fitted.n, 0])
+    place[fitted.delay_place] = 1.0  # all base coefficients are active
+    square = float(fitted.solution.solve(place)[fitted.delay_place, 0])
     information = max(1.0 / square - 1.0 / MAX_DELAY_STEP**2, 0.0)
     factor = 0.5 * information * seconds**2 - 0.5 * np.log1p(information * MAX_DELAY_STEP**2)
     return float(factor), float(np.sqrt(square))
-
-
-def _is_probable(fitted: JointModel, seconds: float) -> bool:
-    """Tell whether a delay of the clock is more probable than not."""
-    return delay_evidence(fitted, seconds)[0] > MIN_DELAY_EVIDENCE
 
 
 def modelled_torque(model: JointModel) -> list[FloatArray]:
@@ -262,7 +266,7 @@ def _fit_round(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     models: Sequence[CandidateModel],
-    delays: FloatArray,
+    delay: float,
     psi: FloatArray,
     weights: tuple[FloatArray, float] | None,
 ) -> JointModel:
@@ -289,7 +293,7 @@ def _fit_round(
             regression.add(columns)
             kept.append(model)
     reweight(regression)
-    return JointModel(tuple(motions), tuple(kept), regression, delays, level, psi, free, known)
+    return JointModel(tuple(motions), tuple(kept), regression, delay, level, psi, free, known)
 
 
 def reweight(regression: JointRegression) -> None:
@@ -404,17 +408,12 @@ def renewed(
     return [m.with_base_model(robot, widths, model.base.matrix @ psi, columns) for m in motions]
 
 
-def _moved(motion: RecordedMotion, torque: FloatArray, delays: FloatArray) -> FloatArray:
+def _moved(motion: RecordedMotion, torque: FloatArray, delay: float) -> FloatArray:
     """Return the torque of a motion at earlier times, shape (M, n) [N m]."""
-    if not delays.any():
+    if not delay:
         return torque
     t = motion.times
-    return np.column_stack(
-        [
-            CubicSpline(t, x)(np.clip(t + d, t[0], t[-1]))
-            for x, d in zip(torque.T, delays.tolist(), strict=True)
-        ]
-    )
+    return np.asarray(CubicSpline(t, torque)(np.clip(t + delay, t[0], t[-1])))
 
 
 def consistent_parameters(identified: Identification, fitted: JointModel) -> FloatArray:

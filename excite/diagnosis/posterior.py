@@ -18,11 +18,13 @@ import numpy as np
 
 from .._types import FloatArray
 from . import probability
-from .joint_model import JointModel
+from .joint_model import FRICTIONS, JointModel
 from .regression import JointRegression, Solution, rms
 
-DENSE_NAMES = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction", "torque_ripple")
+DENSE_NAMES = (*FRICTIONS, "torque_ripple")
 """Effects that the joint model has from the start."""
+Key = tuple[str, int | None]
+"""Name of an effect and index of its joint; None for an effect of no single joint."""
 MIN_SEVERITY = 0.3
 """Growth of the residual without an effect, over the noise, from which it counts."""
 
@@ -37,6 +39,7 @@ class EffectEvidence:
         joint: Index of the joint; None for an effect of no single joint.
         log_bayes_factor: Of the model with it over the model without.
         severity: Growth of the RMS residual of each joint without it [N m], shape (n,).
+        size: The largest of them over the residual of its joint [1].
     """
 
     effects: tuple[int, ...]
@@ -44,11 +47,24 @@ class EffectEvidence:
     joint: int | None
     log_bayes_factor: float
     severity: FloatArray
+    size: float
+
+    @property
+    def key(self) -> Key:
+        """Effect and joint."""
+        return self.name, self.joint
+
+    @property
+    def is_needed(self) -> bool:
+        """True if the effect is more probable than not, and large enough to matter."""
+        if self.name in DENSE_NAMES:
+            return self.log_bayes_factor > 0.0 and self.size > MIN_SEVERITY
+        return _rare_probability(self) > 0.5
 
 
-def effect_groups(model: JointModel) -> dict[tuple[str, int | None], tuple[int, ...]]:
+def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
     """Return the regression's effects by name and joint."""
-    groups: dict[tuple[str, int | None], tuple[int, ...]] = {}
+    groups: dict[Key, tuple[int, ...]] = {}
     for i, m in enumerate(model.models):
         groups[m.effect, m.joint] = (*groups.get((m.effect, m.joint), ()), i)
     return groups
@@ -68,37 +84,29 @@ def log_evidence(regression: JointRegression, solution: Solution) -> float:
     )
 
 
-def is_needed(model: JointModel, evidence: EffectEvidence) -> bool:
-    """Tell whether an effect of a model is more probable than not, and large enough to matter."""
-    size = float((evidence.severity / model.regression.sigma).max())
-    if evidence.name in DENSE_NAMES:
-        return evidence.log_bayes_factor > 0.0 and size > MIN_SEVERITY
-    return float(probability.rare_probability(evidence.log_bayes_factor, size)) > 0.5
-
-
-def probabilities(
-    model: JointModel, evidence: Sequence[EffectEvidence]
-) -> dict[tuple[str, int | None], float]:
+def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, float]:
     """Return the probability of every effect; the odds of frictions are shared over the joints.
 
     Args:
-        model: The joint model.
-        evidence: Evidence of all its effects.
+        n: Number of joints.
+        evidence: Evidence of all effects of a joint model.
     """
     out = {}
     for e in evidence:
         if e.name not in DENSE_NAMES:
-            size = float((e.severity / model.regression.sigma).max())
-            out[e.name, e.joint] = float(probability.rare_probability(e.log_bayes_factor, size))
+            out[e.key] = _rare_probability(e)
     for name in DENSE_NAMES:
         members = [e for e in evidence if e.name == name]
-        factors = np.full(model.n, -np.inf)
+        factors = np.full(n, -np.inf)
         factors[: len(members)] = [e.log_bayes_factor for e in members]
         odds = probability.shared_log_odds(factors)
         for e in members:
-            p = probability.friction_probability(e.log_bayes_factor, odds)
-            out[e.name, e.joint] = float(p)
+            out[e.key] = float(probability.friction_probability(e.log_bayes_factor, odds))
     return out
+
+
+def _rare_probability(evidence: EffectEvidence) -> float:
+    return float(probability.rare_probability(evidence.log_bayes_factor, evidence.size))
 
 
 def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
@@ -120,12 +128,8 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     }
     out: list[EffectEvidence] = []
     while evidence:
-        present = probabilities(model, [*evidence.values(), *out])
-        unneeded = [
-            k
-            for k, e in evidence.items()
-            if present[k] < 0.5 or float((e.severity / regression.sigma).max()) < MIN_SEVERITY
-        ]
+        present = probabilities(model.n, [*evidence.values(), *out])
+        unneeded = [k for k, e in evidence.items() if present[k] < 0.5 or e.size < MIN_SEVERITY]
         if not unneeded:
             break
         key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
@@ -145,7 +149,7 @@ def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:
 
 def evidence_of(
     model: JointModel,
-    key: tuple[str, int | None],
+    key: Key,
     members: tuple[int, ...],
     left_out: Collection[int],
     current: Solution,
@@ -154,9 +158,10 @@ def evidence_of(
     regression = model.regression
     places = np.concatenate([np.arange(len(current.active))[regression.slices[e]] for e in members])
     if not current.coefficients[places].any():
-        return EffectEvidence(members, key[0], key[1], -np.inf, np.zeros(model.n))
+        return EffectEvidence(members, *key, -np.inf, np.zeros(model.n), 0.0)
     reduced = regression.without([*left_out, *members])
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
     before, after = (rms(regression.residual(s), regression.moving) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
-    return EffectEvidence(members, key[0], key[1], factor, severity)
+    size = float((severity / regression.sigma).max())
+    return EffectEvidence(members, *key, factor, severity, size)

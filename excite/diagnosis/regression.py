@@ -361,16 +361,6 @@ class JointRegression:
         change = -solution.solve(cross)
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
 
-    def torque_of(self, effect: int, joint: int, solution: Solution | None = None) -> FloatArray:
-        """Return the torque of an effect on a joint, shape (N,) [N m]."""
-        x, gram, part = (
-            (solution or self.solution).coefficients,
-            self._grams[joint],
-            self.slices[effect],
-        )
-        of_effect = (gram.places >= part.start) & (gram.places < part.stop)
-        return np.asarray(gram.columns[:, of_effect] @ x[gram.places[of_effect]])
-
     def joints_of(self, effect: int) -> list[int]:
         """Return the joints on which an effect acts."""
         part = self.slices[effect]

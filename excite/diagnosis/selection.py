@@ -19,7 +19,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
 from .joint_model import JointModel
-from .posterior import DENSE_NAMES
+from .posterior import DENSE_NAMES, Key
 from .regression import CandidateFit, Columns
 
 MAX_RARE_EFFECTS = 8
@@ -35,12 +35,8 @@ RANKING_SHARE = 0.25
 """Share of independent rows in the residual of a complete model, at least."""
 MAX_REJECTIONS = 3
 """Candidates that are tried in vain before the search ends."""
-
-
 EQUIVALENT_SHARE = 0.05
 """Probability over that of the chosen effect from which another one is its equivalent."""
-Key = tuple[str, int | None]
-"""Effect and index of its joint."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +99,7 @@ class Candidate:
     model: CandidateModel
     columns: Columns
     fit: CandidateFit
-
-    share: float = 1.0
+    share: float
 
     @property
     def evidence(self) -> float:
@@ -112,6 +107,23 @@ class Candidate:
         precision = 1.0 / self.columns.prior_std**2
         occam = np.linalg.slogdet(self.fit.information / np.sqrt(np.outer(precision, precision)))[1]
         return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - 0.5 * float(occam)
+
+    @property
+    def is_plausible(self) -> bool:
+        """True if its coefficients are physically possible."""
+        return self.model.is_plausible(self.fit.coefficients)
+
+    @classmethod
+    def of(cls, joint: JointModel, model: CandidateModel, columns: Columns) -> Candidate:
+        """Return a candidate fitted on top of a joint model.
+
+        Args:
+            joint: The joint model.
+            model: The candidate.
+            columns: Its columns.
+        """
+        regression = joint.regression
+        return cls(model, columns, regression.candidate(columns), regression.independent_share)
 
 
 class CandidateColumns:
@@ -122,7 +134,7 @@ class CandidateColumns:
     """
 
     def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
-        self.shapes: dict[tuple[str, int | None], list[tuple[CandidateModel, Columns]]] = {}
+        self.shapes: dict[Key, list[tuple[CandidateModel, Columns]]] = {}
         torque = np.concatenate([motion.torque for motion in model.motions])
         noise_ratio = model.regression.sigma / np.maximum(torque.std(axis=0), 1e-300)
         for effect in EFFECTS:
@@ -131,8 +143,6 @@ class CandidateColumns:
             if names and effect.name not in names:
                 continue
             for shape in effect.candidates(model.motions):
-                if effect.name == "delay" and shape.joint is None:
-                    continue  # part of the joint model
                 if shape.joint is not None and noise_ratio[shape.joint] > shape.max_noise_ratio:
                     continue
                 columns = model.columns(shape)
@@ -146,11 +156,8 @@ class CandidateColumns:
 
         The evidence is that of one effect whose shape is one of those tried, each as likely.
         """
-        scored = []
-        for shape, columns in self.shapes[key]:
-            fit = model.regression.candidate(columns)
-            if shape.is_plausible(fit.coefficients):
-                scored.append(Candidate(shape, columns, fit, model.regression.independent_share))
+        fitted = (Candidate.of(model, shape, columns) for shape, columns in self.shapes[key])
+        scored = [candidate for candidate in fitted if candidate.is_plausible]
         if not scored:
             return None
         best = max(scored, key=lambda c: c.evidence)
@@ -162,29 +169,22 @@ class CandidateColumns:
 
 def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     """Return a candidate for the present joint model, with its nonlinear parameters optimised."""
-    current = model.columns(candidate.model)
-    if current is None:
-        return candidate
-    share = model.regression.independent_share
-    candidate = Candidate(candidate.model, current, model.regression.candidate(current), share)
-    if candidate.model.nonlinear is None:
-        return candidate
+
+    def fitted(shape: CandidateModel) -> Candidate | None:
+        columns = model.columns(shape)
+        return None if columns is None else Candidate.of(model, shape, columns)
 
     def gain(shape: CandidateModel) -> float:
-        columns = model.columns(shape)
-        if columns is None:
-            return -np.inf
-        fit = model.regression.candidate(columns)
-        return fit.gain if shape.is_plausible(fit.coefficients) else -np.inf
+        trial = fitted(shape)
+        return trial.fit.gain if trial is not None and trial.is_plausible else -np.inf
 
-    shape = candidate.model.nonlinear.optimised(gain)
-    columns = model.columns(shape)
-    if columns is None:
-        return candidate
-    fit = model.regression.candidate(columns)
-    if not shape.is_plausible(fit.coefficients) or fit.gain < candidate.fit.gain:
-        return candidate
-    return Candidate(shape, columns, fit, share)
+    current = fitted(candidate.model)
+    if current is None or current.model.nonlinear is None:
+        return current or candidate
+    best = fitted(current.model.nonlinear.optimised(gain))
+    if best is None or not best.is_plausible or best.fit.gain < current.fit.gain:
+        return current
+    return best
 
 
 def find_rare_effects(
@@ -245,13 +245,12 @@ def find_rare_effects(
             groups = posterior.effect_groups(extended)
             if key in groups:
                 result = posterior.evidence_of(extended, key, groups[key], (), extended.solution)
-                severity = float((result.severity / extended.regression.sigma).max())
                 progress(
                     f"{key[0]}, joint {key[1]}: log Bayes factor {result.log_bayes_factor:.1f}, "
-                    f"severity {severity:.2f}"
+                    f"severity {result.size:.2f}"
                 )
                 if (
-                    posterior.is_needed(extended, result)
+                    result.is_needed
                     and _is_plausible(extended, groups[key])
                     and cross_validation.pays(extended, groups[key])
                 ):
@@ -268,9 +267,5 @@ def find_rare_effects(
 
 def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:
     """Tell whether fitted coefficients are physically possible."""
-    plain = [
-        (shape, model.coefficients(e)[: len(model.coefficients(e)) - shape.form_columns])
-        for e in effects
-        for shape in (model.models[e],)
-    ]
-    return all(shape.is_plausible(c) for shape, c in plain)
+    shapes = ((model.models[e], model.coefficients(e)) for e in effects)
+    return all(shape.is_plausible(shape.plain(c)) for shape, c in shapes)

@@ -33,11 +33,6 @@ WALD_THRESHOLD = 20.0
 it twice in ten thousand times."""
 MIN_SHARE = 0.1
 """Share of the residual's mean square that a change must explain to be reported."""
-EXPERIMENT = (
-    "the same warm-up before every recording, or temp.<joint> recorded; then the first motion "
-    "once more at the end"
-)
-"""Experiment that tells a session change from friction that drifts."""
 
 
 @dataclass(frozen=True)

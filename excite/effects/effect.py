@@ -73,6 +73,14 @@ class CandidateModel:
         """
         return self.torque_columns(motion, self)
 
+    def plain(self, c: FloatArray) -> FloatArray:
+        """Return coefficients without those of the discrepancy of its form.
+
+        Args:
+            c: Coefficients, shape (k,).
+        """
+        return c[: len(c) - self.form_columns]
+
     @property
     def joint_index(self) -> int:
         """Index of the joint, of a model that has one."""

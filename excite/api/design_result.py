@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from .. import _json, recordings
-from .._system.output_files import output_files, output_folder
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..collision import clearance_builder, scene_file
@@ -50,6 +49,7 @@ from . import identification_result
 from .discriminating_design import DiagnosisQuestions, read_questions
 from .identification_result import reference_samples, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
+from .saved_result import SavedResult
 from .task_design import TaskDesign, read_task
 
 MOTION_FILES = ("trajectory.json", "trajectory.csv")
@@ -110,7 +110,7 @@ class CellOptions:
 
 
 @dataclass(frozen=True)
-class DesignResult:
+class DesignResult(SavedResult):
     """A designed motion with its certificate and its identifiability analysis.
 
     Attributes:
@@ -124,6 +124,8 @@ class DesignResult:
         task_design: Task that the motion was designed for; None without.
         questions: Explanations that the motion was designed to tell apart; None without.
     """
+
+    FILES = DESIGN_FILES
 
     delivery: pipeline.CertifiedDesign
     robot: Robot
@@ -241,26 +243,6 @@ class DesignResult:
             discrimination=self.discrimination,
             isolability=self.isolability,
         )
-
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write `trajectory.json`, `trajectory.csv`, `identifiability.json` and `report.html`.
-
-        Returns:
-            The paths of the files.
-
-        Raises:
-            UnusableInput: The files cannot be written.
-        """
-        return output_folder(Path(folder), DESIGN_FILES).replace(self.contents())
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report alone; return its path.
-
-        Raises:
-            UnusableInput: The file cannot be written.
-        """
-        path = Path(path)
-        return output_files(path).replace({path.name: self.html()})[0]
 
     @cached_property
     def payload(self) -> PayloadDeviation | None:

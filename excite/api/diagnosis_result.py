@@ -12,7 +12,6 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from .. import _json
-from .._system.output_files import output_files, output_folder
 from .._system.progress import Progress, logger
 from ..diagnosis import diagnosis
 from ..diagnosis.diagnosis_file import document as diagnosis_document
@@ -30,13 +29,14 @@ from .identification_result import (
     robot_of_torque,
 )
 from .robots import RobotSource, load_robot, resolve_limits
+from .saved_result import SavedResult
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
 """Files of a diagnosis."""
 
 
 @dataclass(frozen=True)
-class DiagnosisResult:
+class DiagnosisResult(SavedResult):
     """Effects that a recording shows beyond the base model.
 
     Attributes:
@@ -45,6 +45,8 @@ class DiagnosisResult:
         validation: Held-out recordings.
         with_report: True if a report is written.
     """
+
+    FILES = DIAGNOSIS_FILES
 
     diagnosis: diagnosis.Diagnosis
     recordings: tuple[Recording, ...]
@@ -99,23 +101,6 @@ class DiagnosisResult:
             "model.json": _json.dumps(self.model()),
         }
         return out | ({"report.html": self.html()} if self.with_report else {})
-
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write `diagnosis.json`, `model.json` and `report.html`; return their paths.
-
-        Raises:
-            UnusableInput: The files cannot be written.
-        """
-        return output_folder(Path(folder), DIAGNOSIS_FILES).replace(self.contents())
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report alone; return its path.
-
-        Raises:
-            UnusableInput: The file cannot be written.
-        """
-        path = Path(path)
-        return output_files(path).replace({path.name: self.html()})[0]
 
     def __repr__(self) -> str:
         robot, document = self.diagnosis.identified.model.robot, self._document

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .. import _json, recordings
-from .._system.output_files import output_files, output_folder
+from .._system.output_files import output_files
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..designer import identifiability
@@ -38,6 +38,7 @@ from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
 from ..trajectory import trajectory_file
 from .robots import RobotSource, load_robot, resolve_limits
+from .saved_result import SavedResult
 
 IDENTIFICATION_FILES = ("model.json", "identified.urdf", "report.html")
 """Files of an identification."""
@@ -48,7 +49,7 @@ TrajectorySources = str | Path | Sequence[str | Path]
 
 
 @dataclass(frozen=True)
-class IdentificationResult:
+class IdentificationResult(SavedResult):
     """An identified model with its uncertainty.
 
     Attributes:
@@ -58,6 +59,8 @@ class IdentificationResult:
         limits: Limits of the robot.
         lmi: Comparison with a conic solver; None if none was requested.
     """
+
+    FILES = IDENTIFICATION_FILES
 
     identification: Identification
     recordings: tuple[Recording, ...]
@@ -130,23 +133,6 @@ class IdentificationResult:
             "identified.urdf": str(document["urdf"]),
             "report.html": self.html(),
         }
-
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write `model.json`, `identified.urdf` and `report.html`; return their paths.
-
-        Raises:
-            UnusableInput: The files cannot be written.
-        """
-        return output_folder(Path(folder), IDENTIFICATION_FILES).replace(self.contents())
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report alone; return its path.
-
-        Raises:
-            UnusableInput: The file cannot be written.
-        """
-        path = Path(path)
-        return output_files(path).replace({path.name: self.html()})[0]
 
     def __repr__(self) -> str:
         result = self.identification

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from .. import _json
-from .._system.output_files import output_files, output_folder
 from .._system.progress import logger
 from ..errors import UnusableInput
 from ..identification import segments
@@ -35,6 +34,7 @@ from .identification_result import (
     with_trajectory,
 )
 from .robots import RobotSource, load_robot, resolve_limits
+from .saved_result import SavedResult
 
 PAYLOAD_FILES = ("payload.json", "report.html")
 """Files of a payload."""
@@ -43,7 +43,7 @@ DIFFERENT_MOUNTING = 0.01
 
 
 @dataclass(frozen=True)
-class PayloadResult:
+class PayloadResult(SavedResult):
     """A payload with its uncertainty.
 
     Attributes:
@@ -56,6 +56,8 @@ class PayloadResult:
         empty: Recordings without.
         hertz: Cutoff frequency of the fit [Hz].
     """
+
+    FILES = PAYLOAD_FILES
 
     robot: Robot
     link: str
@@ -108,23 +110,6 @@ class PayloadResult:
     def contents(self) -> dict[str, str]:
         """Return the files of the payload by name."""
         return {"payload.json": _json.dumps(self.document()), "report.html": self.html()}
-
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write `payload.json` and `report.html`; return their paths.
-
-        Raises:
-            UnusableInput: The files cannot be written.
-        """
-        return output_folder(Path(folder), PAYLOAD_FILES).replace(self.contents())
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report alone; return its path.
-
-        Raises:
-            UnusableInput: The file cannot be written.
-        """
-        path = Path(path)
-        return output_files(path).replace({path.name: self.html()})[0]
 
     def __repr__(self) -> str:
         mass = self.estimate["mass"]

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from .. import _json
-from .._system.output_files import output_files, output_folder
 from .._system.progress import logger
 from ..errors import UnusableInput
 from ..exporters import mujoco_replay
@@ -25,6 +24,7 @@ from ..robot.inertial_parameters import COULOMB_WIDTH, DRIVE
 from .identification_result import RecordingSource, read_recording
 from .model_export import read_simulator_model
 from .robots import load_robot
+from .saved_result import SavedResult
 
 REPLAY_FILES = ("replay.json", "report.html")
 """Files of a replay."""
@@ -33,7 +33,7 @@ COMMANDS = ("qref", "torque")
 
 
 @dataclass(frozen=True)
-class ReplayResult:
+class ReplayResult(SavedResult):
     """Deviation of simulated robots from a recording under its commands.
 
     Attributes:
@@ -44,6 +44,8 @@ class ReplayResult:
         errors: Errors of the robot as its URDF describes it ("before"), as identified ("after"),
             and, where MJCF does not hold all of it, with the friction module.
     """
+
+    FILES = REPLAY_FILES
 
     model: SimulatorModel
     recording: Recording
@@ -91,23 +93,6 @@ class ReplayResult:
     def contents(self) -> dict[str, str]:
         """Return the files of the replay by name."""
         return {"replay.json": _json.dumps(self.document()), "report.html": self.html()}
-
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write `replay.json` and `report.html`; return their paths.
-
-        Raises:
-            UnusableInput: The files cannot be written.
-        """
-        return output_folder(Path(folder), REPLAY_FILES).replace(self.contents())
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report alone; return its path.
-
-        Raises:
-            UnusableInput: The file cannot be written.
-        """
-        path = Path(path)
-        return output_files(path).replace({path.name: self.html()})[0]
 
     def __repr__(self) -> str:
         before, after = self.errors[0], self.errors[-1]

@@ -171,8 +171,7 @@ def diagnose(
         validate: Held-out recordings.
         limits: Limits file or limits.
         prior: Trusted parameters: an `excite.prior/1` document or a `model.json`.
-        band: Cutoff frequency of the low-pass filter [Hz]; None: 20, or higher if the data require
-            it.
+        band: Cutoff frequency of the low-pass filter [Hz]; None: chosen from the data.
         trajectory: The `trajectory.json` that was executed, or several: each recording takes
             period, window and commanded positions from the one that it holds.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.

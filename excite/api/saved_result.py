@@ -1,4 +1,4 @@
-"""What the results of commands have in common: files in a folder, one of them a report."""
+"""Results of commands that are several files in a folder, one of them a report."""
 
 from __future__ import annotations
 

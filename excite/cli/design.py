@@ -16,7 +16,6 @@ from ..api.identification_result import REFERENCE_RATE
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
-from ..designer.payload_weighting import payload_body
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
@@ -125,7 +124,7 @@ def _payload_link(arguments: argparse.Namespace, robot: Robot) -> str | None:
     """
     link: str | None = arguments.for_payload
     if link is not None:
-        payload_body(robot, link)
+        robot.carrying_body(link, "--for-payload")
         if arguments.criterion != "a" or arguments.plain:
             raise UnusableInput(
                 "--for-payload: has the A-criterion; leave --criterion and --plain out"

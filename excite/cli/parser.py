@@ -158,6 +158,19 @@ def _command(commands: Commands, name: str, text: str) -> argparse.ArgumentParse
     return sub
 
 
+def _folder_option(sub: argparse.ArgumentParser, text: str) -> None:
+    sub.add_argument("-o", dest="out", metavar="DIR", required=True, help=text)
+
+
+def _band_option(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--band",
+        type=Number(HERTZ),
+        metavar="HZ",
+        help="cutoff of the low-pass filter of the torque (default: chosen from the data)",
+    )
+
+
 def _robots(commands: Commands) -> None:
     _command(commands, "robots", "list the built-in robots")
 
@@ -278,12 +291,8 @@ def _model_options(sub: argparse.ArgumentParser) -> None:
 
 def _design(commands: Commands) -> None:
     sub = _command(commands, "design", "design an excitation trajectory")
-    sub.add_argument(
-        "-o",
-        dest="out",
-        metavar="DIR",
-        required=True,
-        help="folder for trajectory.json, trajectory.csv, identifiability.json, report.html",
+    _folder_option(
+        sub, "folder for trajectory.json, trajectory.csv, identifiability.json, report.html"
     )
     _robot_options(sub)
     _model_options(sub)
@@ -617,13 +626,7 @@ def _identifiability(commands: Commands) -> None:
         "identifiability",
         "analyse which parameters a trajectory or a recording makes identifiable",
     )
-    sub.add_argument(
-        "-o",
-        dest="out",
-        metavar="DIR",
-        required=True,
-        help="folder for identifiability.json and report.html",
-    )
+    _folder_option(sub, "folder for identifiability.json and report.html")
     _robot_options(sub)
     sub.add_argument(
         "motion", metavar="TRAJECTORY_OR_RECORDING", help="a trajectory.json or a recording"
@@ -639,13 +642,7 @@ def _identify(commands: Commands) -> None:
         "estimate physically consistent parameters from recordings, with confidence intervals",
     )
     sub.epilog, sub.formatter_class = RECORDINGS, argparse.RawDescriptionHelpFormatter
-    sub.add_argument(
-        "-o",
-        dest="out",
-        metavar="DIR",
-        required=True,
-        help="folder for model.json, identified.urdf, report.html",
-    )
+    _folder_option(sub, "folder for model.json, identified.urdf, report.html")
     _robot_options(sub)
     sub.add_argument(
         "recordings",
@@ -682,12 +679,7 @@ def _identify(commands: Commands) -> None:
         help="largest scale-free variance of an identified direction (default %(default)s)",
     )
     group = sub.add_argument_group("signals")
-    group.add_argument(
-        "--band",
-        type=Number(HERTZ),
-        metavar="HZ",
-        help="cutoff of the low-pass filter of the torque (default: chosen from the data)",
-    )
+    _band_option(group)
     group.add_argument(
         "--period",
         type=Number(SECONDS),
@@ -815,13 +807,7 @@ def _diagnose(commands: Commands) -> None:
         "diagnose",
         "find effects that the base model lacks, with joint, size and probability",
     )
-    sub.add_argument(
-        "-o",
-        dest="out",
-        metavar="DIR",
-        required=True,
-        help="folder for diagnosis.json, model.json, report.html",
-    )
+    _folder_option(sub, "folder for diagnosis.json, model.json, report.html")
     _robot_options(sub)
     sub.add_argument(
         "recordings", metavar="RECORDING", nargs="+", help="recordings that the model is fitted to"
@@ -838,17 +824,12 @@ def _diagnose(commands: Commands) -> None:
         metavar="FILE",
         help="trusted parameters: an excite.prior/1 document or a model.json",
     )
-    sub.add_argument(
-        "--band",
-        type=Number(HERTZ),
-        metavar="HZ",
-        help="cutoff of the low-pass filter (default: 20, or higher if the data require it)",
-    )
+    _band_option(sub)
     _recording_options(sub)
     sub.add_argument(
         "--no-report",
         action="store_true",
-        help="do not write report.html, which takes a third of the time",
+        help="do not write report.html",
     )
 
 
@@ -858,13 +839,7 @@ def _payload(commands: Commands) -> None:
         "payload",
         "identify mass, centre of mass and inertia of what is attached to a link",
     )
-    sub.add_argument(
-        "-o",
-        dest="out",
-        metavar="DIR",
-        required=True,
-        help="folder for payload.json and report.html",
-    )
+    _folder_option(sub, "folder for payload.json and report.html")
     _robot_options(sub, payload=False)
     group = sub.add_argument_group("recordings")
     group.add_argument(
@@ -888,12 +863,7 @@ def _payload(commands: Commands) -> None:
         metavar="MODEL",
         help="model.json of the robot without it, in place of --without: its recordings are used",
     )
-    group.add_argument(
-        "--band",
-        type=Number(HERTZ),
-        metavar="HZ",
-        help="cutoff of the low-pass filter of the torque (default: chosen from the data)",
-    )
+    _band_option(group)
     _recording_options(group)
     group = sub.add_argument_group("payload")
     group.add_argument(
@@ -926,13 +896,7 @@ def _replay(commands: Commands) -> None:
     sub.add_argument(
         "recording", metavar="RECORDING", help="recording with qref.<joint> or tau.<joint>"
     )
-    sub.add_argument(
-        "-o",
-        dest="out",
-        metavar="DIR",
-        required=True,
-        help="folder for replay.json and report.html",
-    )
+    _folder_option(sub, "folder for replay.json and report.html")
     sub.add_argument(
         "--command",
         dest="drive_with",

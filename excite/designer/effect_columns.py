@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from .._types import FloatArray
-from ..robot.inertial_parameters import Parameters
+from ..robot.inertial_parameters import Parameters, mean_inertia
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from .casadi_batch import MappedFunction
@@ -40,8 +40,6 @@ RATE_BAND = 0.5
 leaves 1/7 there, so that the derivative of a jump does not ring."""
 MULTIPLES = {2: "twice", 3: "thrice"}
 """Multiples of a spatial frequency by their keys in the values, as in `effects.effect`."""
-MEAN_INERTIA_POSES = 32
-"""Random poses over which a link's inertia about its joint is averaged [1]."""
 LINEARISED = {
     "delay": "first order in the delay, of the torque below half the optimiser's sampling rate",
     "elasticity": "linear oscillator with the mean inertia about the joint",
@@ -98,23 +96,8 @@ class RobotConstants:
     @cached_property
     def mean_inertia(self) -> FloatArray:
         """Mean inertia of the links about each joint. Shape (n,) [kg m²]."""
-        model = self.robot.model.copy()
-        for i in range(self.parameters.bodies):
-            body = self.psi[10 * i : 10 * i + 10]
-            # a body without mass has no centre of mass
-            massless = not body[0] > 0.0
-            model.inertias[i + 1] = (
-                pin.Inertia.Zero() if massless else pin.Inertia.FromDynamicParameters(body)
-            )
-        data, rng = model.createData(), np.random.default_rng(0)
-        bounds = np.where(np.isfinite(self.limits.position), self.limits.position, [-np.pi, np.pi])
-        poses = rng.uniform(bounds[:, 0], bounds[:, 1], (MEAN_INERTIA_POSES, self.robot.n))
-        out = np.zeros(self.robot.n)
-        for pose in self.robot.expand(poses):
-            mass = np.array(pin.crba(model, data, pose))
-            full = np.triu(mass) + np.triu(mass, 1).T
-            out += np.diag(self.robot.spread.T @ full @ self.robot.spread)
-        return np.maximum(out / MEAN_INERTIA_POSES, 1e-9)
+        bodies = self.parameters.of_bodies(self.psi)
+        return np.maximum(mean_inertia(self.robot, self.limits, bodies), 1e-9)
 
 
 @dataclass(frozen=True)
@@ -346,9 +329,8 @@ def _lagging_link(
 def _elasticity(b: _Builder, effect: SymbolicEffect) -> list[Column]:
     """Deflection δ of a linear oscillator: (M s² + D s + K) δ = τ_load, D = 2 ζ √(K M)."""
     assert effect.joint is not None
-    # a link without inertia has no resonance: neither value may be zero
-    stiffness, ratio = max(effect.values["stiffness"], 1e-12), effect.values["damping"]
-    inertia = max(float(b.constants.mean_inertia[effect.joint]), 1e-15)
+    stiffness, ratio = effect.values["stiffness"], effect.values["damping"]
+    inertia = float(b.constants.mean_inertia[effect.joint])
     damping = 2.0 * ratio * np.sqrt(stiffness * inertia)
 
     def rate(order: int) -> Callable[[FloatArray], FloatArray]:

@@ -14,7 +14,6 @@ import numpy as np
 import pinocchio as pin
 
 from .._types import FloatArray
-from ..errors import UnusableInput
 from ..robot.inertial_parameters import Parameters, inverse_root
 from ..robot.robot import Robot
 from ..robot.samples import Samples
@@ -65,24 +64,6 @@ class PayloadDeviation:
         }
 
 
-def payload_body(robot: Robot, link: str) -> tuple[int, pin.SE3]:
-    """Return the index of the body that carries a payload, and the link's pose in its joint frame.
-
-    Args:
-        robot: The robot.
-        link: Name of a link or of a frame that is fixed to one.
-
-    Raises:
-        UnusableInput: There is no such link, or it does not move.
-    """
-    frame = robot.model.frames[robot.frame(link)]
-    if int(frame.parentJoint) == 0:
-        raise UnusableInput(
-            f"--for-payload {link}: does not move; name a moving link of {robot.source}"
-        )
-    return int(frame.parentJoint) - 1, frame.placement
-
-
 def payload_weighting(
     robot: Robot, parameters: Parameters, noise: FloatArray, link: str
 ) -> Weighting:
@@ -94,7 +75,7 @@ def payload_weighting(
         noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
         link: Link that carries the payload.
     """
-    body, placement = payload_body(robot, link)
+    body, placement = robot.carrying_body(link, "--for-payload")
     inertia = 0.4 * BALL_MASS * BALL_RADIUS**2 * np.eye(3)
     ball = placement.act(pin.Inertia(BALL_MASS, np.zeros(3), inertia))
     kinds = [kind for kind in ELIMINATED if kind in parameters.drive]
@@ -122,7 +103,7 @@ def payload_deviation(
         noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
         link: Link that carries the payload.
     """
-    body, placement = payload_body(robot, link)
+    body, placement = robot.carrying_body(link, "--for-payload")
     root = information_root(robot, parameters, samples, noise)
     start = LINK_PARAMETERS * body
     carried = list(range(start, start + LINK_PARAMETERS))

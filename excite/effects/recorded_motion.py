@@ -14,7 +14,7 @@ from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter
 from ..identification.regression import IdentificationModel, filtered_friction, filtered_regressor
 from ..identification.segments import RecordingSegment
 from ..recordings.missing_values import true_runs
-from ..robot.inertial_parameters import Parameters
+from ..robot.inertial_parameters import Parameters, model_with_inertias
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics
@@ -68,9 +68,7 @@ class FittedRobot:
 
 def fitted_robot(robot: Robot, parameters: Parameters, psi: FloatArray) -> FittedRobot:
     """Return the robot with standard parameters ψ, shape (P,)."""
-    model = robot.model.copy()
-    for i in range(parameters.bodies):
-        model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    model = model_with_inertias(robot, parameters.of_bodies(psi))
     return FittedRobot(robot, parameters, model, psi)
 
 

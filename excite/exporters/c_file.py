@@ -32,7 +32,7 @@ TEXTS = {
     "rotors) [N m or N]",
     "gravity": "static torque of links [N m or N]",
 }
-"""What each function returns."""
+"""Torque that each function returns, with its unit."""
 
 
 def is_computed(effect: EffectDocument) -> bool:

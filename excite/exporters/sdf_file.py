@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pinocchio as pin
 
+from ..robot.inertial_parameters import TENSOR_ELEMENTS
 from .mjcf_file import with_comment
 from .simulator_model import Held, SimulatorModel
 
@@ -52,14 +53,7 @@ def _add_link(model: ElementTree.Element, name: str, joint: str, inertia: pin.In
     ElementTree.SubElement(inertial, "pose").text = f"{_words(inertia.lever)} 0 0 0"
     ElementTree.SubElement(inertial, "mass").text = repr(float(inertia.mass))
     tensor = ElementTree.SubElement(inertial, "inertia")
-    for key, place in {
-        "ixx": (0, 0),
-        "ixy": (0, 1),
-        "ixz": (0, 2),
-        "iyy": (1, 1),
-        "iyz": (1, 2),
-        "izz": (2, 2),
-    }.items():
+    for key, place in TENSOR_ELEMENTS.items():
         ElementTree.SubElement(tensor, key).text = repr(float(inertia.inertia[place]))
 
 

@@ -23,6 +23,7 @@ from ..diagnosis import fitted_effects
 from ..errors import UnusableInput
 from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
+from ..robot.inertial_parameters import body_inertia
 from ..robot.limits import Limits
 from ..schemas.effects import EffectDocument
 from .file_format import comment
@@ -139,14 +140,12 @@ class SimulatorModel:
             UnusableInput: Its mass is not positive.
         """
         phi = self.psi[10 * link : 10 * link + 10]
-        if phi[0] > 0.0:
-            return pin.Inertia.FromDynamicParameters(phi)
-        if np.any(phi):
+        if not phi[0] > 0.0 and np.any(phi):
             raise UnusableInput(
                 f"{self.model.source}: link '{self.model.robot.links[link]}' has the mass "
                 f"{phi[0]:g} kg but an inertia; identify again"
             )
-        return pin.Inertia.Zero()
+        return body_inertia(phi)
 
     def position_limit(self, joint: int) -> tuple[float, float] | None:
         """Return lower and upper limit of a joint [rad or m]; None without."""

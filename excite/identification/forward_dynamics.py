@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from .._types import FloatArray
 from ..robot.dynamics import regressor
+from ..robot.inertial_parameters import model_with_inertias
 from ..robot.samples import Samples
 from .regression import IdentificationModel
 
@@ -141,9 +142,7 @@ def build_dynamics(model: IdentificationModel, psi: FloatArray) -> RobotDynamics
         psi: Physically consistent parameters, as the mass matrix is inverted. Shape (P,).
     """
     parameters, n = model.parameters, model.robot.n
-    body = model.robot.model.copy()
-    for i in range(parameters.bodies):
-        body.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    body = model_with_inertias(model.robot, parameters.of_bodies(psi))
     body.armature = np.zeros(body.nv)
     rotor_inertia, viscous, coulomb, offset = (
         psi[parameters.block(kind)] if kind in parameters.drive else np.zeros(n)

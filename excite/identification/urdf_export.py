@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from .._types import FloatArray
 from ..robot import source_text, xml_file
-from ..robot.inertial_parameters import Parameters
+from ..robot.inertial_parameters import TENSOR_ELEMENTS, Parameters, body_inertia
 from ..robot.robot import Robot, locate
 
 
@@ -148,22 +148,13 @@ def _make_fixed(joint: ElementTree.Element, position: float) -> None:
 
 def _inertial_element(phi: FloatArray) -> ElementTree.Element:
     """Mass, centre of mass, and inertia about it with axes parallel to the link's."""
-    body = pin.Inertia.FromDynamicParameters(phi) if phi[0] > 0.0 else pin.Inertia.Zero()
+    body = body_inertia(phi)
     out = ElementTree.Element("inertial")
     ElementTree.SubElement(out, "origin", {"xyz": _formatted(body.lever), "rpy": "0 0 0"})
     ElementTree.SubElement(out, "mass", {"value": repr(float(body.mass))})
     tensor = body.inertia
-    keys = {
-        "ixx": (0, 0),
-        "ixy": (0, 1),
-        "ixz": (0, 2),
-        "iyy": (1, 1),
-        "iyz": (1, 2),
-        "izz": (2, 2),
-    }
-    ElementTree.SubElement(
-        out, "inertia", {key: repr(float(tensor[place])) for key, place in keys.items()}
-    )
+    moments = {key: repr(float(tensor[place])) for key, place in TENSOR_ELEMENTS.items()}
+    ElementTree.SubElement(out, "inertia", moments)
     return out
 
 

@@ -18,7 +18,6 @@ import numpy as np
 import pinocchio as pin
 
 from .._types import FloatArray, IntArray
-from ..errors import UnusableInput
 from ..identification.friction_width import fit_widths
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import (
@@ -67,10 +66,8 @@ def payload_place(robot: Robot, link: str) -> PayloadPlace:
     Raises:
         UnusableInput: There is no such link, or it does not move.
     """
-    frame = robot.model.frames[robot.frame(link)]
-    if int(frame.parentJoint) == 0:
-        raise UnusableInput(f"--link {link}: does not move; name a moving link of {robot.source}")
-    return PayloadPlace(link, int(frame.parentJoint) - 1, frame_map(frame.placement))
+    body, placement = robot.carrying_body(link, "--link")
+    return PayloadPlace(link, body, frame_map(placement))
 
 
 def frame_map(placement: pin.SE3) -> FloatArray:

@@ -7,8 +7,10 @@ import json
 import numpy as np
 import pinocchio as pin
 
+from ..robot.inertial_parameters import TENSOR_ELEMENTS
+
 UNVERIFIED = "never tried on hardware; check units and frame before use"
-"""What every snippet for a controller says."""
+"""Warning in every snippet for a controller."""
 
 
 def snippets(body: pin.Inertia, link: str) -> dict[str, str]:
@@ -78,15 +80,7 @@ def _zyx(rotation: np.ndarray) -> tuple[float, float, float]:
 
 def _urdf(mass: float, centre: np.ndarray, tensor: np.ndarray, link: str) -> str:
     """A link that is fixed to the carrying one."""
-    keys = {
-        "ixx": (0, 0),
-        "ixy": (0, 1),
-        "ixz": (0, 2),
-        "iyy": (1, 1),
-        "iyz": (1, 2),
-        "izz": (2, 2),
-    }
-    moments = " ".join(f'{key}="{tensor[k]:.9g}"' for key, k in keys.items())
+    moments = " ".join(f'{key}="{tensor[k]:.9g}"' for key, k in TENSOR_ELEMENTS.items())
     return (
         f'<link name="payload"><inertial><origin xyz="{_words(centre)}"/>'
         f'<mass value="{mass:.9g}"/><inertia {moments}/></inertial></link>\n'

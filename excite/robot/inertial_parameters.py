@@ -87,6 +87,14 @@ class Parameters:
         """Number of bodies with ten inertial parameters each."""
         return len(self.links)
 
+    def of_bodies(self, psi: FloatArray) -> FloatArray:
+        """Return the inertial parameters of each body, shape (bodies, 10).
+
+        Args:
+            psi: Standard parameters. Shape (P,).
+        """
+        return psi[: 10 * self.bodies].reshape(-1, 10)
+
     def norms(self, rows: FloatArray) -> FloatArray:
         """Return y G₀⁻¹ yᵀ of each row y, block by block. Shapes (m, P) -> (m,)."""
         edge = 10 * self.bodies
@@ -297,7 +305,40 @@ def _drive_values(
     return nominal, {kind: np.where(known[kind], nominal[kind], fallback[kind]) for kind in DRIVE}
 
 
-def mean_inertia(robot: Robot, limits: Limits, bodies: list[FloatArray]) -> FloatArray:
+TENSOR_ELEMENTS = {
+    "ixx": (0, 0),
+    "ixy": (0, 1),
+    "ixz": (0, 2),
+    "iyy": (1, 1),
+    "iyz": (1, 2),
+    "izz": (2, 2),
+}
+"""Row and column of each element of an inertia tensor, by its name in URDF and SDF."""
+
+
+def body_inertia(phi: FloatArray) -> pin.Inertia:
+    """Return the inertia of a body; zero without mass, which has no centre.
+
+    Args:
+        phi: Its inertial parameters. Shape (10,).
+    """
+    return pin.Inertia.FromDynamicParameters(phi) if phi[0] > 0.0 else pin.Inertia.Zero()
+
+
+def model_with_inertias(robot: Robot, bodies: Iterable[FloatArray]) -> pin.Model:
+    """Return a copy of a robot's model whose bodies have other inertias.
+
+    Args:
+        robot: The robot.
+        bodies: Inertial parameters of each body. Shape (10,) each.
+    """
+    model = robot.model.copy()
+    for i, phi in enumerate(bodies, start=1):
+        model.inertias[i] = body_inertia(phi)
+    return model
+
+
+def mean_inertia(robot: Robot, limits: Limits, bodies: Iterable[FloatArray]) -> FloatArray:
     """Return the mean diagonal of the mass matrix over poses spread evenly in the joint ranges.
 
     Args:
@@ -308,9 +349,7 @@ def mean_inertia(robot: Robot, limits: Limits, bodies: list[FloatArray]) -> Floa
     Returns:
         Mean diagonal. Shape (n,) [kg m² or kg].
     """
-    model = robot.model.copy()
-    for i, phi in enumerate(bodies, start=1):
-        model.inertias[i] = pin.Inertia.FromDynamicParameters(phi)
+    model = model_with_inertias(robot, bodies)
     data = model.createData()
     total = np.zeros(robot.n)
     poses = spread_poses(limits, MEAN_INERTIA_POSES)

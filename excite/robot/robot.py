@@ -134,6 +134,23 @@ class Robot:
             )
         return int(self.model.getFrameId(name))
 
+    def carrying_body(self, name: str, option: str) -> tuple[int, pin.SE3]:
+        """Return the index of the body that carries a link, and the link's pose in its joint frame.
+
+        Args:
+            name: Name of a link, or of a frame that is fixed to one.
+            option: Command-line option that names it.
+
+        Raises:
+            UnusableInput: There is no such link, or it does not move.
+        """
+        frame = self.model.frames[self.frame(name)]
+        if int(frame.parentJoint) == 0:
+            raise UnusableInput(
+                f"{option} {name}: does not move; name a moving link of {self.source}"
+            )
+        return int(frame.parentJoint) - 1, frame.placement
+
 
 def builtin_names() -> tuple[str, ...]:
     """Names of the models that come with the package."""

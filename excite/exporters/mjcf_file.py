@@ -61,7 +61,7 @@ def mjcf_text(model: SimulatorModel) -> str:
     robot = model.model.robot
     root = ElementTree.Element("mujoco", model=robot.name)
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
-    gravity = _words(robot.model.gravity.linear)
+    gravity = words(robot.model.gravity.linear)
     ElementTree.SubElement(
         root, "option", timestep=repr(TIMESTEP), gravity=gravity, integrator="implicitfast"
     )
@@ -76,8 +76,8 @@ def mjcf_text(model: SimulatorModel) -> str:
             parent,
             "body",
             name=robot.links[i],
-            pos=_words(placement.translation),
-            quat=_words(quaternion(placement.rotation)),
+            pos=words(placement.translation),
+            quat=words(quaternion(placement.rotation)),
         )
         bodies.append(body)
         slides = bool(np.linalg.norm(axes[i][:3]) > 0.5)
@@ -86,13 +86,13 @@ def mjcf_text(model: SimulatorModel) -> str:
             "joint",
             name=name,
             type="slide" if slides else "hinge",
-            axis=_words(axes[i][:3] if slides else axes[i][3:]),
+            axis=words(axes[i][:3] if slides else axes[i][3:]),
         )
         if name in robot.joints:
             j = robot.joints.index(name)
             limit = model.position_limit(j)
             if limit is not None:
-                joint.set("range", _words(limit))
+                joint.set("range", words(limit))
             for key, value in attributes[name].values.items():
                 if value is not None:
                     joint.set(key, value)
@@ -155,7 +155,7 @@ def joint_attributes(
             solref, solimp = friction_solver(
                 friction, float(torques.widths[j]), inverse_mass[name], timestep
             )
-            values |= {"solreffriction": _words(solref), "solimpfriction": _words(solimp)}
+            values |= {"solreffriction": words(solref), "solimpfriction": words(solimp)}
         coefficients, reference, holds_offset = spring(torques.spring[j])
         values |= {"stiffness": None, "springref": None}
         if np.any(coefficients):
@@ -240,9 +240,9 @@ def inertial_element(inertia: pin.Inertia) -> ElementTree.Element:
     moments = [tensor[k] for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return ElementTree.Element(
         "inertial",
-        pos=_words(inertia.lever),
+        pos=words(inertia.lever),
         mass=repr(float(inertia.mass)),
-        fullinertia=_words(moments),
+        fullinertia=words(moments),
     )
 
 
@@ -261,8 +261,8 @@ def _add_sites(model: SimulatorModel, bodies: Sequence[ElementTree.Element]) -> 
                 bodies[int(frame.parentJoint)],
                 "site",
                 name=frame.name,
-                pos=_words(frame.placement.translation),
-                quat=_words(quaternion(frame.placement.rotation)),
+                pos=words(frame.placement.translation),
+                quat=words(quaternion(frame.placement.rotation)),
             )
 
 
@@ -277,7 +277,7 @@ def _add_followers(model: SimulatorModel, root: ElementTree.Element) -> None:
                 "joint",
                 joint1=follower.entry.name,
                 joint2=follower.master,
-                polycoef=_words([follower.offset, follower.multiplier, 0.0, 0.0, 0.0]),
+                polycoef=words([follower.offset, follower.multiplier, 0.0, 0.0, 0.0]),
             )
 
 
@@ -288,8 +288,8 @@ def _add_actuators(model: SimulatorModel, root: ElementTree.Element) -> None:
         motor = ElementTree.SubElement(actuators, "motor", name=name, joint=name)
         limit = model.torque_limit(j)
         if limit is not None and np.isfinite(limit):
-            motor.set("ctrlrange", _words([-limit, limit]))
-            motor.set("forcerange", _words([-limit, limit]))
+            motor.set("ctrlrange", words([-limit, limit]))
+            motor.set("forcerange", words([-limit, limit]))
         delay = float(model.torques.actuator_delay[j])
         if delay > 0.0:
             motor.set("delay", repr(delay))
@@ -300,8 +300,13 @@ def _polynomial(coefficients: Iterable[float]) -> str:
     """Coefficients of damping or stiffness; one number where the others are 0, as older versions
     of MuJoCo read no more."""
     values = [float(value) for value in coefficients]
-    return _words(values if any(values[1:]) else values[:1])
+    return words(values if any(values[1:]) else values[:1])
 
 
-def _words(values: Iterable[float]) -> str:
+def words(values: Iterable[float]) -> str:
+    """Return numbers of an XML attribute, with all digits.
+
+    Args:
+        values: The numbers; −0 becomes 0.
+    """
     return " ".join(repr(float(value) + 0.0) for value in values)

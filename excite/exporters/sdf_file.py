@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable
 
 import numpy as np
 import pinocchio as pin
 
 from ..robot.inertial_parameters import TENSOR_ELEMENTS
-from .mjcf_file import with_comment
+from .mjcf_file import with_comment, words
 from .simulator_model import Held, SimulatorModel
 
 HOLDS = frozenset({Held.INERTIA, Held.VISCOUS, Held.COULOMB, Held.SPRING})
@@ -40,7 +39,7 @@ def sdf_text(model: SimulatorModel) -> str:
         _add_joint(model, element, i)
     lines = model.header("SDF", HOLDS)
     gravity = np.array(robot.model.gravity.linear)
-    lines.append(f"gravity belongs to the world: {_words(gravity)} m/s2 in the base's frame")
+    lines.append(f"gravity belongs to the world: {words(gravity)} m/s2 in the base's frame")
     lines.append("friction: simulators differ in how they regularise it at rest")
     return with_comment(root, lines)
 
@@ -50,7 +49,7 @@ def _add_link(model: ElementTree.Element, name: str, joint: str, inertia: pin.In
     link = ElementTree.SubElement(model, "link", name=name)
     ElementTree.SubElement(link, "pose", relative_to=joint).text = "0 0 0 0 0 0"
     inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "pose").text = f"{_words(inertia.lever)} 0 0 0"
+    ElementTree.SubElement(inertial, "pose").text = f"{words(inertia.lever)} 0 0 0"
     ElementTree.SubElement(inertial, "mass").text = repr(float(inertia.mass))
     tensor = ElementTree.SubElement(inertial, "inertia")
     for key, place in TENSOR_ELEMENTS.items():
@@ -70,13 +69,11 @@ def _add_joint(model: SimulatorModel, parent: ElementTree.Element, number: int) 
     placement = robot.model.jointPlacements[number + 1]
     pose = ElementTree.SubElement(joint, "pose", frame)
     angles = pin.rpy.matrixToRpy(placement.rotation)
-    pose.text = f"{_words(placement.translation)} {_words(angles)}"
+    pose.text = f"{words(placement.translation)} {words(angles)}"
     ElementTree.SubElement(joint, "parent").text = robot.links[above - 1] if above else WORLD
     ElementTree.SubElement(joint, "child").text = robot.links[number]
     axis = ElementTree.SubElement(joint, "axis")
-    ElementTree.SubElement(axis, "xyz").text = _words(
-        axis_vector[:3] if slides else axis_vector[3:]
-    )
+    ElementTree.SubElement(axis, "xyz").text = words(axis_vector[:3] if slides else axis_vector[3:])
     for follower in robot.followers:
         if follower.entry.name == name:
             mimic = ElementTree.SubElement(axis, "mimic", joint=follower.master)
@@ -107,7 +104,3 @@ def _add_joint(model: SimulatorModel, parent: ElementTree.Element, number: int) 
         ElementTree.SubElement(dynamics, "spring_stiffness").text = repr(
             float(torques.spring[j, 1])
         )
-
-
-def _words(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value) + 0.0) for value in values)

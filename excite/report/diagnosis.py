@@ -286,7 +286,8 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
         ),
         "absorbed": listed(absorbed) if absorbed else "",
     }
-    answer = f"{plural(len(rows), 'effect')} had some evidence and are not reported: {reason}."
+    verb = "is" if len(rows) == 1 else "are"
+    answer = f"{plural(len(rows), 'effect')} had some evidence and {verb} not reported: {reason}."
     if not rows:
         answer = "No other effect had evidence."
     return Section("considered", "What else was considered?", answer, data)

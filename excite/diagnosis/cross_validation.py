@@ -89,7 +89,5 @@ def _errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArra
     regression = model.regression
     unused = np.zeros(len(regression.nonnegative), bool)
     unused[model.session_places] = True
-    for shape, part in zip(model.models, regression.slices, strict=True):
-        if shape.form_columns:  # the saved model has none
-            unused[part.stop - shape.form_columns : part.stop] = True
+    unused[model.form_places] = True  # the saved model has none
     return regression.cross_validated(folds(model), variants, unused)

@@ -220,7 +220,7 @@ def diagnose(
     residual = np.where(model.regression.moving, residual, 0.0)
     parts = recorded_motion.split_by_motion(residual, model.motions)
     floor = noise.estimate_noise(identified.model, model.motions, parts, train)
-    remaining = unmodelled.find(model, residual, floor)
+    remaining = unmodelled.find(model, left_out, evidence, floor)
     effects = estimates.with_unmodelled(effects, model, remaining)
     progress("held-out recordings")
     document = final.document(train)

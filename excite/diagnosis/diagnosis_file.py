@@ -277,12 +277,13 @@ def _parameters(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
     """Element of "unknown": a joint with torque that no effect explains."""
     name = diagnosis.identified.model.robot.joints[entry.joint]
-    prediction = entry.prediction
-    response = prediction.response
+    response = entry.response
     by = (
         "another period of the motion"
-        if prediction.regime == unmodelled.REPETITION
-        else prediction.regime
+        if entry.regime == unmodelled.REPETITION
+        else entry.regime
+        if entry.frequency is None
+        else f"{entry.regime}, as a resonance of {entry.frequency:.2g} Hz,"
     )
     over = (
         response.over
@@ -293,9 +294,9 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         "joint": name,
         "where": {
             "statement": f"joint '{name}': torque that no effect of the catalogue explains; "
-            f"{by} predicts {percent(prediction.share)} of the residual",
-            "regime": prediction.regime,
-            "foreseen": prediction.share,
+            f"{by} predicts {percent(entry.share)} of the residual",
+            "regime": entry.regime,
+            "foreseen": entry.share,
             "response": {
                 "over": over,
                 "relative": response.relative,
@@ -303,7 +304,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
                 "y": response.y.tolist(),
             },
         },
-        "share": prediction.share,
+        "share": entry.share,
         "probability": entry.probability,
-        "experiment": unmodelled.experiment(prediction.regime),
+        "experiment": entry.experiment,
     }

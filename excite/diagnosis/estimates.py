@@ -15,6 +15,7 @@ from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
 from ..effects.effect import CandidateModel
 from . import joint_model, posterior, probability
+from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .posterior import MIN_SEVERITY, EffectEvidence, Key
 from .regression import Solution
@@ -107,6 +108,8 @@ def estimate_effects(
     likeness = _likeness(posterior_of, evidence, left_out)
     out = []
     for entry in evidence:
+        if entry.name == UNMODELLED:
+            continue
         needed = not set(entry.effects) <= set(left_out)
         rivals = next((r for r in rare if r.key == entry.key), None)
         present = probabilities[entry.key]
@@ -376,7 +379,11 @@ def _likeness(
 ) -> dict[Key, tuple[str, ...]]:
     """Names of effects at the same joint that may stand for each effect of the model."""
     needed = [
-        e for e in evidence if not set(e.effects) <= set(left_out) and len(of.places(e.effects))
+        e
+        for e in evidence
+        if e.name != UNMODELLED
+        and not set(e.effects) <= set(left_out)
+        and len(of.places(e.effects))
     ]
     out: dict[Key, tuple[str, ...]] = {}
     for first in needed:

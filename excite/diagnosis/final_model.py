@@ -25,6 +25,7 @@ from ..identification.identification import Identification
 from ..recordings import Recording
 from . import fitted_effects, joint_model
 from .fitted_effects import FittedEffect
+from .flexible_models import UNMODELLED
 from .joint_model import JointModel, model_columns
 from .regression import JointRegression, independent_share, rms
 
@@ -86,7 +87,7 @@ def fit(
     shapes = [
         without_form_error(shape)
         for i, (shape, part) in enumerate(zip(model.models, model.regression.slices, strict=True))
-        if i not in left_out and solution.coefficients[part].any()
+        if i not in left_out and shape.effect != UNMODELLED and solution.coefficients[part].any()
     ]
     first = _with_effects(model.regression.base_only(), model, model.motions, shapes)
     effects = _fitted(shapes, first)

@@ -36,6 +36,7 @@ from ..identification import consistency
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
 from . import session_changes
+from .flexible_models import UNMODELLED
 from .regression import RIDGE, Columns, JointRegression, Solution, independent_share, rms
 
 ROUNDS = 4
@@ -127,6 +128,15 @@ class JointModel:
     def session_places(self) -> slice:
         """Places of the changes between recordings, the last coefficients of the base model."""
         return slice(self.delay_place + 1, self.regression.base_count)
+
+    @property
+    def form_places(self) -> list[int]:
+        """Places of the form errors of all effects among the coefficients."""
+        return [
+            place
+            for model, part in zip(self.models, self.regression.slices, strict=True)
+            for place in range(part.stop - model.form_columns, part.stop)
+        ]
 
     @property
     def solution(self) -> Solution:
@@ -256,7 +266,9 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
 
 def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateModel:
     """Return a rare effect with the discrepancy of its form, in units of its fitted torque."""
-    if model not in fitted.models or EFFECTS_BY_NAME[model.effect].prior_only:
+    if model not in fitted.models or model.effect == UNMODELLED:
+        return model
+    if EFFECTS_BY_NAME[model.effect].prior_only:
         return model  # rigid bodies have exactly the form of their model
     coefficients = fitted.coefficients(fitted.models.index(model))
     return with_form_error(model, fitted.motions, coefficients)

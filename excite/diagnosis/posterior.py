@@ -143,6 +143,36 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     return frozenset(left_out), [*evidence.values(), *out]
 
 
+def judge(model: JointModel, key: Key) -> EffectEvidence:
+    """Return the evidence of an effect jointly with those frictions that have more evidence.
+
+    A friction that the effect makes needless would hide it: the joint model has all frictions from
+    the start, and one that nearly has the form of the effect has taken its torque.
+
+    Args:
+        model: A joint model with the effect.
+        key: Effect and joint.
+    """
+    groups, regression = effect_groups(model), model.regression
+    joints = set(_joints(regression, groups[key]))
+    frictions = {k: g for k, g in groups.items() if k[0] in FRICTIONS and k[1] in joints}
+    left_out: set[int] = set()
+    current = model.solution
+    result = evidence_of(model, key, groups[key], left_out, current)
+    while frictions:
+        rivals = {
+            k: evidence_of(model, k, g, left_out, current).log_bayes_factor
+            for k, g in frictions.items()
+        }
+        least = min(rivals, key=lambda k: rivals[k])
+        if rivals[least] >= result.log_bayes_factor:
+            break
+        left_out |= set(frictions.pop(least))
+        current = regression.without(left_out)
+        result = evidence_of(model, key, groups[key], left_out, current)
+    return result
+
+
 def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:
     return [j for e in effects for j in regression.joints_of(e)]
 

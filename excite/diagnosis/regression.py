@@ -226,11 +226,17 @@ class JointRegression:
             self._solution = self._solve(np.ones(len(self.nonnegative), bool))
         return self._solution
 
-    def without(self, effects: Iterable[int]) -> Solution:
-        """Return the minimum of the objective without some effects, all others refitted."""
+    def without(self, effects: Iterable[int], unused: Sequence[int] = ()) -> Solution:
+        """Return the minimum of the objective without some effects, all others refitted.
+
+        Args:
+            effects: Numbers of the effects.
+            unused: Further coefficients that are left out.
+        """
         used = np.ones(len(self.nonnegative), bool)
         for e in effects:
             used[self.slices[e]] = False
+        used[list(unused)] = False
         return self._solve(used)
 
     def _assembled(self) -> tuple[FloatArray, FloatArray, float]:

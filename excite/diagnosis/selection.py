@@ -18,8 +18,9 @@ from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
+from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import JointModel
-from .posterior import DENSE_NAMES, Key
+from .posterior import DENSE_NAMES, EffectEvidence, Key
 from .regression import CandidateFit, Columns
 
 MAX_RARE_EFFECTS = 8
@@ -77,6 +78,7 @@ class RareEffect:
             key
             for key, weight in sorted(instead.items(), key=lambda entry: -entry[1])
             if weight > EQUIVALENT_SHARE
+            and key[0] != UNMODELLED
             and (key[1] == self.key[1] or None in (key[1], self.key[1]))
         ]
         total = 1.0 + sum(instead.values())
@@ -148,6 +150,10 @@ class CandidateColumns:
                 columns = model.columns(shape)
                 if columns is not None:
                     self.shapes.setdefault((effect.name, shape.joint), []).append((shape, columns))
+        for shape in flexible_models(model.motions, model.regression.sigma):
+            columns = model.columns(shape)
+            if columns is not None:
+                self.shapes.setdefault((UNMODELLED, shape.joint), []).append((shape, columns))
 
     def best(
         self, model: JointModel, key: tuple[str, int | None]
@@ -212,7 +218,7 @@ def find_rare_effects(
     model = joint_model.fit(identified, motions)
     rejected: set[Key] = set()
     candidates = CandidateColumns(model, trusted, names)
-    while True:
+    while len(rare) < MAX_RARE_EFFECTS:
         best = {
             key: entry
             for key in candidates.shapes
@@ -231,41 +237,69 @@ def find_rare_effects(
             ),
             key=lambda key: -scores[key],
         )
-        if not promising or len(rare) == MAX_RARE_EFFECTS or len(rejected) >= MAX_REJECTIONS:
-            break
-        # a shape between two grid points may explain more than another effect's best grid point
-        tuned = {key: optimised(model, best[key][1]) for key in promising[:OPTIMISED_CANDIDATES]}
-        for key, candidate in tuned.items():
-            scores[key] += max(candidate.evidence - best[key][1].evidence, 0.0)
-        accepted = None
-        ranked = sorted(tuned, key=lambda key: -scores[key])
-        for key in ranked[: MAX_REJECTIONS - len(rejected)]:
-            chosen = tuned[key].model
-            extended = joint_model.fit(identified, motions, (*rare, chosen))
-            groups = posterior.effect_groups(extended)
-            if key in groups:
-                result = posterior.evidence_of(extended, key, groups[key], (), extended.solution)
-                progress(
-                    f"{key[0]}, joint {key[1]}: log Bayes factor {result.log_bayes_factor:.1f}, "
-                    f"severity {result.size:.2f}"
-                )
-                if (
-                    result.is_needed
-                    and _is_plausible(extended, groups[key])
-                    and cross_validation.pays(extended, groups[key])
-                ):
-                    accepted, final = key, result.log_bayes_factor
+        chosen: tuple[Key, JointModel, CandidateModel, EffectEvidence] | None = None
+        # flexible models last: they could stand for the sum of effects that are still to be found
+        for flexible in (False, True):
+            group = [key for key in promising if (key[0] == UNMODELLED) is flexible]
+            if chosen is not None:
+                break
+            # a shape between two grid points may explain more than another effect's best grid point
+            tuned = {key: optimised(model, best[key][1]) for key in group[:OPTIMISED_CANDIDATES]}
+            for key, candidate in tuned.items():
+                scores[key] += max(candidate.evidence - best[key][1].evidence, 0.0)
+            for key in sorted(tuned, key=lambda key: -scores[key]):
+                if sum((k[0] == UNMODELLED) is flexible for k in rejected) >= MAX_REJECTIONS:
                     break
-            rejected.add(key)
-        if accepted is None:
+                extended = joint_model.fit(identified, motions, (*rare, tuned[key].model))
+                evidence = _accepted(extended, key, progress)
+                if evidence is not None:
+                    chosen = key, extended, tuned[key].model, evidence
+                    break
+                rejected.add(key)
+        if chosen is None:
             break
-        model, rare = extended, (*rare, chosen)
-        others = {key: score for key, score in scores.items() if key != accepted}
-        effects.append(RareEffect(accepted, scores[accepted], others, {}, final))
+        key, model, shape, evidence = chosen
+        rare = (*rare, shape)
+        others = {
+            k: score
+            for k, score in scores.items()
+            if k != key and (k[0] == UNMODELLED) is (key[0] == UNMODELLED)
+        }
+        effects.append(RareEffect(key, scores[key], others, {}, evidence.log_bayes_factor))
     return model, tuple(effects)
 
 
+def _accepted(
+    extended: JointModel, key: Key, progress: Callable[[str], None]
+) -> EffectEvidence | None:
+    """Return the evidence of an effect that was added; None if it is to be left out again."""
+    members = posterior.effect_groups(extended).get(key)
+    if members is None:
+        return None
+    result = posterior.judge(extended, key)
+    progress(
+        f"{key[0]}, joint {key[1]}: log Bayes factor {result.log_bayes_factor:.1f}, "
+        f"severity {result.size:.2f}"
+    )
+    if (
+        result.is_needed
+        and _is_plausible(extended, members)
+        and cross_validation.pays(extended, members)
+    ):
+        return result
+    return None
+
+
 def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:
-    """Tell whether fitted coefficients are physically possible."""
-    shapes = ((model.models[e], model.coefficients(e)) for e in effects)
-    return all(shape.is_plausible(shape.plain(c)) for shape, c in shapes)
+    """Tell whether fitted coefficients are physically possible, without a form error.
+
+    The model that is saved has no form error.
+    """
+    regression = model.regression
+    solution = regression.without((), model.form_places)
+    return all(
+        model.models[e].is_plausible(
+            model.models[e].plain(solution.coefficients[regression.slices[e]])
+        )
+        for e in effects
+    )

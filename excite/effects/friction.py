@@ -37,7 +37,8 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             j,
             _columns,
             parameters=named_coefficients("coulomb", "viscous"),
-            is_plausible=lambda c: bool(c[0] > 0.0 and c[1] > -0.2 * c[0]),
+            nonnegative=(True, True),
+            is_plausible=lambda c: bool((c >= 0.0).all()),
         )
 
 

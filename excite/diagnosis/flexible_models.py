@@ -1,0 +1,210 @@
+"""Flexible models of torque that no effect of the catalogue describes.
+
+They are further candidates of the selection: smooth functions of one or two states of the robot,
+and linear resonances, at one joint each. Their coefficients are independent normal variables that
+together may explain the present residual, so that the evidence weighs their flexibility (Rasmussen
+& Williams, Gaussian Processes for Machine Learning, 2006, sec. 5.4). An effect of the catalogue has
+few coefficients and wins where its form is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg, signal
+
+from .._types import FloatArray
+from ..effects.effect import CandidateModel, NonlinearParameter
+from ..effects.recorded_motion import RecordedMotion, split_by_motion
+from ..identification.lowpass import Grid
+from .motion_rows import MotionRows, motion_rows
+
+UNMODELLED = "unknown"
+"""Name of torque that no effect of the catalogue describes, as a candidate of the selection."""
+SMOOTH_WAVES, FINE_WAVES = 12, 60
+"""Half waves over the range of a joint: of a smooth curve, and of a bump of a few degrees."""
+BUMPS = 7
+"""Bumps over the range of each state of a surface: the square of their number are fitted."""
+FREQUENCIES = np.geomspace(0.4, 15.0, 28)
+"""Grid of resonance frequencies [Hz]; between two of them the frequency is optimised."""
+DAMPING_RATIOS = (0.02, 0.1)
+"""Damping ratios of resonances: of a liquid or a beam, and a wide one."""
+MIN_COLUMN_SHARE = 1e-3
+"""RMS of a column over the largest from which it is fitted."""
+
+
+EXPERIMENTS: Mapping[str, str] = {
+    "position": "that joint alone, slowly back and forth over its range",
+    "place": "that joint alone, slowly past the place, both ways",
+    "position and direction": "that joint alone, slowly back and forth, between ends that shift",
+    "position and speed": "that joint alone over its range, at several constant speeds",
+    "position and load": "that joint alone over its range, with and without a load",
+    "speed and load": "constant speeds of that joint, with and without a load",
+    "speed and acceleration": "the same path of that joint at full and at half speed",
+    "positions of two joints": "each of the two joints alone, then both together",
+    "speeds of two joints": "each of the two joints alone, then both together",
+    "load of all joints": "that joint slowly, alone, then while the others move fast",
+    "past acceleration": "a sharp stop, then standstill, which shows the oscillation alone",
+    "past load": "a sharp stop, then standstill, which shows the oscillation alone",
+}
+"""By what a flexible model depends on: the experiment that would show the dependence alone."""
+
+
+def flexible_models(
+    motions: Sequence[RecordedMotion], sigma: FloatArray
+) -> Iterator[CandidateModel]:
+    """Yield the flexible models of every joint.
+
+    Args:
+        motions: The motions to fit.
+        sigma: RMS residual of each joint without them, shape (n,) [N m].
+    """
+    rows = motion_rows(motions)
+    for j in range(rows.n):
+        columns = _Columns(motions, rows, j, float(sigma[j]))
+        yield from _functions_of_state(columns, rows, j)
+        for state, drive in (("ddq", "past acceleration"), ("load", "past load")):
+            yield from _resonances(columns, state, drive)
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Makes candidate models from features of a joint at all rows of some motions."""
+
+    motions: Sequence[RecordedMotion]
+    rows: MotionRows
+    joint: int
+    sigma: float
+
+    def model(self, features: FloatArray, regime: str, other: int | None = None) -> CandidateModel:
+        """Return the model of features, shape (N, k), each scaled to unit RMS."""
+        moving = self.rows.moving[:, self.joint]
+        size = np.sqrt(np.mean(np.square(features[moving]), axis=0))
+        kept = size > MIN_COLUMN_SHARE * max(float(size.max(initial=0.0)), 1e-300)
+        scaled = features[:, kept] / size[kept]
+        parts = split_by_motion(scaled, self.motions)
+        by_motion = {_key(motion): part for motion, part in zip(self.motions, parts, strict=True)}
+        n, joint = self.rows.n, self.joint
+
+        def columns(motion: RecordedMotion, _model: CandidateModel) -> FloatArray:
+            part = by_motion[_key(motion)]
+            out = np.zeros((len(part), n, part.shape[1]))
+            out[:, joint] = part
+            return out
+
+        return CandidateModel(
+            UNMODELLED,
+            joint,
+            columns,
+            other=other,
+            prior_std=self.sigma / np.sqrt(max(scaled.shape[1], 1)),
+            signature=regime,
+        )
+
+
+def _key(motion: RecordedMotion) -> tuple[str, float]:
+    """Source and start of a motion, by which its rows are found."""
+    return motion.segment.source, motion.segment.start
+
+
+def _functions_of_state(columns: _Columns, rows: MotionRows, j: int) -> Iterator[CandidateModel]:
+    """Yield curves of the position, and surfaces over pairs of states."""
+    moving = rows.moving[:, j]
+
+    def over_range(x: FloatArray) -> FloatArray:
+        low, high = x[moving].min(), x[moving].max()
+        return np.asarray((x - low) / max(high - low, 1e-12))
+
+    def surface(x: FloatArray, y: FloatArray) -> FloatArray:
+        pair = _bumps(over_range(x)), _bumps(over_range(y))
+        return (pair[0][:, :, None] * pair[1][:, None, :]).reshape(len(x), -1)
+
+    q, dq, ddq, load = (x[:, j] for x in (rows.q, rows.dq, rows.ddq, rows.load))
+    place = over_range(q)
+    smooth = _waves(place, SMOOTH_WAVES)
+    yield columns.model(smooth, "position")
+    yield columns.model(_waves(place, FINE_WAVES), "place")
+    directed = np.hstack([smooth, rows.direction(j)[:, None] * smooth])
+    yield columns.model(directed, "position and direction")
+    yield columns.model(surface(q, dq), "position and speed")
+    yield columns.model(surface(q, load), "position and load")
+    yield columns.model(surface(dq, load), "speed and load")
+    yield columns.model(surface(dq, ddq), "speed and acceleration")
+    for k in (k for k in range(rows.n) if k != j):
+        yield columns.model(surface(q, rows.q[:, k]), "positions of two joints", k)
+        yield columns.model(surface(dq, rows.dq[:, k]), "speeds of two joints", k)
+    if rows.n > 1:
+        torque = np.abs(rows.motor_torque)
+        torque = torque / np.maximum(torque.max(axis=0), 1e-300)
+        total = torque.sum(axis=1) - torque[:, j]
+        yield columns.model(surface(load, total), "load of all joints")
+        yield columns.model(surface(dq, total), "load of all joints")
+
+
+def _waves(place: FloatArray, count: int) -> FloatArray:
+    """cos(π m x) for m = 1 … count, shape (N, count)."""
+    return np.cos(np.pi * np.outer(place, np.arange(1, count + 1)))
+
+
+def _bumps(place: FloatArray) -> FloatArray:
+    """Gaussian bumps over the unit interval, shape (N, BUMPS)."""
+    centres = np.linspace(0.0, 1.0, BUMPS)
+    return np.exp(-0.5 * np.square((place[:, None] - centres) * (BUMPS - 1)))
+
+
+def _resonances(columns: _Columns, state: str, regime: str) -> Iterator[CandidateModel]:
+    """Yield oscillators z̈ + 2ζω ż + ω² z = u that an acceleration or a load drives.
+
+    The columns are ω² z, ω ż, and the free oscillation from the start of each motion.
+    """
+    drives = []
+    for motion in columns.motions:
+        x = motion.coarse_samples.ddq if state == "ddq" else motion.rigid_torque
+        u = x[:, columns.joint]
+        drives.append(u - u.mean())
+
+    def family(damping: float) -> Callable[[float], CandidateModel]:
+        def model(hertz: float) -> CandidateModel:
+            driven = _driven(columns.motions, drives, hertz, damping)
+            values = {"frequency": hertz, "damping": damping}
+            return replace(columns.model(driven, regime), values=values)
+
+        return model
+
+    for damping in DAMPING_RATIOS:
+        make = family(damping)
+        for low, middle, high in zip(
+            FREQUENCIES[:-2], FREQUENCIES[1:-1], FREQUENCIES[2:], strict=True
+        ):
+            yield NonlinearParameter(float(middle), float(low), float(high), make).current
+
+
+def _driven(
+    motions: Sequence[RecordedMotion], drives: Sequence[FloatArray], hertz: float, damping: float
+) -> FloatArray:
+    """States of an oscillator along some motions, shape (N, 2 + 2 motions)."""
+    omega = 2.0 * np.pi * hertz
+    driven, free = [], []
+    for motion, u in zip(motions, drives, strict=True):
+        step = 1.0 / motion.band.rate_of(Grid.COARSE)
+        start = motion.segment.start + step * np.arange(len(u))
+        states = [
+            np.interp(motion.time, start, signal.lfilter(*_bilinear(b, omega, damping, step), u))
+            for b in ((0.0, 0.0, omega**2), (0.0, omega, 0.0))
+        ]
+        driven.append(np.column_stack(states))
+        clock = motion.time - motion.time[0]
+        phase = omega * np.sqrt(max(1.0 - damping**2, 0.0)) * clock
+        decay = np.exp(-damping * omega * clock)
+        free.append(decay[:, None] * np.column_stack([np.cos(phase), np.sin(phase)]))
+    return np.hstack([np.vstack(driven), linalg.block_diag(*free)])
+
+
+def _bilinear(
+    numerator: Sequence[float], omega: float, damping: float, step: float
+) -> tuple[FloatArray, FloatArray]:
+    """Digital filter of b(s)/(s² + 2ζω s + ω²) by Tustin's rule."""
+    b, a = signal.bilinear(numerator, (1.0, 2.0 * damping * omega, omega**2), fs=1.0 / step)
+    return np.asarray(b, float), np.asarray(a, float)

@@ -113,7 +113,7 @@ def test_degrees_are_neither_unwrapped_nor_glitches(two_link, tmp_path):
     [
         ("05-units_i_mA.csv", "two_link", RemarkKind.TORQUE_SCALE, 2, ["1e+3", "mA"]),
         ("05-units_tau2_flipped.csv", "two_link", RemarkKind.TORQUE_SIGN, 1, ["joint_2", "-1.1"]),
-        ("11-sign_all_tau_mon.csv", "ur5e", RemarkKind.TORQUE_SIGN, 4, ["inverted"]),
+        ("11-sign_all_tau_mon.csv", "ur5e", RemarkKind.TORQUE_SIGN, 5, ["inverted"]),
         ("07-gravcomp_mon.csv", "ur5e", RemarkKind.GRAVITY, 1, ["missing", "without gravity"]),
         ("07-gravcomp_tue.csv", "ur5e", RemarkKind.GRAVITY, 1, ["missing", "without gravity"]),
         ("../r_tau_million.csv", "two_link", RemarkKind.TORQUE_SCALE, 2, ["1e+6"]),

@@ -35,7 +35,7 @@ def folds(model: JointModel) -> list[BoolArray]:
     return [np.asarray(block % PARTS == part) for part in range(PARTS)]
 
 
-def pays(model: JointModel, effects: Sequence[int]) -> bool:
+def pays(model: JointModel, effects: Sequence[int], left_out: Collection[int] = ()) -> bool:
     """Tell whether effects lower the error on recordings to which they are not fitted.
 
     An effect that acts only for some time cannot be judged in this way, and passes.
@@ -43,10 +43,11 @@ def pays(model: JointModel, effects: Sequence[int]) -> bool:
     Args:
         model: A joint model that has them.
         effects: Their numbers.
+        left_out: Numbers of other effects that are left out.
     """
     if any(model.models[e].interval is not None for e in effects):
         return True
-    without, with_ = _errors(model, [effects, ()])
+    without, with_ = _errors(model, [{*left_out, *effects}, left_out])
     return bool(with_.sum() < without.sum())
 
 

@@ -127,6 +127,14 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         key: evidence_of(model, key, members, left_out, current) for key, members in groups.items()
     }
     out: list[EffectEvidence] = []
+    for key in [key for key in groups if key[0] not in DENSE_NAMES]:
+        left_out |= judge(model, key, left_out)[1]
+    if left_out:
+        out = [evidence.pop(key) for key, members in groups.items() if set(members) <= left_out]
+        current = regression.without(left_out)
+        evidence = {
+            key: evidence_of(model, key, groups[key], left_out, current) for key in evidence
+        }
     while evidence:
         present = probabilities(model.n, [*evidence.values(), *out])
         unneeded = [k for k, e in evidence.items() if present[k] < 0.5 or e.size < MIN_SEVERITY]
@@ -143,34 +151,47 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     return frozenset(left_out), [*evidence.values(), *out]
 
 
-def judge(model: JointModel, key: Key) -> EffectEvidence:
-    """Return the evidence of an effect jointly with those frictions that have more evidence.
+def judge(
+    model: JointModel, key: Key, left_out: Collection[int] = ()
+) -> tuple[EffectEvidence, frozenset[int]]:
+    """Return the evidence of an effect without the frictions that hide it.
 
-    A friction that the effect makes needless would hide it: the joint model has all frictions from
-    the start, and one that nearly has the form of the effect has taken its torque.
+    The joint model has all frictions from the start, and one that nearly has the form of the effect
+    has taken its torque. Of two such explanations the one with less evidence leaves, the friction
+    without which the effect grows most first, until the effect is needed or none is left.
 
     Args:
         model: A joint model with the effect.
         key: Effect and joint.
+        left_out: Numbers of effects that are left out.
+
+    Returns:
+        The evidence, and all effects that are left out; if the effect is not needed, as given.
     """
     groups, regression = effect_groups(model), model.regression
     joints = set(_joints(regression, groups[key]))
-    frictions = {k: g for k, g in groups.items() if k[0] in FRICTIONS and k[1] in joints}
-    left_out: set[int] = set()
-    current = model.solution
-    result = evidence_of(model, key, groups[key], left_out, current)
-    while frictions:
-        rivals = {
-            k: evidence_of(model, k, g, left_out, current).log_bayes_factor
-            for k, g in frictions.items()
-        }
-        least = min(rivals, key=lambda k: rivals[k])
-        if rivals[least] >= result.log_bayes_factor:
-            break
-        left_out |= set(frictions.pop(least))
-        current = regression.without(left_out)
-        result = evidence_of(model, key, groups[key], left_out, current)
-    return result
+    frictions = {
+        k: g
+        for k, g in groups.items()
+        if k[0] in FRICTIONS and k[1] in joints and not set(g) <= set(left_out)
+    }
+    out = frozenset(left_out)
+    first = result = evidence_of(model, key, groups[key], out, regression.without(out))
+    while not result.is_needed:
+        rivals = {}
+        current = regression.without(out)
+        for k, g in frictions.items():
+            if set(g) <= out:
+                continue
+            rival = evidence_of(model, k, g, out, current)
+            if rival.log_bayes_factor < result.log_bayes_factor:
+                less = out | set(g)
+                rivals[k] = evidence_of(model, key, groups[key], less, regression.without(less))
+        if not rivals:
+            return first, frozenset(left_out)
+        chosen = max(rivals, key=lambda k: rivals[k].size)
+        out, result = out | set(groups[chosen]), rivals[chosen]
+    return result, out
 
 
 def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:

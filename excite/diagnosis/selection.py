@@ -38,6 +38,8 @@ MAX_REJECTIONS = 3
 """Candidates that are tried in vain before the search ends."""
 EQUIVALENT_SHARE = 0.05
 """Probability over that of the chosen effect from which another one is its equivalent."""
+TIE = -probability.RARE_TEMPERATURE * float(np.log(EQUIVALENT_SHARE))
+"""Difference of log Bayes factors up to which two candidates are equivalent; both are tried."""
 
 
 @dataclass(frozen=True)
@@ -250,12 +252,15 @@ def find_rare_effects(
             for key in sorted(tuned, key=lambda key: -scores[key]):
                 if sum((k[0] == UNMODELLED) is flexible for k in rejected) >= MAX_REJECTIONS:
                     break
-                extended = joint_model.fit(identified, motions, (*rare, tuned[key].model))
-                evidence = _accepted(extended, key, progress)
-                if evidence is not None:
-                    chosen = key, extended, tuned[key].model, evidence
+                if chosen is not None and scores[key] < scores[chosen[0]] - TIE:
                     break
-                rejected.add(key)
+                shape = tuned[key].model
+                extended = joint_model.fit(identified, motions, (*rare, shape))
+                evidence = _accepted(extended, key, progress)
+                if evidence is None:
+                    rejected.add(key)
+                elif chosen is None or evidence.log_bayes_factor > chosen[3].log_bayes_factor:
+                    chosen = key, extended, shape, evidence
         if chosen is None:
             break
         key, model, shape, evidence = chosen
@@ -276,7 +281,7 @@ def _accepted(
     members = posterior.effect_groups(extended).get(key)
     if members is None:
         return None
-    result = posterior.judge(extended, key)
+    result, left_out = posterior.judge(extended, key)
     progress(
         f"{key[0]}, joint {key[1]}: log Bayes factor {result.log_bayes_factor:.1f}, "
         f"severity {result.size:.2f}"
@@ -284,7 +289,7 @@ def _accepted(
     if (
         result.is_needed
         and _is_plausible(extended, members)
-        and cross_validation.pays(extended, members)
+        and cross_validation.pays(extended, members, left_out)
     ):
         return result
     return None

@@ -87,7 +87,8 @@ gravity on a vertical axis."""
 
 @dataclass(frozen=True)
 class NominalComparison:
-    """Measured and nominal torque of a recording, friction and offset removed from both.
+    """Measured and nominal torque of a recording, without what the nominal model does not state:
+    friction, offset and rotor inertia are removed from both.
 
     Attributes:
         measured: Measured torque. Shape (N, n) [N m or N].
@@ -180,10 +181,14 @@ def nominal_torque(robot: Robot, motion: Samples) -> tuple[FloatArray, FloatArra
 def _comparison(
     torque: FloatArray, motion: Samples, gravity: FloatArray, dynamic: FloatArray
 ) -> NominalComparison:
-    """Remove friction and offset of each joint from all torques."""
+    """Remove friction, offset and rotor inertia of each joint from all torques.
+
+    The nominal model states none of them, and at a wrist the rotor inertia is far larger than that
+    of the link, to whose torque it is proportional.
+    """
     parts = [np.empty_like(torque) for _ in range(3)]
-    for j, speed in enumerate(motion.dq.T):
-        orthogonal = np.linalg.qr(_friction(speed))[0]
+    for j, (speed, acceleration) in enumerate(zip(motion.dq.T, motion.ddq.T, strict=True)):
+        orthogonal = np.linalg.qr(np.column_stack([_friction(speed), acceleration]))[0]
         for part, whole in zip(parts, (torque, gravity, dynamic), strict=True):
             part[:, j] = whole[:, j] - orthogonal @ (orthogonal.T @ whole[:, j])
     return NominalComparison(*parts)

@@ -1,6 +1,6 @@
 """Cross-validation of effects: what is fitted to some recordings has to predict the others.
 
-Folds are the training recordings, or interleaved blocks of a single one.
+Folds are the training recordings, or the thirds of a single one.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ from .posterior import EffectEvidence
 
 PARTS = 3
 """Folds of a single recording."""
-BLOCK = 2.0
-"""Length of their interleaved blocks [s]."""
 WORSE = 1.02
 """Squared error of a joint over that of the base model from which its effects do not predict."""
 
@@ -29,10 +27,10 @@ def folds(model: JointModel) -> list[BoolArray]:
     names = session_changes.sources(model.motions)
     if len(names) > 1:
         return [np.asarray(of_row == name) for name in names]
-    block = np.concatenate(
-        [((motion.time - motion.time[0]) / BLOCK).astype(int) for motion in model.motions]
+    third = np.concatenate(
+        [np.arange(len(motion)) * PARTS // len(motion) for motion in model.motions]
     )
-    return [np.asarray(block % PARTS == part) for part in range(PARTS)]
+    return [np.asarray(third == part) for part in range(PARTS)]
 
 
 def pays(model: JointModel, effects: Sequence[int], left_out: Collection[int] = ()) -> bool:

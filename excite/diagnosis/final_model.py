@@ -89,7 +89,10 @@ def fit(
         for i, (shape, part) in enumerate(zip(model.models, model.regression.slices, strict=True))
         if i not in left_out and shape.effect != UNMODELLED and solution.coefficients[part].any()
     ]
-    first = _with_effects(model.regression.base_only(), model, model.motions, shapes)
+    base_model = model.regression.base_only()
+    # the saved model has the widths and the delay of the motions, and no further change of them
+    base_model.fix_at_zero(range(len(model.free), model.delay_place + 1))
+    first = _with_effects(base_model, model, model.motions, shapes)
     effects = _fitted(shapes, first)
     cleaned = [_cleaned(effects, recording, model.motions) for recording in recordings]
     refitted = identification.identify(
@@ -101,6 +104,16 @@ def fit(
         dataclasses.replace(identified.options, dissipation=False),
         progress,
     )
+    if shapes and not identified.options.trusted:
+        # the same recordings, but effects and base model at once: where an effect can stand for a
+        # part of the base model, the recordings without its torque cannot show that part
+        joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
+        widths = model.motions[0].widths
+        refitted = dataclasses.replace(
+            refitted,
+            posterior=joint_model.consistent_estimate(identified, joint),
+            model=dataclasses.replace(refitted.model, widths=widths),
+        )
     psi = joint_model.initial_parameters(refitted)
     motions = joint_model.renewed(identified, model.motions, psi, refitted.model.widths)
     for new, old in zip(motions, model.motions, strict=True):

@@ -33,6 +33,7 @@ from ..effects.effect import CandidateModel
 from ..effects.form_error import RELATIVE_STD, with_form_error
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
+from ..identification.consistency import ConsistentEstimate
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
 from . import session_changes
@@ -431,21 +432,28 @@ def _moved(motion: RecordedMotion, torque: FloatArray, delay: float) -> FloatArr
 def consistent_parameters(identified: Identification, fitted: JointModel) -> FloatArray:
     """Return the physically consistent standard parameters of a fit, shape (P,).
 
+    Those of a trusted prior are as stated, with dissipative joint parameters.
+    """
+    if not identified.options.trusted:
+        return consistent_estimate(identified, fitted).psi
+    psi, base, model = fitted.psi.copy(), identified.model.base, identified.model
+    change = fitted.solution.coefficients[: len(fitted.free)] - (base.matrix @ psi)[fitted.free]
+    psi[np.asarray(base.independent)[fitted.free]] += change
+    for kind in ("rotor_inertia", "viscous", "coulomb"):
+        if kind in model.parameters.drive:
+            indices = model.parameters.block(kind)
+            psi[indices] = np.maximum(psi[indices], 0.0)
+    return psi
+
+
+def consistent_estimate(identified: Identification, fitted: JointModel) -> ConsistentEstimate:
+    """Return the physically consistent estimate of a fit without a trusted prior.
+
     The information of the base parameters is what the data hold after elimination of all effects.
     """
     model = identified.model
     p = len(fitted.free)
     solution = fitted.solution
-    if identified.options.trusted:
-        psi, base = fitted.psi.copy(), model.base
-        change = solution.coefficients[:p] - (base.matrix @ psi)[fitted.free]
-        places = np.asarray(base.independent)[fitted.free]
-        psi[places] += change
-        for kind in ("rotor_inertia", "viscous", "coulomb"):
-            if kind in model.parameters.drive:
-                indices = model.parameters.block(kind)
-                psi[indices] = np.maximum(psi[indices], 0.0)
-        return psi
     others = solution.active.copy()
     others[:p] = False
     eliminated = np.flatnonzero(others)
@@ -467,7 +475,7 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
         target,
         identified.prior,
         identified.options.bounds,
-    ).psi
+    )
 
 
 def find_waves(fitted: JointModel) -> list[CandidateModel]:

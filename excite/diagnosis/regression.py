@@ -25,6 +25,8 @@ MAX_LAG = 40
 """Lags of the autocorrelation that are summed [rows]."""
 MIN_AUTOCORRELATION = 0.02
 """Autocorrelation at which the sum ends, about two standard errors of 10,000 rows."""
+FIXED_STD = 1e-12
+"""Prior standard deviation of a coefficient that is held at zero."""
 RIDGE = 1e-10
 """Share of the diagonal that is added to a matrix before it is factored."""
 
@@ -182,7 +184,7 @@ class JointRegression:
         """Return a regression on the base model alone, with the same rows and weights."""
         p = self.base_count
         out = JointRegression(self.torque, self.moving, p, self.sigma, self.independent_share)
-        out.prior_matrix, out._prior_score = self.prior_matrix[:p, :p], self._prior_score[:p]
+        out.prior_matrix, out._prior_score = self.prior_matrix[:p, :p].copy(), self._prior_score[:p]
         out._prior_power, out.nonnegative = self._prior_power, np.zeros(p, bool)
         for gram in self._grams:
             base = gram.places < p
@@ -196,6 +198,12 @@ class JointRegression:
                 )
             )
         return out
+
+    def fix_at_zero(self, places: Sequence[int]) -> None:
+        """Hold some coefficients at zero, by a prior without uncertainty."""
+        for place in places:
+            self.prior_matrix[place, place] = 1.0 / FIXED_STD**2
+        self._solution, self._assembly = None, None
 
     def add(self, columns: Columns) -> int:
         """Append the columns of an effect; return its number."""

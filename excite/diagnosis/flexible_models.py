@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, signal
 
 from .._types import FloatArray
-from ..effects.effect import CandidateModel, NonlinearParameter
+from ..effects.effect import CandidateModel, NonlinearParameter, variants_within
 from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..identification.lowpass import Grid
 from .motion_rows import MotionRows, motion_rows
@@ -31,6 +31,10 @@ FREQUENCIES = np.geomspace(0.4, 15.0, 28)
 """Grid of resonance frequencies [Hz]; between two of them the frequency is optimised."""
 DAMPING_RATIOS = (0.02, 0.1)
 """Damping ratios of resonances: of a liquid or a beam, and a wide one."""
+DAMPING_STEP = 1.6
+"""Factor by which the damping moves in a step of the optimisation."""
+FREQUENCY_STEP = 1.05
+"""Factor within which the frequency is optimised again after such a step."""
 MIN_COLUMN_SHARE = 1e-3
 """RMS of a column over the largest from which it is fitted."""
 
@@ -168,8 +172,12 @@ def _resonances(columns: _Columns, state: str, regime: str) -> Iterator[Candidat
     def family(damping: float) -> Callable[[float], CandidateModel]:
         def model(hertz: float) -> CandidateModel:
             driven = _driven(columns.motions, drives, hertz, damping)
-            values = {"frequency": hertz, "damping": damping}
-            return replace(columns.model(driven, regime), values=values)
+            families = [family(damping * f) for f in (1.0 / DAMPING_STEP, DAMPING_STEP)]
+            return replace(
+                columns.model(driven, regime),
+                values={"frequency": hertz, "damping": damping},
+                variants=lambda: variants_within(hertz, FREQUENCY_STEP, families),
+            )
 
         return model
 

@@ -174,6 +174,27 @@ class CandidateColumns:
         mean += float(np.log(len(scored) / len(self.shapes[key])))
         return mean, best
 
+    def tuned(self, model: JointModel, key: Key, best: Candidate) -> Candidate:
+        """Return the best candidate of an effect at a joint, nonlinear parameters optimised.
+
+        A resonance between two frequencies of the grid may explain more than a function of state.
+
+        Args:
+            model: The joint model.
+            key: Effect and joint.
+            best: The best candidate of the grid.
+        """
+        out = optimised(model, best)
+        if key[0] == UNMODELLED and best.model.nonlinear is None:
+            resonances = (
+                Candidate.of(model, shape, columns)
+                for shape, columns in self.shapes[key]
+                if shape.nonlinear is not None
+            )
+            resonance = optimised(model, max(resonances, key=lambda c: c.evidence))
+            return max(out, resonance, key=lambda c: c.evidence)
+        return out
+
 
 def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     """Return a candidate for the present joint model, with its nonlinear parameters optimised."""
@@ -246,7 +267,10 @@ def find_rare_effects(
             if chosen is not None:
                 break
             # a shape between two grid points may explain more than another effect's best grid point
-            tuned = {key: optimised(model, best[key][1]) for key in group[:OPTIMISED_CANDIDATES]}
+            tuned = {
+                key: candidates.tuned(model, key, best[key][1])
+                for key in group[:OPTIMISED_CANDIDATES]
+            }
             for key, candidate in tuned.items():
                 scores[key] += max(candidate.evidence - best[key][1].evidence, 0.0)
             for key in sorted(tuned, key=lambda key: -scores[key]):

@@ -214,6 +214,10 @@ def diagnose(
     left_out, evidence = posterior.select(model)
     left_out = cross_validation.without_unpredictive(model, left_out, evidence)
     effects = estimates.estimate_effects(model, rare, left_out, evidence)
+    doubtful = estimates.doubtful_effects(effects, evidence)
+    if doubtful:
+        left_out |= doubtful
+        effects = estimates.estimate_effects(model, rare, left_out, evidence)
     progress("base model of the recordings without the effects")
     final = final_model.fit(identified, model, left_out, train, progress)
     residual = model.regression.residual(model.regression.without(left_out))

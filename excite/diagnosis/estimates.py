@@ -154,6 +154,26 @@ def estimate_effects(
     return [*out, *clock]
 
 
+def doubtful_effects(
+    effects: Sequence[EffectEstimate], evidence: Sequence[EffectEvidence]
+) -> frozenset[int]:
+    """Return the numbers of rare effects in the model that are less probable than not.
+
+    They are needed where they are, but another effect may well be in their place. The saved model
+    has none of them: what is not asserted is not to be predicted either.
+
+    Args:
+        effects: Estimates of all effects.
+        evidence: Evidence of all effects.
+    """
+    keys = {
+        (effect.effect, effect.joint)
+        for effect in effects
+        if effect.needed and not effect.asserted and effect.effect not in FRICTIONS
+    }
+    return frozenset(number for e in evidence if e.key in keys for number in e.effects)
+
+
 def _same_by_definition(
     name: str, parameters: Mapping[str, tuple[float, float]]
 ) -> tuple[str, ...]:

@@ -111,7 +111,7 @@ def fit(
         widths = model.motions[0].widths
         refitted = dataclasses.replace(
             refitted,
-            posterior=joint_model.consistent_estimate(identified, joint),
+            posterior=joint_model.consistent_estimate(refitted, joint),
             model=dataclasses.replace(refitted.model, widths=widths),
         )
     psi = joint_model.initial_parameters(refitted)

@@ -50,7 +50,9 @@ FRICTION_EFFECTS = {
     "spring": effect_entry("spring", "joint_2", {"form": 3.0}, 0.4, 0.2, 0.1),
     "spring, wave": effect_entry("spring", "joint_2", {"form": 1.0}, 0.4, 0.2),
     "spring, waves": effect_entry("spring", "joint_2", {"form": 4.0}, 0.4, 0.2, 0.3, 0.1),
-    "spring, slow wave": effect_entry("spring", "joint_2", {"order": 1.4, "about": 0.2}, 1, 2, 3),
+    "spring, slow wave": effect_entry(
+        "spring", "joint_2", {"order": 1.4, "about": 0.2, "low": -0.5, "high": 0.9}, 1, 2, 3
+    ),
     "spring, bend": effect_entry("spring", "joint_2", {"bend": 0.3}, 1.0, 2.0),
     "spring, curve": effect_entry(
         "spring",

@@ -154,24 +154,31 @@ def estimate_effects(
     return [*out, *clock]
 
 
-def doubtful_effects(
+def without_doubtful(
     effects: Sequence[EffectEstimate], evidence: Sequence[EffectEvidence]
-) -> frozenset[int]:
-    """Return the numbers of rare effects in the model that are less probable than not.
+) -> tuple[list[EffectEstimate], frozenset[int]]:
+    """Take rare effects that are less probable than not out of the saved model.
 
-    They are needed where they are, but another effect may well be in their place. The saved model
-    has none of them: what is not asserted is not to be predicted either.
+    They are needed, but another effect may well be in their place: what is not asserted is not to
+    be predicted either.
 
     Args:
         effects: Estimates of all effects.
         evidence: Evidence of all effects.
+
+    Returns:
+        The estimates, and the numbers of the effects that the saved model does not have.
     """
-    keys = {
+    doubtful = {
         (effect.effect, effect.joint)
         for effect in effects
         if effect.needed and not effect.asserted and effect.effect not in FRICTIONS
     }
-    return frozenset(number for e in evidence if e.key in keys for number in e.effects)
+    out = [
+        replace(effect, needed=effect.needed and (effect.effect, effect.joint) not in doubtful)
+        for effect in effects
+    ]
+    return out, frozenset(number for e in evidence if e.key in doubtful for number in e.effects)
 
 
 def _same_by_definition(

@@ -18,6 +18,8 @@ FORMS: tuple[Callable[[FloatArray], FloatArray], ...] = (
     lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
 )
 """Torque of usual springs and counterbalances over the joint position, linear in coefficients."""
+POLYNOMIALS = (2, 3)
+"""Forms that grow without bound beyond the positions to which they were fitted."""
 WAVES_OVER_RANGE = (0.35, 0.6, 0.9)
 """Periods over the joint's range of the slow wave that is added to a linear spring."""
 KINK_POSITIONS = np.linspace(0.15, 0.85, 8)
@@ -34,8 +36,10 @@ MIN_CURVE_RANGE = 0.05
 
 def _torque(values: Mapping[str, float], q: FloatArray) -> FloatArray:
     """Torque per coefficient over the joint position, (M,) -> (M, k)."""
+    if "low" in values:  # a curve of any form says nothing beyond the positions of its recordings
+        q = np.clip(q, values["low"], values["high"])
     if "waves" in values:
-        place = np.clip((q - values["low"]) / (values["high"] - values["low"]), 0.0, 1.0)
+        place = (q - values["low"]) / (values["high"] - values["low"])
         return np.cos(np.pi * np.outer(place, np.arange(1, int(values["waves"]) + 1)))
     if "bend" in values:
         distance = q - values["bend"]
@@ -82,15 +86,16 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             )
 
         for form in range(len(FORMS)):
-            yield model(form=float(form))
+            polynomial = {"low": low, "high": high} if form in POLYNOMIALS else {}
+            yield model(form=float(form), **polynomial)
         if high - low > MIN_CURVE_RANGE:
             slow = (2.0 * np.pi / (high - low) * np.array(WAVES_OVER_RANGE)).tolist()
             yield from grid_candidates(
-                slow, lambda order: model(order=order, about=0.5 * (low + high))
+                slow, lambda order: model(order=order, about=0.5 * (low + high), low=low, high=high)
             )
             yield from grid_candidates(
                 ((high - low) * KINK_POSITIONS).tolist(),
-                lambda distance: model(bend=low + distance),
+                lambda distance: model(bend=low + distance, low=low, high=high),
             )
             for waves in CURVE_WAVES:
                 yield model(waves=float(waves), low=low, high=high)

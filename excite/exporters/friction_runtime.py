@@ -157,10 +157,9 @@ def _torque_offset(v: dict[str, float], c: list[float], x: JointMotion, m: Any) 
 
 
 def _spring(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    q = x.q
+    q = m.fmin(m.fmax(x.q, v["low"]), v["high"]) if "low" in v else x.q
     if "waves" in v:
-        share = (q - v["low"]) / (v["high"] - v["low"])
-        phase = np.pi * m.fmin(m.fmax(share, 0.0), 1.0)
+        phase = np.pi * (q - v["low"]) / (v["high"] - v["low"])
         return _combination(c, [m.cos((k + 1) * phase) for k in range(int(v["waves"]))]), 0.0
     if "bend" in v:
         distance = q - v["bend"]

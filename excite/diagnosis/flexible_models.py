@@ -200,7 +200,7 @@ def _driven(
         start = motion.segment.start + step * np.arange(len(u))
         states = [
             np.interp(motion.time, start, signal.lfilter(*_bilinear(b, omega, damping, step), u))
-            for b in ((0.0, 0.0, omega**2), (0.0, omega, 0.0))
+            for b in ((0.0, omega**2), (omega, 0.0))
         ]
         driven.append(np.column_stack(states))
         clock = motion.time - motion.time[0]
@@ -211,8 +211,11 @@ def _driven(
 
 
 def _bilinear(
-    numerator: Sequence[float], omega: float, damping: float, step: float
+    numerator: tuple[float, float], omega: float, damping: float, step: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Digital filter of b(s)/(s² + 2ζω s + ω²) by Tustin's rule."""
-    b, a = signal.bilinear(numerator, (1.0, 2.0 * damping * omega, omega**2), fs=1.0 / step)
-    return np.asarray(b, float), np.asarray(a, float)
+    """Digital filter of (b₁ s + b₀)/(s² + 2ζω s + ω²) by Tustin's rule, s = k (z − 1)/(z + 1)."""
+    k, (b1, b0) = 2.0 / step, numerator
+    a1, a0 = 2.0 * damping * omega, omega**2
+    b = np.array([b1 * k + b0, 2.0 * b0, b0 - b1 * k])
+    a = np.array([k**2 + a1 * k + a0, 2.0 * (a0 - k**2), k**2 - a1 * k + a0])
+    return b / a[0], a / a[0]

@@ -37,6 +37,8 @@ INTEGERS = ("waves", "knots", "elements", "way", "form", "link", "count")
 """Values that are integers."""
 AXES_OF_WAYS = (2, 2, 1, 1, 1)
 """Number of coordinates of each mode in which a base can move."""
+ENDS = {"low": POSITION, "high": POSITION}
+"""Positions between which a spring was fitted, and beyond which its torque is that of the end."""
 COLUMNS_OF_FORMS = (1, 2, 2, 3, 4)
 """Number of columns of each form of a spring."""
 
@@ -121,10 +123,13 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "spring": (
         EffectForm(
             {"form": Range(0.0, 4.0, "1")},
+            ENDS,
             coefficients=lambda values: COLUMNS_OF_FORMS[int(values["form"])],
         ),
-        EffectForm({"order": SPATIAL_FREQUENCY, "about": POSITION}, coefficients=lambda values: 3),
-        EffectForm({"bend": POSITION}, coefficients=lambda values: 2),
+        EffectForm(
+            {"order": SPATIAL_FREQUENCY, "about": POSITION}, ENDS, coefficients=lambda values: 3
+        ),
+        EffectForm({"bend": POSITION}, ENDS, coefficients=lambda values: 2),
         EffectForm(
             {"waves": COUNT, "low": POSITION, "high": POSITION},
             coefficients=lambda values: int(values["waves"]),

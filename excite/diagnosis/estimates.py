@@ -106,6 +106,7 @@ def estimate_effects(
     clock = _clock_delay(posterior_of)
     probabilities = posterior.probabilities(model.n, evidence)
     likeness = _likeness(posterior_of, evidence, left_out)
+    in_model = {e.key for e in evidence if not set(e.effects) <= set(left_out)}
     out = []
     for entry in evidence:
         if entry.name == UNMODELLED:
@@ -124,7 +125,7 @@ def estimate_effects(
             parameters = posterior_of.parameters(entry.effects, draws)
             equivalents = likeness.get(entry.key, ())
         if rivals is not None:
-            share, names = rivals.share()
+            share, names = rivals.share(in_model)
             present *= share
             equivalents = tuple(dict.fromkeys((*equivalents, *names)))
         equivalents = tuple(

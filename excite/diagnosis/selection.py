@@ -60,17 +60,22 @@ class RareEffect:
     after: Mapping[Key, float]
     final: float
 
-    def share(self) -> tuple[float, tuple[str, ...]]:
+    def share(self, present: Collection[Key] = ()) -> tuple[float, tuple[str, ...]]:
         """Return the probability that it is this effect or an equivalent, and the equivalents.
 
         Another effect k may be in place of the chosen one, or next to it: the weights of the three
         cases are exp(E/T), exp(E_k/T) and exp((E + E_k|chosen)/T). E and E_k are scaled to the
         weights of the rows that the chosen effect leaves.
+
+        Args:
+            present: Other effects of the model, which are there and not in its place.
         """
         odds, temperature = probability.RARE_LOG_ODDS, probability.RARE_TEMPERATURE
         scale = max(self.final / max(self.evidence, 1e-9), 1.0)
         instead = {}
         for key, value in self.before.items():
+            if key in present:
+                continue
             jointly = max(self.after.get(key, -np.inf) / temperature + odds, -700.0)
             relative = scale * (value - self.evidence) / temperature - float(
                 np.logaddexp(0.0, jointly)

@@ -30,8 +30,10 @@ def result() -> IdentificationResult:
 
 @needs_inputs
 def test_the_prior_decides_the_mass_that_no_torque_shows(result):
-    found = result.identification
-    estimates = link_estimates(found.model.parameters, found.posterior, found.prior)
+    identification = result.identification
+    estimates = link_estimates(
+        identification.model.parameters, identification.posterior, identification.prior
+    )
     links = {link.name: link for link in estimates}
     # the first link turns about a vertical axis, so its mass loads no joint
     assert links["shoulder_link"].is_prior and links["shoulder_link"].mass_share < 0.1

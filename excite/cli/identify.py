@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,9 @@ import numpy as np
 
 from .. import api
 from .._system.output_files import OutputFiles, output_folder
-from .._system.progress import logger
 from ..api.identification_result import IDENTIFICATION_FILES
 from ..api.servo_identification_result import lacks_torque
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..identification.estimators import Method
 from ..identification.identification import IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def _from_position(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> bool:
-    """Whether positions are identified from, as asked or because no torque was recorded.
+    """Return True if the model is fitted to positions, as asked or because there is no torque.
 
     Raises:
         UnusableInput: Options of the identification from torque are given.
@@ -90,9 +90,11 @@ def _from_position(arguments: argparse.Namespace, recordings: Sequence[Recording
             if arguments.gains is not None:
                 raise UnusableInput("--gains: holds for --from position; add it")
             return False
-        logger.warning(
+        warnings.warn(
             "no torque was recorded: identifying from commanded and measured positions "
-            "(--from position), in units of the servo gain"
+            "(--from position), in units of the servo gain",
+            ExciteWarning,
+            stacklevel=2,
         )
     given = [name for name in TORQUE_OPTIONS if getattr(arguments, name)]
     if given:
@@ -123,11 +125,11 @@ def _run_without_torque(
         gamma=None if isinstance(gamma, str) else (gamma[0], gamma[-1]),
     )
     document, written = result.document(), output.replace(result.contents())
-    found = result.identification
-    replays = found.validations or found.fits
+    identification = result.identification
+    replays = identification.validations or identification.fits
     lines = [
-        f"{robot.name}: identified from positions; {found.scale_statement}",
-        f"{'held out' if found.validations else 'on the data fitted (no --validate)'}: position "
+        f"{robot.name}: identified from positions; {identification.scale_statement}",
+        f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: position "
         "error of a simulation of the complete recording [rad or m]",
         f"{'joint':25}{'commanded':>11}{'simulated':>11}{'Kp':>11}{'coulomb/Kp':>12}",
     ]
@@ -136,7 +138,7 @@ def _run_without_torque(
             lines.append(replay.source)
         for j, joint in enumerate(robot.joints):
             errors = replay.error("command")[j], replay.error()[j]
-            gain = found.loop.proportional[j]
+            gain = identification.loop.proportional[j]
             ratio = document["over_gain"][joint].get("coulomb", float("nan"))
             lines.append(
                 f"{joint:25} {errors[0]:10.4g} {errors[1]:10.4g} {gain:10.4g} {ratio:11.4g}"

@@ -922,8 +922,8 @@ def _replay(commands: Commands) -> None:
         "--gains",
         type=Numbers(Range(0.0, 1e9, "N m/rad, N m s/rad")),
         metavar="KP,KD[,…]",
-        help="gains of the position loop, one pair or one for each joint (default: those identified "
-        "with the model, else fitted to the recorded torque)",
+        help="gains of the position loop, one pair or one for each joint (default: those that were "
+        "identified with the model, else fitted to the recorded torque)",
     )
     sub.add_argument(
         "--robot", metavar="URDF", help="robot before its identification, if it has moved"

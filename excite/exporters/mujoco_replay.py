@@ -330,9 +330,7 @@ class Replay:
 
         def delayed(values: FloatArray) -> FloatArray:
             now = data.t - data.t[start]
-            return np.column_stack(
-                [np.interp(late[:, j], now, x) for j, x in enumerate(values.T)]
-            )
+            return np.column_stack([np.interp(late[:, j], now, x) for j, x in enumerate(values.T)])
 
         q_ref, v_ref = delayed(data.reference.q), delayed(data.reference.dq)
         feedforward = loop.forward * at_steps(data.rigid) + loop.constant

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -77,7 +76,7 @@ class IdentifiedModel:
     widths: FloatArray
     hertz: float
     effects: tuple[EffectDocument, ...] = ()
-    position_loop: Mapping[str, PositionLoopDocument] = MappingProxyType({})
+    position_loop: Mapping[str, PositionLoopDocument] = field(default_factory=dict)
 
     @property
     def layout(self) -> Parameters:

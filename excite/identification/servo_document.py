@@ -64,9 +64,7 @@ def servo_model_document(
         "band_hz": min(BAND_HZ, 0.4 * rate),
         "recordings": [recording.source for recording in recordings],
         "position_fit": [_replay_entry(r, robot.joints) for r in identification.fits],
-        "position_validation": [
-            _replay_entry(r, robot.joints) for r in identification.validations
-        ],
+        "position_validation": [_replay_entry(r, robot.joints) for r in identification.validations],
         "effects": [],
         "versions": trajectory_file.package_versions(),
     }

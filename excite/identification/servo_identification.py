@@ -187,7 +187,7 @@ class ServoIdentification:
 
     @property
     def scale_statement(self) -> str:
-        """What fixes the scale of all torques, in one sentence."""
+        """Statement of what fixes the scale of all torques."""
         if not self.is_ratio:
             return "the stated gains of the position loops fix the scale of all torques"
         return (
@@ -422,9 +422,7 @@ def _student_scale(power: FloatArray) -> tuple[FloatArray, FloatArray]:
     return scale, share
 
 
-def _scale_row(
-    model: IdentificationModel, motion: Samples, nominal: FloatArray
-) -> FloatArray:
+def _scale_row(model: IdentificationModel, motion: Samples, nominal: FloatArray) -> FloatArray:
     """Row s ψ = ⟨Y ψ, Y ψ₀⟩/⟨Y ψ₀, Y ψ₀⟩ over SCALE_SPREAD, Y of the links along a motion.
 
     s ψ = s ψ₀ means that the identified torque of the links has a slope of 1 against that of the
@@ -482,7 +480,9 @@ def _first_iterate(
             sign = np.tanh(motion.dq / (START_WIDTH_FACTOR * SERVO_COULOMB_WIDTH))
             error = (part.qref - motion.q) * stated_gains(part) / reference
             columns.append(
-                np.stack([dynamics.rigid_torque(motion), sign, motion.dq, np.ones_like(sign), error])
+                np.stack(
+                    [dynamics.rigid_torque(motion), sign, motion.dq, np.ones_like(sign), error]
+                )
             )
     rows = np.concatenate(columns, axis=1)
     values, usable = np.full((4, n), 1e-9), np.zeros(n, bool)
@@ -593,12 +593,8 @@ class _EquationErrors:
                 motions.append(motion)
                 commands.append(command)
                 gammas.append(dynamics.regressor(motion) / relative[:, None])
-        joined = [
-            Samples(*(np.concatenate([getattr(m, key) for m in part]) for key in MOTION_KEYS))
-            for part in (motions, commands)
-        ]
         gamma = np.concatenate(gammas)
-        return cls(model, *joined, gamma, len(gamma) // size)
+        return cls(model, _stacked(motions), _stacked(commands), gamma, len(gamma) // size)
 
     def errors(self, iterate: _Iterate) -> list[FloatArray]:
         return [self.slopes(iterate)[0][0]]
@@ -616,6 +612,12 @@ class _EquationErrors:
         out[:, :, LOOP_PARAMETERS * n :] = -self.gamma / K[:, None]
         shape = (self.windows, -1, n)
         return [(error.reshape(shape), out.reshape(*shape, out.shape[2]))]
+
+
+def _stacked(parts: Sequence[Samples]) -> Samples:
+    """Motions one after the other."""
+    q, dq, ddq = (np.concatenate([getattr(m, key) for m in parts]) for key in MOTION_KEYS)
+    return Samples(q, dq, ddq)
 
 
 @dataclass(frozen=True)
@@ -742,7 +744,7 @@ class _ServoProblem:
         stacked = np.vstack([factor, prior])
         stacked[:, -1] -= stacked[:, :loops] @ fixed
         kept = np.concatenate([free, np.arange(loops, factor.shape[1])])
-        R = np.linalg.qr(stacked[:, kept], mode="r")
+        R: FloatArray = np.linalg.qr(stacked[:, kept], mode="r")  # type: ignore[assignment]
         count = len(free)
         return (
             R[:count],
@@ -843,8 +845,7 @@ def _line_search(
     for k in range(MAX_HALVINGS):
         part = 0.5**k
         loop = ServoLoop(
-            start.loop.proportional
-            * (end.loop.proportional / start.loop.proportional) ** part,
+            start.loop.proportional * (end.loop.proportional / start.loop.proportional) ** part,
             start.loop.derivative + part * (end.loop.derivative - start.loop.derivative),
             start.loop.delay + part * (end.loop.delay - start.loop.delay),
         )

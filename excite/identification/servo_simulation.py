@@ -1,10 +1,12 @@
 """Closed-loop simulation of a robot with position servos, with exact sensitivities.
 
-The motor torque of joint j is u = K_p clip(e, ±E) + K_d ė with e = q_ref(t − d) − q. Steps of length
-h are semi-implicit: position error, gravity and Coriolis torque are those of the start of a step,
-friction and K_d act on the speed v⁺ at its end, as in MuJoCo:
+The motor torque of joint j is u = K_p clip(e, ±E) + K_d ė with e = q_ref(t − d) − q. Steps of
+length h are semi-implicit: command, position, gravity and Coriolis torque are those of the start of
+a step, friction and K_d act on the speed v⁺ at its end, as in MuJoCo:
 
     M(q) (v⁺ − v)/h + b(q, v) + F_v v⁺ + F_c tanh(v⁺/w) + c = u,    q⁺ = q + h v⁺.
+
+Speeds are thus those of the middle of a step, and positions of second order in h (leapfrog).
 
 v⁺ minimises ½ v⁺ᵀA v⁺ − rᵀv⁺ + h Σ F_c w log cosh(v⁺/w), A = M + h (F_v + K_d), a strictly convex
 function. The sensitivities of the discrete map follow from the implicit function theorem and the
@@ -131,7 +133,7 @@ class ServoWindows:
         return max(1, int(np.ceil(self.step / MAX_STEP - 1e-9)))
 
     def delayed_command(self, delay: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return commanded positions and speeds at the end of every step of integration.
+        """Return commanded positions and speeds at the start of every step of integration.
 
         Args:
             delay: Delay of each joint. Shape (n,) [s].
@@ -139,7 +141,7 @@ class ServoWindows:
         Returns:
             Shapes (W, K, n).
         """
-        lag = self.step / self.substeps * np.arange(1, (self.q.shape[1] - 1) * self.substeps + 1)
+        lag = self.step / self.substeps * np.arange((self.q.shape[1] - 1) * self.substeps)
         parts = [
             command.delayed(begin + lag, delay)
             for begin, command in zip(self.begins, self.commands, strict=True)
@@ -273,7 +275,9 @@ class _ServoStep:
             parts.append((spread.T @ by_q @ spread, spread.T @ by_v @ spread))
         return np.array([part[0] for part in parts]), np.array([part[1] for part in parts])
 
-    def _regressor(self, q: FloatArray, v: FloatArray, a: FloatArray, end: FloatArray) -> FloatArray:
+    def _regressor(
+        self, q: FloatArray, v: FloatArray, a: FloatArray, end: FloatArray
+    ) -> FloatArray:
         """Γ with friction of the speed at the end of the step. Shape (W, n, p)."""
         model, widths = self._dynamics.model, self._dynamics.widths
         Y = regressor(model.robot, model.parameters, Samples(q, v, a))
@@ -289,8 +293,9 @@ def end_speed(
 ) -> FloatArray:
     """Solve A v + f tanh(v/w) = r for the speed v.
 
-    v minimises a strictly convex function. Newton's method, and where it does not decrease the
-    function, a step of the quadratic that majorises it, f tanh(v₀/w)/v₀ · v²/2 (de Leeuw & Lange,
+    v minimises a strictly convex function. Newton's method, stopped where a speed would change its
+    sign, as the slope of the friction is largest there; where it does not decrease the function, a
+    step of the quadratic that majorises it, f tanh(v₀/w)/v₀ · v²/2 (de Leeuw & Lange,
     "Sharp quadratic majorization in one dimension", 2009), which always does.
 
     Args:
@@ -315,6 +320,7 @@ def end_speed(
         newton[:, joints, joints] += friction / widths * (1.0 - tanh**2)
         change = np.linalg.solve(newton, gradient[..., None])[..., 0]
         trial = speed - change
+        trial[(trial * speed < 0.0) & (np.abs(speed) > widths)] = 0.0
         cost = _speed_cost(matrix, right, friction, widths, trial)
         worse = cost > before + 1e-15 * np.abs(before)
         if worse.any():
@@ -322,9 +328,7 @@ def end_speed(
             secant = matrix[worse].copy()
             secant[:, joints, joints] += friction * np.tanh(small / widths) / small
             trial[worse] = np.linalg.solve(secant, right[worse][..., None])[..., 0]
-            cost[worse] = _speed_cost(
-                matrix[worse], right[worse], friction, widths, trial[worse]
-            )
+            cost[worse] = _speed_cost(matrix[worse], right[worse], friction, widths, trial[worse])
         v[active] = trial
         moving = np.abs(trial - speed).max(axis=1) > SPEED_TOLERANCE
         if not moving.any():

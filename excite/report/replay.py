@@ -194,9 +194,7 @@ def draw_replay(
         axes = axes_grid(figure, len(joints), 2, margins=(0.65, 0.15, 0.45, 0.4), gaps=(0.6, 0.22))
         for j, joint in enumerate(joints):
             left, right = axes[j]
-            left.plot(
-                *thin_curve(t, recorded[:, j], DRAWN_POINTS), color=INK, label="recorded"
-            )
+            left.plot(*thin_curve(t, recorded[:, j], DRAWN_POINTS), color=INK, label="recorded")
             for name, positions, color in curves:
                 q = np.where(np.isfinite(positions[:, j]), positions[:, j], np.nan)
                 shown = np.where(np.abs(q - recorded[:, j]) < 1.0, q, np.nan)

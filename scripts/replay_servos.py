@@ -2,11 +2,11 @@
 
     python scripts/replay_servos.py [--data /path/to/recordings] [--only xl330|so101]
 
-XL330: a servo with a pendulum, identified from qref and q alone, next to the identification from its
-computed torque and the replay errors that its authors state. SO-101: an arm of five servos,
+XL330: a servo with a pendulum, identified from qref and q alone, next to the identification from
+its computed torque and the replay errors that its authors state. SO-101: an arm of five servos,
 identified from slow motions, next to its URDF with the same position loop and the parameters of
-two published MuJoCo models. Every robot is exported as MJCF and driven in MuJoCo by the commands of the
-held-out recordings, from their first state to their end.
+two published MuJoCo models. Every robot is exported as MJCF and driven in MuJoCo by the commands of
+the held-out recordings, from their first state to their end.
 """
 
 from __future__ import annotations

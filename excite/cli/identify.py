@@ -129,8 +129,8 @@ def _run_without_torque(
     replays = identification.validations or identification.fits
     lines = [
         f"{robot.name}: identified from positions; {identification.scale_statement}",
-        f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: position "
-        "error of a simulation of the complete recording [rad or m]",
+        f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: "
+        "position error of a simulation of the complete recording [rad or m]",
         f"{'joint':25}{'commanded':>11}{'simulated':>11}{'Kp':>11}{'coulomb/Kp':>12}",
     ]
     for replay in replays:

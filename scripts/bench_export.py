@@ -6,12 +6,13 @@ Dense robots with a position servo are simulated along two random motions of 26 
 position loop are identified from the first, exported as MJCF, and driven in MuJoCo by the commands
 of the second, for 20 s from one recorded state. "Before" is the URDF as given, with the same loop.
 With --diagnose the model holds the effects that a diagnosis finds, and the friction module adds
-what MJCF does not hold.
+what MJCF does not hold. The last line says whether mujoco.sysid could be run; it is not compared.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 import tempfile
 import time
@@ -19,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from concealed_trial.random_excitation import draw_excitation
 
@@ -119,6 +121,15 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def sysid_state() -> str:
+    """State of MuJoCo's own identification: its wheel holds it, its extra the packages it needs."""
+    try:
+        importlib.import_module("mujoco.sysid._src.optimize")
+    except ModuleNotFoundError as error:
+        return f"mujoco.sysid does not run here: {error}; it needs pip install 'mujoco[sysid]'"
+    return f"mujoco.sysid of MuJoCo {mujoco.__version__} could be run; it is not compared yet"
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the script; return its exit code."""
     parser = argparse.ArgumentParser(
@@ -148,6 +159,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"median position error after over before: {np.median(ratios):.2f}, torque {torques:.2f}; "
         f"better in {better} of {len(scores)}"
     )
+    print(sysid_state())
     return 0
 
 

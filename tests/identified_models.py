@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,43 @@ WIDTH = 0.005
 """Width of Coulomb friction [rad/s or m/s]."""
 
 
+def known_limits(machine: robot.Robot, assumed: tuple[float, float] | None) -> Limits:
+    """Limits of a robot, with assumed velocity and torque limits where it states none."""
+    if assumed is None:
+        return limits.resolve(machine)
+    stated = [
+        {
+            "position": entry.position or (-1.0, 1.0),
+            "velocity": entry.velocity or assumed[0],
+            "torque": entry.torque or assumed[1],
+        }
+        for entry in machine.entries
+    ]
+    values = {key: np.array([row[key] for row in stated], float) for key in stated[0]}
+    none = np.full(machine.n, np.inf)
+    return Limits(
+        joints=machine.joints,
+        position=values["position"],
+        velocity=values["velocity"],
+        acceleration=none,
+        jerk=none,
+        torque=values["torque"],
+        braking=(None,) * machine.n,
+        sources={},
+    )
+
+
 def write_model(
-    folder: Path, name: str, effects: tuple[dict[str, Any], ...] = (), seed: int = 0
+    folder: Path,
+    name: str,
+    effects: tuple[dict[str, Any], ...] = (),
+    seed: int = 0,
+    joints: Sequence[str] | None = None,
+    assumed: tuple[float, float] | None = None,
 ) -> Path:
-    """Write the `model.json` of a built-in robot with random, physically consistent parameters."""
-    machine = robot.load(name)
-    table = limits.resolve(machine)
+    """Write the `model.json` of a robot with random, physically consistent parameters."""
+    machine = robot.load(name, joints=joints)
+    table = known_limits(machine, assumed)
     standard = inertial_parameters.standard_parameters(machine, table)
     psi = perturbed_parameters(standard, np.random.default_rng(seed))
     widths = np.full(machine.n, WIDTH)
@@ -55,9 +87,11 @@ def write_model(
     return path
 
 
-def random_states(model: IdentifiedModel, count: int, seed: int = 1) -> Samples:
+def random_states(
+    model: IdentifiedModel, count: int, seed: int = 1, assumed: tuple[float, float] | None = None
+) -> Samples:
     """Return random states within the limits of a robot, accelerations within ±10 rad/s²."""
-    table: Limits = limits.resolve(model.robot)
+    table = known_limits(model.robot, assumed)
     rng = np.random.default_rng(seed)
     low, high = inertial_parameters.ranges(table).T
     inset = 0.02 * (high - low)

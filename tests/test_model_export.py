@@ -134,11 +134,9 @@ def sdf_model(text: str) -> pin.Model:
     return out
 
 
-@pytest.mark.parametrize("name", BUILTIN)
-def test_the_sdf_gives_the_torque_of_the_links(name, tmp_path):
-    path = write_model(tmp_path, name)
-    model, text = read_model(path), excite.export_model(path, "sdf").text
-    parsed, motion = sdf_model(text), random_states(model, 20)
+def sdf_torque(text: str, model, motion):
+    """Torque of the links of an SDF by Pinocchio, of the model's joints. Shape (N, n)."""
+    parsed = sdf_model(text)
     parsed.gravity = model.robot.model.gravity
     data, order = parsed.createData(), [str(name) for name in parsed.names][1:]
     places = [order.index(str(name)) for name in list(model.robot.model.names)[1:]]
@@ -149,11 +147,19 @@ def test_the_sdf_gives_the_torque_of_the_links(name, tmp_path):
         state[1, places] = model.robot.spread @ motion.dq[k]
         state[2, places] = model.robot.spread @ motion.ddq[k]
         torque[k] = pin.rnea(parsed, data, *state)
+    return torque[:, places] @ model.robot.spread
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_the_sdf_gives_the_torque_of_the_links(name, tmp_path):
+    path = write_model(tmp_path, name)
+    model, text = read_model(path), excite.export_model(path, "sdf").text
+    motion = random_states(model, 20)
     psi = model.psi.copy()
     psi[10 * len(model.robot.links) :] = 0.0
     bare = type(model)(model.source, model.robot, model.drive, psi, model.widths, model.hertz)
     expected = bare.torque(motion, motion.dq)
-    np.testing.assert_allclose(torque[:, places] @ model.robot.spread, expected, atol=1e-8)
+    np.testing.assert_allclose(sdf_torque(text, model, motion), expected, atol=1e-8)
     joints = ElementTree.fromstring(text).findall("model/joint")
     dynamics = {joint.get("name"): joint.find("axis/dynamics") for joint in joints}
     for j, joint in enumerate(model.robot.joints):

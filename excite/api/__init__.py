@@ -20,6 +20,8 @@ from .payload_result import identify_payload as identify_payload
 from .replay_result import ReplayResult as ReplayResult
 from .replay_result import replay as replay
 from .robots import load_robot as load_robot
+from .servo_identification_result import ServoIdentificationResult as ServoIdentificationResult
+from .servo_identification_result import identify_servo as identify_servo
 from .simulated_recording import SimulatedRecording as SimulatedRecording
 from .simulated_recording import simulate as simulate
 from .verification_result import VerificationResult as VerificationResult

@@ -346,7 +346,7 @@ def identify(
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
     report = progress or logger.info
-    report(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
+    report(f"reading {', '.join(map(recording_name, (*recordings, *validate)))}")
     train, held_out = read_both(
         loaded,
         table,
@@ -430,7 +430,8 @@ def read_bounds(path: str | Path | None, standard: Parameters) -> Bounds:
     return Bounds(mass, centre)
 
 
-def _name(source: RecordingSource) -> str:
+def recording_name(source: RecordingSource) -> str:
+    """Return the name of a recording, or its path."""
     return source.source if isinstance(source, Recording) else str(source)
 
 

@@ -25,6 +25,7 @@ from .identification_result import RecordingSource, read_recording
 from .model_export import read_simulator_model
 from .robots import load_robot
 from .saved_result import SavedResult
+from .servo_identification_result import gain_pairs
 
 REPLAY_FILES = ("replay.json", "report.html")
 """Files of a replay."""
@@ -123,7 +124,8 @@ def replay(
         recording: Recording with commanded positions, `qref.<joint>`, or torque.
         command: "qref" or "torque"; None: qref where it was recorded.
         gains: K_p and K_d of the position loop: one pair, or one for each joint [N m/rad,
-            N m s/rad]; None: they are fitted to the recorded torque.
+            N m s/rad]; None: those that were identified with the model, else they are fitted to the
+            recorded torque.
         robot: Description of the robot before its identification; None: the one that the model
             states.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
@@ -142,13 +144,13 @@ def replay(
         command = "torque" if measured.qref is None and gains is None else "qref"
     data = mujoco_replay.replay_input(fitted, measured, command == "torque")
     loop = None
-    if command == "qref":
-        loop = (
-            mujoco_replay.fit_position_loop(
-                data, mujoco_replay.torque_limits(prepared), measured.source
-            )
-            if gains is None
-            else _stated_loop(gains, fitted)
+    if command == "qref" and gains is not None:
+        loop = mujoco_replay.stated_loop(*gain_pairs(gains, fitted.robot))
+    elif command == "qref" and fitted.position_loop:
+        loop = mujoco_replay.identified_loop(fitted, measured)
+    elif command == "qref":
+        loop = mujoco_replay.fit_position_loop(
+            data, mujoco_replay.torque_limits(prepared), measured.source
         )
     described = nominal_model(prepared, robot)
     robots = [("before", described, False), ("after", prepared, False)]
@@ -161,22 +163,6 @@ def replay(
             mujoco_replay.replay_errors(name, Replay(machine, data, loop, with_friction), data)
         )
     return ReplayResult(prepared, measured, data, loop, tuple(errors))
-
-
-def _stated_loop(gains: Sequence[float], model: IdentifiedModel) -> PositionLoop:
-    """The position loop with stated gains.
-
-    Raises:
-        UnusableInput: There is neither one pair nor one for each joint.
-    """
-    n = model.robot.n
-    if len(gains) not in (2, 2 * n):
-        raise UnusableInput(
-            f"--gains: should hold KP,KD once or for each of the {n} joints "
-            f"({', '.join(model.robot.joints)}), not {len(gains)} numbers"
-        )
-    table = np.broadcast_to(np.array(gains, float).reshape(-1, 2), (n, 2))
-    return mujoco_replay.stated_loop(table[:, 0].copy(), table[:, 1].copy())
 
 
 def nominal_model(model: SimulatorModel, robot: str | Path | None = None) -> SimulatorModel:

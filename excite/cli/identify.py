@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,25 +11,46 @@ from typing import Any
 import numpy as np
 
 from .. import api
-from .._system.output_files import output_folder
+from .._system.output_files import OutputFiles, output_folder
 from ..api.identification_result import IDENTIFICATION_FILES
+from ..api.servo_identification_result import lacks_torque
+from ..errors import ExciteWarning, UnusableInput
 from ..identification.estimators import Method
 from ..identification.identification import IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
+from ..recordings import Recording
+from ..robot.limits import Limits
 from ..robot.robot import Robot
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
+
+TORQUE_OPTIONS = ("prior", "align", "hausman", "simulate", "refine", "check_lmi", "band")
+"""Options that need recorded torque."""
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite identify`."""
     output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)
     robot = shared.robot(arguments)
+    limits = shared.limits(arguments, robot)
+    recordings = [
+        api.read_recording(
+            path,
+            robot,
+            limits=limits,
+            period=arguments.period,
+            window=arguments.window,
+            columns=shared.columns(arguments),
+        )
+        for path in arguments.recordings
+    ]
+    if _from_position(arguments, recordings):
+        return _run_without_torque(arguments, output, robot, limits, recordings)
     result = api.identify(
         robot,
-        arguments.recordings,
+        recordings,
         validate=arguments.validate,
-        limits=shared.limits(arguments, robot),
+        limits=limits,
         drive=shared.drive(arguments),
         bounds=arguments.bounds,
         prior=arguments.prior,
@@ -53,6 +75,75 @@ def run(arguments: argparse.Namespace) -> Outcome:
         with_files(document, written),
         _text(result, facts, written),
     )
+
+
+def _from_position(arguments: argparse.Namespace, recordings: Sequence[Recording]) -> bool:
+    """Return True if the model is fitted to positions, as asked or because there is no torque.
+
+    Raises:
+        UnusableInput: Options of the identification from torque are given.
+    """
+    if arguments.source == "torque":
+        return False
+    if arguments.source is None:
+        if not all(map(lacks_torque, recordings)):
+            if arguments.gains is not None:
+                raise UnusableInput("--gains: holds for --from position; add it")
+            return False
+        warnings.warn(
+            "no torque was recorded: identifying from commanded and measured positions "
+            "(--from position), in units of the servo gain",
+            ExciteWarning,
+            stacklevel=2,
+        )
+    given = [name for name in TORQUE_OPTIONS if getattr(arguments, name)]
+    if given:
+        raise UnusableInput(f"--{given[0].replace('_', '-')}: needs recorded torque; leave it out")
+    return True
+
+
+def _run_without_torque(
+    arguments: argparse.Namespace,
+    output: OutputFiles,
+    robot: Robot,
+    limits: Limits,
+    recordings: Sequence[Recording],
+) -> Outcome:
+    """Identify from commanded and measured positions."""
+    gamma = arguments.gamma
+    result = api.identify_servo(
+        robot,
+        recordings,
+        validate=arguments.validate,
+        limits=limits,
+        drive=shared.drive(arguments),
+        bounds=arguments.bounds,
+        gains=arguments.gains,
+        trajectory=arguments.trajectory,
+        columns=shared.columns(arguments),
+        distance=Distance(arguments.distance),
+        gamma=None if isinstance(gamma, str) else (gamma[0], gamma[-1]),
+    )
+    document, written = result.document(), output.replace(result.contents())
+    identification = result.identification
+    replays = identification.validations or identification.fits
+    lines = [
+        f"{robot.name}: identified from positions; {identification.scale_statement}",
+        f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: "
+        "position error of a simulation of the complete recording [rad or m]",
+        f"{'joint':25}{'commanded':>11}{'simulated':>11}{'Kp':>11}{'coulomb/Kp':>12}",
+    ]
+    for replay in replays:
+        if len(replays) > 1:
+            lines.append(replay.source)
+        for j, joint in enumerate(robot.joints):
+            errors = replay.error("command")[j], replay.error()[j]
+            gain = identification.loop.proportional[j]
+            ratio = document["over_gain"][joint].get("coulomb", float("nan"))
+            lines.append(
+                f"{joint:25} {errors[0]:10.4g} {errors[1]:10.4g} {gain:10.4g} {ratio:11.4g}"
+            )
+    return 0, with_files(document, written), "\n".join([*lines, *written_lines(written)])
 
 
 def _options(arguments: argparse.Namespace) -> IdentificationOptions:

@@ -659,6 +659,20 @@ def _identify(commands: Commands) -> None:
         default=[],
         help="held-out recordings for validation; the model is not fitted to them",
     )
+    sub.add_argument(
+        "--from",
+        dest="source",
+        choices=("torque", "position"),
+        help="what the model is fitted to: torque, or the measured positions of a robot whose "
+        "servos follow qref (default: torque where any was recorded, else position)",
+    )
+    sub.add_argument(
+        "--gains",
+        type=Numbers(Range(0.0, 1e9, "N m/rad, N m s/rad")),
+        metavar="KP,KD[,…]",
+        help="with --from position: gains of the position loop, one pair or one for each joint "
+        "(default: estimated; then all torques are ratios to them)",
+    )
     group = sub.add_argument_group("parameters")
     group.add_argument(
         "--without",
@@ -908,8 +922,8 @@ def _replay(commands: Commands) -> None:
         "--gains",
         type=Numbers(Range(0.0, 1e9, "N m/rad, N m s/rad")),
         metavar="KP,KD[,…]",
-        help="gains of the position loop, one pair or one for each joint (default: fitted to the "
-        "recorded torque)",
+        help="gains of the position loop, one pair or one for each joint (default: those that were "
+        "identified with the model, else fitted to the recorded torque)",
     )
     sub.add_argument(
         "--robot", metavar="URDF", help="robot before its identification, if it has moved"

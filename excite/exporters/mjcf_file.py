@@ -48,7 +48,7 @@ class JointAttributes:
     holds_offset: bool = True
 
 
-def mjcf_text(model: SimulatorModel) -> str:
+def mjcf_text(model: SimulatorModel, *, servos: bool = True) -> str:
     """Return the MJCF of an identified robot.
 
     Bodies are the links that the joints move, with all that is fixed to them. Frames of fixed links
@@ -57,6 +57,8 @@ def mjcf_text(model: SimulatorModel) -> str:
 
     Args:
         model: The identified robot.
+        servos: Whether joints with an identified position loop get a <position> actuator, whose
+            control is the commanded position, instead of a torque motor.
     """
     robot = model.model.robot
     root = ElementTree.Element("mujoco", model=robot.name)
@@ -99,9 +101,15 @@ def mjcf_text(model: SimulatorModel) -> str:
         body.append(inertial_element(model.link_inertia(i)))
     _add_sites(model, bodies)
     _add_followers(model, root)
-    _add_actuators(model, root)
+    is_servo = servos and bool(model.model.position_loop)
+    if is_servo:
+        _add_servos(model, root)
+    else:
+        _add_actuators(model, root)
     lost = [name for name, entry in attributes.items() if not entry.holds_offset]
     lines = [*model.header("MJCF", HOLDS), *_notes(TIMESTEP, lost)]
+    if is_servo:
+        lines.append("actuators: kv brakes the joint; the identified K_d acts on the error's rate")
     return with_comment(root, lines)
 
 
@@ -290,10 +298,38 @@ def _add_actuators(model: SimulatorModel, root: ElementTree.Element) -> None:
         if limit is not None and np.isfinite(limit):
             motor.set("ctrlrange", words([-limit, limit]))
             motor.set("forcerange", words([-limit, limit]))
-        delay = float(model.torques.actuator_delay[j])
-        if delay > 0.0:
-            motor.set("delay", repr(delay))
-            motor.set("nsample", str(int(np.ceil(delay / TIMESTEP)) + DELAY_MARGIN))
+        _set_delay(motor, float(model.torques.actuator_delay[j]))
+
+
+def _add_servos(model: SimulatorModel, root: ElementTree.Element) -> None:
+    """Add the position loop of each joint, with its largest torque and its delay."""
+    actuators = ElementTree.SubElement(root, "actuator")
+    for j, name in enumerate(model.joints):
+        loop = model.model.position_loop[name]
+        gain, limit = float(loop.proportional), model.position_limit(j)
+        servo = ElementTree.SubElement(
+            actuators,
+            "position",
+            name=name,
+            joint=name,
+            kp=repr(gain),
+            kv=repr(float(loop.derivative)),
+        )
+        if limit is not None:
+            servo.set("ctrlrange", words(limit))
+        largest = np.inf if loop.error_limit is None else gain * float(loop.error_limit)
+        torque = model.torque_limit(j)
+        largest = min(largest, np.inf if torque is None else torque)
+        if np.isfinite(largest):
+            servo.set("forcerange", words([-largest, largest]))
+        _set_delay(servo, float(loop.delay) + float(model.torques.actuator_delay[j]))
+
+
+def _set_delay(actuator: ElementTree.Element, delay: float) -> None:
+    """State the delay [s] of an actuator, if it has any."""
+    if delay > 0.0:
+        actuator.set("delay", repr(delay))
+        actuator.set("nsample", str(int(np.ceil(delay / TIMESTEP)) + DELAY_MARGIN))
 
 
 def _polynomial(coefficients: Iterable[float]) -> str:

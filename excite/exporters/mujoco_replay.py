@@ -44,14 +44,20 @@ class PositionLoop:
         forward: Factor a of the rigid torque of the commanded motion. Shape (n,).
         gains: K_p, K_d, K_i. Shape (3, n) [N m/rad, N m s/rad, N m/(rad s)].
         constant: Constant c. Shape (n,) [N m].
+        delay: Time by which the command acts late. Shape (n,) [s].
+        error_limit: Position error at which the motor saturates, ∞ without. Shape (n,) [rad or m].
         explained: Share of the variance of the recorded torque that the loop explains, shape (n,);
-            None for stated gains.
+            None for gains that are stated or part of the model.
+        origin: How the loop is known: "fitted", "stated" or "model".
     """
 
     forward: FloatArray
     gains: FloatArray
     constant: FloatArray
+    delay: FloatArray
+    error_limit: FloatArray
     explained: FloatArray | None = None
+    origin: str = "fitted"
 
     def document(self, joints: Sequence[str]) -> dict[str, Any]:
         """Content for JSON."""
@@ -61,6 +67,7 @@ class PositionLoop:
                 "forward": float(self.forward[j]),
                 **{key: float(self.gains[k, j]) for k, key in enumerate(keys)},
                 "constant": float(self.constant[j]),
+                "delay": float(self.delay[j]),
                 "explained": None if self.explained is None else float(self.explained[j]),
             }
             for j, joint in enumerate(joints)
@@ -179,13 +186,43 @@ def fit_position_loop(data: ReplayInput, limit: FloatArray, source: str) -> Posi
         forward[j], gains[:, j], constant[j] = x[0], x[1:4], x[4]
         left = np.sum((b - A @ x) ** 2)
         explained[j] = 1.0 - float(left / max(float(np.sum((b - b.mean()) ** 2)), 1e-300))
-    return PositionLoop(forward, gains, constant, explained)
+    never = np.full(n, np.inf)
+    return PositionLoop(forward, gains, constant, np.zeros(n), never, explained)
 
 
 def stated_loop(proportional: FloatArray, derivative: FloatArray) -> PositionLoop:
     """Return a PD loop with stated gains, shapes (n,)."""
-    zero = np.zeros_like(proportional)
-    return PositionLoop(zero, np.array([proportional, derivative, zero]), zero)
+    zero, never = np.zeros_like(proportional), np.full_like(proportional, np.inf)
+    gains = np.array([proportional, derivative, zero])
+    return PositionLoop(zero, gains, zero, zero, never, origin="stated")
+
+
+def identified_loop(model: IdentifiedModel, recording: Recording) -> PositionLoop:
+    """Return the position loop that was identified with a model, at the gain of a recording.
+
+    Args:
+        model: The model, with position loops.
+        recording: The recording, whose sidecar may state its `position_gain`.
+    """
+    entries = [model.position_loop[joint] for joint in model.robot.joints]
+    stated = recording.sidecar.position_gain
+    relative = np.array(
+        [
+            stated.get(joint, float(entry.position_gain)) / float(entry.position_gain)
+            for joint, entry in zip(model.robot.joints, entries, strict=True)
+        ]
+    )
+    zero = np.zeros(len(entries))
+    gains = np.array([[e.proportional for e in entries], [e.derivative for e in entries], zero])
+    limits = [np.inf if e.error_limit is None else float(e.error_limit) for e in entries]
+    return PositionLoop(
+        zero,
+        gains * relative,
+        zero,
+        np.array([float(e.delay) for e in entries]),
+        np.array(limits) / relative,
+        origin="model",
+    )
 
 
 def _integral(error: FloatArray, t: FloatArray) -> FloatArray:
@@ -220,7 +257,7 @@ class Replay:
 
         self._mujoco, self._data, self._loop = mujoco, data, loop
         self._robot = model.model.robot
-        compiled = mujoco.MjModel.from_xml_string(mjcf_file.mjcf_text(model))
+        compiled = mujoco.MjModel.from_xml_string(mjcf_file.mjcf_text(model, servos=False))
         compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._model, self._state = compiled, mujoco.MjData(compiled)
         joints = [compiled.joint(name) for name in self._robot.joints]
@@ -289,7 +326,13 @@ class Replay:
             assert data.torque is not None  # checked by replay_input
             recorded = at_steps(data.torque)
             return lambda k, q, v: recorded[k]
-        q_ref, v_ref = at_steps(data.reference.q), at_steps(data.reference.dq)
+        late = grid[:, None] + times[0] - loop.delay
+
+        def delayed(values: FloatArray) -> FloatArray:
+            now = data.t - data.t[start]
+            return np.column_stack([np.interp(late[:, j], now, x) for j, x in enumerate(values.T)])
+
+        q_ref, v_ref = delayed(data.reference.q), delayed(data.reference.dq)
         feedforward = loop.forward * at_steps(data.rigid) + loop.constant
         proportional, derivative, integral_gain = loop.gains
         step = grid[1] - grid[0]
@@ -300,7 +343,8 @@ class Replay:
 
         def command(k: int, q: FloatArray, v: FloatArray) -> FloatArray:
             e = q_ref[k] - q
-            torque = feedforward[k] + proportional * e + derivative * (v_ref[k] - v)
+            pulled = np.clip(e, -loop.error_limit, loop.error_limit)
+            torque = feedforward[k] + proportional * pulled + derivative * (v_ref[k] - v)
             torque = torque + integral_gain * integral
             integral[:] += step * e * (np.abs(torque) < limit)
             return np.asarray(torque)

@@ -246,7 +246,21 @@ class SimulatorModel:
                 errors = [f"{name} {row.get('rmse', np.nan):.3g}" for name, row in rows.items()]
                 source = Path(str(entry.get("recording", ""))).name
                 return [f"{words} torque error, RMS [N m or N], {source}: {', '.join(errors)}"]
-        return []
+        return self._position_errors()
+
+    def _position_errors(self) -> list[str]:
+        """Position errors of a robot that was identified without torque, and what that means."""
+        lines = []
+        if "scale" in self.document:
+            lines.append(f"no torque was recorded: {self.document['scale'].get('words', '')}")
+        for key, words in (("position_validation", "held-out"), ("position_fit", "fitted")):
+            for entry in self.document.get(key) or []:
+                rows = entry.get("joints", {})
+                errors = [f"{joint} {row['position_rmse']:.3g}" for joint, row in rows.items()]
+                source = Path(str(entry.get("recording", ""))).name
+                text = f"{words} position error, RMS [rad or m], {source}: {', '.join(errors)}"
+                return [*lines, text]
+        return lines
 
     def _joint_lines(self) -> list[str]:
         """Identified joint parameters of each joint with their standard deviations."""

@@ -107,7 +107,7 @@ class RobotDynamics:
                 spread.T @ by_v @ spread,
             )
         slopes[:, range(n), range(n, 2 * n)] += self.friction_slope(v)
-        slopes[:, :, 2 * n :] = self._regressor(Samples(q, v, np.asarray(a, np.float64)))
+        slopes[:, :, 2 * n :] = self.regressor(Samples(q, v, np.asarray(a, np.float64)))
         return np.asarray(a, np.float64), np.asarray(-np.linalg.solve(M, slopes), np.float64)
 
     def rigid_torque(self, motion: Samples) -> FloatArray:
@@ -124,8 +124,8 @@ class RobotDynamics:
             + self.inertia * motion.ddq
         )
 
-    def _regressor(self, motion: Samples) -> FloatArray:
-        """Γ with the widths of this model. Shape (N, n, p)."""
+    def regressor(self, motion: Samples) -> FloatArray:
+        """Compute Γ with the widths of this model. Shape (N, n, p)."""
         gamma = regressor(self.model.robot, self.model.parameters, motion)[
             :, :, self.model.base.independent
         ]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +20,15 @@ from ..robot.robot import Robot, load
 from ..robot.samples import Samples
 from ..schemas.document_file import DocumentFile
 from ..schemas.effects import EffectDocument
-from ..schemas.model import SCHEMA, ModelDocument
+from ..schemas.model import SCHEMA, ModelDocument, PositionLoopDocument
 from ..trajectory import trajectory_file
 from . import estimators
+from .consistency import ConsistentEstimate, Prior
 from .hausman_test import HausmanTest
 from .identification import MAX_BAND_SHARE, Identification, Prediction
 from .link_estimates import LinkEstimate, link_estimates
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
-from .regression import BLOCK_ROWS
+from .regression import BLOCK_ROWS, IdentificationModel
 from .simulation_error import SimulationError
 from .urdf_export import identified_urdf
 
@@ -65,6 +66,7 @@ class IdentifiedModel:
         widths: Widths of Coulomb friction. Shape (n,) [rad/s or m/s].
         hertz: Cutoff frequency of the fit [Hz]; motion is filtered in the same way for prediction.
         effects: Effects found by a diagnosis, as stated in the file.
+        position_loop: Position loop of each servo, where it was identified.
     """
 
     source: str
@@ -74,6 +76,7 @@ class IdentifiedModel:
     widths: FloatArray
     hertz: float
     effects: tuple[EffectDocument, ...] = ()
+    position_loop: Mapping[str, PositionLoopDocument] = field(default_factory=dict)
 
     @property
     def layout(self) -> Parameters:
@@ -162,14 +165,20 @@ class IdentifiedModel:
         return np.concatenate(times), np.concatenate(torques)
 
 
-def _provenance(
-    identification: Identification, recordings: Sequence[Recording], links: Sequence[LinkEstimate]
+def provenance(
+    robot: Robot, recordings: Sequence[Recording], links: Sequence[LinkEstimate]
 ) -> list[str]:
-    """Lines that say where the figures of an identified URDF come from."""
+    """Return the lines that say where the figures of an identified URDF come from.
+
+    Args:
+        robot: The robot before its identification.
+        recordings: Recordings that it was identified from.
+        links: Masses and centres of mass.
+    """
     names = ", ".join(Path(recording.source).name for recording in recordings)
     out = [
         f"Identified by excite {__version__} from {names};",
-        f"robot {identification.model.robot.source}.",
+        f"robot {robot.source}.",
         "Inertial parameters, friction and <excite> elements are replaced. Masses [kg], and the",
         "share of each mass that the recordings decide (below 50 %: it is the prior's):",
     ]
@@ -197,27 +206,26 @@ def model_document(
     """
     robot, parameters = identification.model.robot, identification.model.parameters
     widths, edge = identification.model.widths, 10 * parameters.bodies
-    # locked joints, payload and nominal inertias are part of the identified URDF
-    options = {**robot.options, "locked": {}, "payload": None}
-    options.pop("inertias", None)
     prior, data, delay = identification.prior, identification.data, identification.delay
     gamma = identification.options.gamma
-    links = link_estimates(identification)
+    links = link_estimates(parameters, identification.posterior, prior)
     return {
         "schema": SCHEMA,
-        "robot": {"name": robot.name, "source": robot.source, "sha256": robot.sha256, **options},
+        "robot": robot_entry(robot),
         "urdf": identified_urdf(
             robot,
             parameters,
             identification.psi,
             widths,
-            _provenance(identification, recordings, links),
+            provenance(robot, recordings, links),
         ),
         "link_estimates": [link.document() for link in links],
         "joints": list(robot.joints),
         "links": list(parameters.links),
         "drive": list(parameters.drive),
-        "standard_parameters": _standard_parameter_table(identification),
+        "standard_parameters": standard_parameter_table(
+            identification.model, identification.posterior, identification.reduced.psi
+        ),
         "coulomb_width": dict(zip(robot.joints, widths.tolist(), strict=True)),
         "base_parameters": base_parameter_table(identification),
         "directions": _direction_table(identification),
@@ -225,7 +233,7 @@ def model_document(
         "threshold": identification.options.threshold,
         "prior": {
             "distance": identification.options.distance.value,
-            "gamma": {"bodies": prior.inertial_weight, **_joint_gamma(identification)},
+            "gamma": {"bodies": prior.inertial_weight, **joint_gamma(parameters, prior)},
             "chosen_by": gamma if isinstance(gamma, str) else "given",
             "scales": dict(zip(parameters.names[edge:], prior.joint_scales.tolist(), strict=True)),
         },
@@ -264,22 +272,43 @@ def model_document(
     }
 
 
-def _standard_parameter_table(identification: Identification) -> list[dict[str, Any]]:
-    """Nominal and identified value, standard deviation and unit of each standard parameter."""
-    parameters = identification.model.parameters
-    deviation = np.sqrt(np.maximum(np.diag(identification.posterior.covariance), 0.0))
+def robot_entry(robot: Robot) -> dict[str, Any]:
+    """Return the entry "robot" of `model.json`.
+
+    Locked joints, payload and nominal inertias are part of the identified URDF.
+
+    Args:
+        robot: The robot before its identification.
+    """
+    options = {**robot.options, "locked": {}, "payload": None}
+    options.pop("inertias", None)
+    return {"name": robot.name, "source": robot.source, "sha256": robot.sha256, **options}
+
+
+def standard_parameter_table(
+    model: IdentificationModel, posterior: ConsistentEstimate, reduced: FloatArray | None = None
+) -> list[dict[str, Any]]:
+    """Return nominal and identified value, standard deviation and unit of each parameter.
+
+    Args:
+        model: The model.
+        posterior: The estimate.
+        reduced: Values with the unidentified directions at their nominal values. Shape (P,).
+    """
+    parameters = model.parameters
+    deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0))
     joint_units = [
         entry.unit(JOINT_PARAMETER_UNITS[kind])
         for kind in parameters.drive
-        for entry in identification.model.robot.entries
+        for entry in model.robot.entries
     ]
     units = [*INERTIAL_UNITS] * parameters.bodies + joint_units
     columns = (
         parameters.names,
         parameters.owners(),
         parameters.nominal,
-        identification.psi,
-        identification.reduced.psi,
+        posterior.psi,
+        posterior.psi if reduced is None else reduced,
         deviation,
         units,
     )
@@ -307,12 +336,17 @@ def _simulation_summary(error: SimulationError, joints: Sequence[str]) -> dict[s
     return {"ahead": float(error.lag[-1]), "windows": error.windows, "share": error.share, **rows}
 
 
-def _joint_gamma(identification: Identification) -> dict[str, list[float]]:
-    """γ of each kind of joint parameter, joint by joint."""
-    n = identification.model.robot.n
+def joint_gamma(parameters: Parameters, prior: Prior) -> dict[str, list[float]]:
+    """Return γ of each kind of joint parameter, joint by joint.
+
+    Args:
+        parameters: Standard parameters.
+        prior: The prior.
+    """
+    n = len(parameters.joints)
     return {
-        kind: identification.prior.joint_weights[k * n : k * n + n].tolist()
-        for k, kind in enumerate(identification.model.parameters.drive)
+        kind: prior.joint_weights[k * n : k * n + n].tolist()
+        for k, kind in enumerate(parameters.drive)
     }
 
 
@@ -421,5 +455,12 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
     psi = np.array([entry.value for entry in document.standard_parameters], float)
     widths = np.array([document.coulomb_width[joint] for joint in robot.joints], float)
     return IdentifiedModel(
-        str(file.path), robot, drive, psi, widths, float(document.band_hz), tuple(document.effects)
+        str(file.path),
+        robot,
+        drive,
+        psi,
+        widths,
+        float(document.band_hz),
+        tuple(document.effects),
+        document.position_loop,
     )

@@ -28,6 +28,9 @@ class Sidecar:
         effort: Content of `effort` in JointState messages, "torque" [N m] or "current" [A], or of
             the torque in any file, "without gravity" [N m]; None if not stated.
         topic: Topic to read, of a bag or of PlotJuggler's CSV.
+        position_gain: Gain of each joint's position loop, in any unit: recordings of one robot with
+            different gains are compared by their ratio [1].
+        error_limit: Position error of each joint at which its motor saturates [rad or m].
         notes: Free text.
         unknown: Keys of the file that are ignored.
     """
@@ -38,6 +41,8 @@ class Sidecar:
     motor_side: bool = False
     effort: str | None = None
     topic: str | None = None
+    position_gain: Mapping[str, float] = field(default_factory=dict)
+    error_limit: Mapping[str, float] = field(default_factory=dict)
     notes: str = ""
     unknown: tuple[str, ...] = ()
 
@@ -89,12 +94,13 @@ def read(recording: Path, robot: Robot) -> Sidecar:
         raise UnusableInput(f"{path}: should hold {expected}; add it, or move the file away")
     document = file.converted(content, SidecarDocument)
     joints = {*robot.joints, *robot.mimics, *robot.options["locked"]}  # type: ignore[misc]
-    for joint in document.drive_gain:
-        if joint not in joints:
-            raise file.error(
-                f"'{joint}' is no joint of {robot.source}, which has {', '.join(robot.joints)}",
-                "drive_gain",
-            )
+    for key in ("drive_gain", "position_gain", "error_limit"):
+        for joint in getattr(document, key):
+            if joint not in joints:
+                raise file.error(
+                    f"'{joint}' is no joint of {robot.source}, which has {', '.join(robot.joints)}",
+                    key,
+                )
     window = document.periodic
     return Sidecar(
         drive_gain={joint: float(gain) for joint, gain in document.drive_gain.items()},
@@ -103,6 +109,8 @@ def read(recording: Path, robot: Robot) -> Sidecar:
         motor_side=document.motor_side,
         effort=document.effort,
         topic=document.topic,
+        position_gain={joint: float(value) for joint, value in document.position_gain.items()},
+        error_limit={joint: float(value) for joint, value in document.error_limit.items()},
         notes=document.notes,
         unknown=tuple(sorted(set(content) - set(KEYS))),
     )

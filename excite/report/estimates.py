@@ -198,7 +198,9 @@ def link_body_changes(identification: Identification) -> list[LinkBodyChange]:
 def bodies_section(identification: Identification) -> Section:
     """Build the section on mass, centre of mass and inertia of each link."""
     changes = link_body_changes(identification)
-    links = link_estimates(identification)
+    links = link_estimates(
+        identification.model.parameters, identification.posterior, identification.prior
+    )
     rows = [
         (
             c.link,

@@ -146,7 +146,9 @@ def _cards(identification: Identification) -> list[tuple[str, str]]:
 
 def _mass_cards(identification: Identification) -> list[tuple[str, str]]:
     """Number of link masses that the data decide, and the heaviest of them."""
-    links = link_estimates(identification)
+    links = link_estimates(
+        identification.model.parameters, identification.posterior, identification.prior
+    )
     decided = [link for link in links if not link.is_prior]
     cards = [(f"{len(decided)} of {len(links)}", "link masses decided by the data, not the prior")]
     if decided:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from .._types import FloatArray
 from ..exporters.mjcf_file import HOLDS
 from ..exporters.mujoco_replay import (
     PositionLoop,
@@ -94,11 +95,17 @@ def _free_section(
         "How far does the simulated robot deviate in a free run?",
         answer,
         {
-            "figures": [Markup(draw_replay(model.joints, data, errors))],
+            "figures": [Markup(_drawing(model.joints, data, errors))],
             "tables": [Table(head, rows, tuple(range(1, len(head))))],
             "notes": lost,
         },
     )
+
+
+def _drawing(joints: Sequence[str], data: ReplayInput, errors: Sequence[ReplayErrors]) -> str:
+    """Positions of the robot as described and as identified, as SVG."""
+    before, after = ((e.name, e.free.q) for e in (errors[0], errors[-1]))
+    return draw_replay(joints, data.t, data.motion.q, before, after)
 
 
 def _horizon_section(
@@ -121,11 +128,10 @@ def _horizon_section(
 
 def _loop_section(model: SimulatorModel, loop: PositionLoop) -> Section:
     """The position loop."""
-    fitted = loop.explained is not None
     rows = []
     for j, joint in enumerate(model.joints):
         share = "–" if loop.explained is None else f"{100.0 * float(loop.explained[j]):.1f} %"
-        values = [loop.forward[j], *loop.gains[:, j], loop.constant[j]]
+        values = [loop.forward[j], *loop.gains[:, j], loop.constant[j], 1e3 * loop.delay[j]]
         rows.append((joint, *(number(float(v), 4) for v in values), share))
     head = (
         "joint",
@@ -134,18 +140,19 @@ def _loop_section(model: SimulatorModel, loop: PositionLoop) -> Section:
         "Kd [N m s/rad]",
         "Ki [N m/(rad s)]",
         "constant [N m]",
+        "delay [ms]",
         "explained torque",
     )
-    answer = (
-        "The loop is fitted to the recorded torque; both robots have the same one."
-        if fitted
-        else "The gains are stated; both robots have the same ones."
-    )
+    answers = {
+        "fitted": "The loop is fitted to the recorded torque; both robots have the same one.",
+        "stated": "The gains are stated; both robots have the same ones.",
+        "model": "The loop was identified with the model; both robots have the same one.",
+    }
     return Section(
         "loop",
         "Which position loop follows the commands?",
-        answer,
-        {"tables": [Table(head, rows, tuple(range(1, 7)))]},
+        answers[loop.origin],
+        {"tables": [Table(head, rows, tuple(range(1, 8)))]},
     )
 
 
@@ -165,36 +172,39 @@ def _remainder_section(model: SimulatorModel) -> Section:
     )
 
 
-def draw_replay(joints: Sequence[str], data: ReplayInput, errors: Sequence[ReplayErrors]) -> str:
-    """Draw recorded and simulated positions, and their difference, one row a joint, as SVG.
+def draw_replay(
+    joints: Sequence[str],
+    t: FloatArray,
+    recorded: FloatArray,
+    before: tuple[str, FloatArray],
+    after: tuple[str, FloatArray],
+) -> str:
+    """Draw recorded and other positions, and their difference, one row a joint, as SVG.
 
     Args:
         joints: Names of the joints.
-        data: The recording.
-        errors: Errors of each robot, the robot as described first.
+        t: Times. Shape (N,) [s].
+        recorded: Recorded positions. Shape (N, n) [rad or m].
+        before: Name and positions before the identification. Shape (N, n) [rad or m].
+        after: The same after it.
     """
-    curves = (errors[0], ORANGE), (errors[-1], BLUE)
+    curves = (*before, ORANGE), (*after, BLUE)
 
     def draw(figure: Any) -> None:
         axes = axes_grid(figure, len(joints), 2, margins=(0.65, 0.15, 0.45, 0.4), gaps=(0.6, 0.22))
         for j, joint in enumerate(joints):
             left, right = axes[j]
-            left.plot(
-                *thin_curve(data.t, data.motion.q[:, j], DRAWN_POINTS), color=INK, label="recorded"
-            )
-            for e, color in curves:
-                q = np.where(np.isfinite(e.free.q[:, j]), e.free.q[:, j], np.nan)
-                inside = np.abs(q - data.motion.q[:, j]) < 1.0
-                shown = np.where(inside, q, np.nan)
-                left.plot(*thin_curve(data.t, shown, DRAWN_POINTS), color=color, label=e.name)
-                right.plot(
-                    *thin_curve(data.t, shown - data.motion.q[:, j], DRAWN_POINTS), color=color
-                )
+            left.plot(*thin_curve(t, recorded[:, j], DRAWN_POINTS), color=INK, label="recorded")
+            for name, positions, color in curves:
+                q = np.where(np.isfinite(positions[:, j]), positions[:, j], np.nan)
+                shown = np.where(np.abs(q - recorded[:, j]) < 1.0, q, np.nan)
+                left.plot(*thin_curve(t, shown, DRAWN_POINTS), color=color, label=name)
+                right.plot(*thin_curve(t, shown - recorded[:, j], DRAWN_POINTS), color=color)
             left.set_ylabel("rad or m")
             left.set_title(joint, loc="left", pad=3)
             for axis in (left, right):
                 limit_ticks(axis, 6)
-                axis.set_xlim(0.0, data.t[-1])
+                axis.set_xlim(t[0], t[-1])
                 axis.tick_params(labelbottom=j == len(joints) - 1)
         axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
         axes[0, 1].set_title("simulated − recorded", loc="right", pad=3)

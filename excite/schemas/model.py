@@ -9,6 +9,7 @@ import msgspec
 from .effects import EffectDocument
 from .quantities import (
     Band,
+    CommandDelay,
     CoulombFriction,
     FilePath,
     FrictionWidth,
@@ -16,6 +17,8 @@ from .quantities import (
     InertialParameter,
     Mass,
     Name,
+    PositionError,
+    PositionGain,
     RotorInertia,
     Sha256,
     Text,
@@ -53,6 +56,24 @@ class ParameterDocument(msgspec.Struct):
     of: Text = Text("")
 
 
+class PositionLoopDocument(msgspec.Struct):
+    """Position loop of a servo: u = K_p clip(e, ±error_limit) + K_d ė, e = q_ref(t − delay) − q.
+
+    Attributes:
+        proportional: K_p of recordings that state `position_gain` [N m/rad].
+        derivative: K_d of the same [N m s/rad].
+        delay: Time by which the command acts late [s].
+        error_limit: Position error at which the motor saturates; null without [rad or m].
+        position_gain: Gain in the servo's own unit to which K_p and K_d belong.
+    """
+
+    proportional: PositionGain
+    derivative: ViscousFriction
+    delay: CommandDelay
+    error_limit: PositionError | None = None
+    position_gain: PositionGain = PositionGain(1.0)
+
+
 class ModelDocument(msgspec.Struct):
     """The keys that a prediction reads.
 
@@ -65,6 +86,7 @@ class ModelDocument(msgspec.Struct):
         coulomb_width: Velocity over which Coulomb friction changes sign [rad/s or m/s].
         band_hz: Cutoff frequency of the identification [Hz].
         effects: Effects beyond the base model.
+        position_loop: Position loop of each joint, where it was identified.
     """
 
     schema: Literal["excite.model/1"]
@@ -77,6 +99,7 @@ class ModelDocument(msgspec.Struct):
     coulomb_width: dict[str, FrictionWidth]
     band_hz: Band
     effects: list[EffectDocument]
+    position_loop: dict[str, PositionLoopDocument] = {}
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) < len(self.joints):
@@ -85,6 +108,8 @@ class ModelDocument(msgspec.Struct):
             if joint not in self.coulomb_width:
                 raise ValueError(f"coulomb_width: has no entry for the joint {shown(joint)}")
         _check_parameters(self)
+        if self.position_loop and set(self.position_loop) != set(self.joints):
+            raise ValueError("position_loop: should have one entry for each of the joints, or none")
         for i, effect in enumerate(self.effects):
             for key, named in (("joint", effect.joint), ("from", effect.other)):
                 if named is not None and named not in self.joints:

@@ -307,6 +307,24 @@ class DriveGain(Quantity):
     accepted = Range(-1e6, 1e6, "N m/A", smallest=1e-9, zero=False)
 
 
+class PositionGain(Quantity):
+    """Gain of a position loop in any unit."""
+
+    accepted = Range(0.0, 1e9, "1", smallest=1e-9, zero=False)
+
+
+class PositionError(Quantity):
+    """Position error at which a motor saturates."""
+
+    accepted = Range(0.0, 1e3, "rad or m", smallest=1e-6, zero=False)
+
+
+class CommandDelay(Quantity):
+    """Time by which a command acts late."""
+
+    accepted = Range(0.0, 10.0, "s")
+
+
 class Statistic(Quantity):
     """A number that is reported and not used in a computation."""
 

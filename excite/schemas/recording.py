@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from .quantities import ClockTime, DriveGain, Name, Period, Text
+from .quantities import ClockTime, DriveGain, Name, Period, PositionError, PositionGain, Text
 
 SCHEMA = "excite.recording/1"
 SHORTEST_WINDOW = 0.5
@@ -24,6 +24,8 @@ class SidecarDocument(msgspec.Struct):
     motor_side: bool = False
     effort: Literal["torque", "current", "without gravity"] | None = None
     topic: Name | None = None
+    position_gain: dict[str, PositionGain] = {}
+    error_limit: dict[str, PositionError] = {}
     notes: Text = Text("")
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -38,6 +38,20 @@ MIN_NULL_SHARE = 1e-20
 
 MIN_OBSERVABLE_TRACE = 1e-9
 """Trace of the projector on observable directions below which a link has none [1]."""
+
+
+class NamedRows(Protocol):
+    """A robot, or any equations of which each row has a name."""
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        ...
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the rows: of a robot with a fixed base, its joints."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -219,7 +233,7 @@ def analyse_information(
     base: Base,
     information: FloatArray,
     noise: FloatArray,
-    robot: Robot,
+    robot: NamedRows,
     *,
     threshold: float = IDENTIFIABLE_VARIANCE,
     samples: int | None = None,
@@ -252,7 +266,7 @@ def analyse_root(
     base: Base,
     root: FloatArray,
     noise: FloatArray,
-    robot: Robot,
+    robot: NamedRows,
     *,
     threshold: float = IDENTIFIABLE_VARIANCE,
     samples: int | None = None,
@@ -314,7 +328,7 @@ class _Eigensystem:
 
 def _describe(
     eigensystem: _Eigensystem,
-    robot: Robot,
+    robot: NamedRows,
     noise: FloatArray,
     threshold: float,
     samples: int | None,

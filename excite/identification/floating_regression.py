@@ -299,14 +299,14 @@ def about_base_origin(wrench: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def build_equations(
-    model: FloatingModel, recordings: Iterable[Recording], hertz: float
+    model: FloatingModel, recordings: Iterable[Recording], hertz: FloatArray
 ) -> FloatingEquations:
-    """Build the equations of all gap-free segments below a cutoff frequency.
+    """Build the equations of all gap-free segments, each row below its cutoff frequency.
 
     Args:
         model: The model to identify.
         recordings: Recordings with the model's contacts.
-        hertz: Cutoff frequency [Hz].
+        hertz: Cutoff frequency of each row. Shape (r,) [Hz].
 
     Raises:
         UnusableInput: All segments are shorter than the margins that the filter discards.
@@ -315,7 +315,7 @@ def build_equations(
     for recording in recordings:
         for segment in recording.segments():
             begin = count
-            band = band_of(segment, hertz)
+            band = RowFilter.of(segment, hertz)
             margin = 2.0 * band.margin / segment.rate
             for equations, columns in _segment_equations(model, segment, band):
                 parts.append(equations)
@@ -327,7 +327,7 @@ def build_equations(
     if not parts:
         raise UnusableInput(
             f"recordings: no gap-free stretch is longer than the {margin:.2g} s that a band of "
-            f"{hertz:g} Hz discards at its ends; record for longer or give a higher --band"
+            f"{hertz.min():.3g} Hz discards at its ends; record for longer or give a higher --band"
         )
     motion = Samples(
         *(np.concatenate([getattr(p.motion, name) for p in parts]) for name in ("q", "dq", "ddq"))
@@ -347,11 +347,49 @@ def build_equations(
     return FloatingEquations(equations, np.concatenate(offsets))
 
 
-def band_of(segment: Recording, hertz: float) -> LowPassFilter:
-    """Return the low-pass filter of a gap-free recording."""
-    return LowPassFilter(
-        hertz, segment.rate, len(segment), encoder=float(segment.quantization_noise.max())
-    )
+@dataclass(frozen=True)
+class RowFilter:
+    """Low-pass filter of a gap-free recording with a cutoff frequency for each row.
+
+    Attributes:
+        band: Filter with the highest of them, which also determines the grids.
+        hertz: Cutoff frequency of each row. Shape (r,) [Hz].
+    """
+
+    band: LowPassFilter
+    hertz: FloatArray
+
+    @staticmethod
+    def of(segment: Recording, hertz: FloatArray) -> RowFilter:
+        """Return the filter of a gap-free recording."""
+        encoder = float(segment.quantization_noise.max())
+        highest = float(hertz.max())
+        return RowFilter(
+            LowPassFilter(highest, segment.rate, len(segment), encoder=encoder), hertz
+        )
+
+    @property
+    def margin(self) -> int:
+        """Recorded samples to discard at each end, for the lowest of the cutoff frequencies."""
+        step = self.band.steps(Grid.KEPT)
+        lowest = dataclasses.replace(self.band, hertz=float(self.hertz.min())).margin
+        return -(-lowest // step) * step
+
+    def restricted(self, count: int) -> RowFilter:
+        """Return the filter of `count` samples."""
+        return dataclasses.replace(self, band=dataclasses.replace(self.band, count=count))
+
+    def filter(self, x: FloatArray, to: Grid, source: Grid = Grid.RECORDED) -> FloatArray:
+        """Filter rows, each with its cutoff frequency. Shapes (M, r, …)."""
+        spectrum = self.band.transform(x, source)
+        out: FloatArray | None = None
+        for hertz in np.unique(self.hertz):
+            filtered = spectrum.filter(to, 0, float(hertz) / self.band.hertz)
+            out = np.empty(filtered.shape) if out is None else out
+            rows = self.hertz == hertz
+            out[:, rows] = filtered[:, rows]
+        assert out is not None
+        return out
 
 
 def measured_rows(
@@ -374,10 +412,10 @@ def measured_rows(
 
 
 def _segment_equations(
-    model: FloatingModel, segment: Recording, band: LowPassFilter
+    model: FloatingModel, segment: Recording, band: RowFilter
 ) -> Iterator[tuple[TorqueEquations, FloatArray]]:
     """Yield the equations of a gap-free recording and the columns of offsets, chunk by chunk."""
-    step = band.steps(Grid.KEPT)
+    step = band.band.steps(Grid.KEPT)
     for samples, inner in split_into_chunks(segment, 3 * band.margin, step, CHUNK_SAMPLES):
         low = max(inner.start, band.margin if samples.start == 0 else 0)
         is_last = samples.stop == len(segment)
@@ -386,13 +424,14 @@ def _segment_equations(
         if kept.stop <= kept.start:
             continue
         chunk = segment.rows(samples)
-        part = dataclasses.replace(band, count=len(chunk))
+        rows = band.restricted(len(chunk))
+        part = rows.band
         recorded = filtered_motion(chunk, model.robot, part, Grid.RECORDED)
         maps = contact_maps(model.robot, recorded, model.contacts, model.rows)
-        values = part.filter(measured_rows(model, chunk, maps), Grid.KEPT)[kept]
-        offsets = part.filter(maps, Grid.KEPT)[kept]
+        values = rows.filter(measured_rows(model, chunk, maps), Grid.KEPT)[kept]
+        offsets = rows.filter(maps, Grid.KEPT)[kept]
         time = chunk.t[0] + np.arange(part.samples(Grid.KEPT))[kept] / part.rate_of(Grid.KEPT)
-        gamma = filtered_regressor(model, chunk, part)[kept]
+        gamma = filtered_regressor(model, chunk, rows)[kept]
         kept_motion = filtered_motion(chunk, model.robot, part, Grid.KEPT, 1.0).rows(kept)
         yield (
             TorqueEquations(
@@ -407,7 +446,7 @@ def _segment_equations(
                 (segment.source,),
                 (0,),
                 (None,),
-                band.hertz,
+                part.hertz,
                 part.rate_of(Grid.KEPT),
             ),
             offsets,
@@ -415,13 +454,14 @@ def _segment_equations(
 
 
 def filtered_regressor(
-    model: FloatingModel, recording: Recording, band: LowPassFilter
+    model: FloatingModel, recording: Recording, rows: RowFilter
 ) -> FloatArray:
     """Compute the filtered base regressor of a gap-free recording at the kept rows.
 
     Returns:
         Γ, its base rows in the axes of the world. Shape (M, r, p).
     """
+    band = rows.band
     motion = filtered_motion(recording, model.robot, band, Grid.COARSE)
     columns = model.base.independent
     blocks, start = [], 0
@@ -432,7 +472,7 @@ def filtered_regressor(
             block[:, :6] = in_world_axes(block[:, :6], pose)
         blocks.append(block)
         start += len(Y)
-    gamma = band.filter(np.concatenate(blocks), Grid.KEPT, source=Grid.COARSE)
+    gamma = rows.filter(np.concatenate(blocks), Grid.KEPT, Grid.COARSE)
     friction = IdentificationModel(
         model.robot.joint_robot, model.parameters, model.base, model.widths
     ).friction_columns()

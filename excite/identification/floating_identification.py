@@ -33,6 +33,7 @@ from . import consistency, estimators, floating_regression, prior_weight, symmet
 from .consistency import Bounds, ConsistentEstimate, Prior
 from .estimators import Estimate, Method
 from .floating_regression import FloatingEquations, FloatingModel
+from .identification import Prediction
 from .inertia_distance import Distance
 from .link_estimates import LinkEstimate, estimates_of_links
 
@@ -74,8 +75,8 @@ class FloatingOptions:
         rows: Rows to fit; None: all that the recordings hold.
         drive: Kinds of joint parameters, if joint rows are fitted.
         distance: Distance of link inertias from nominal.
-        gamma: γ of the inertial parameters, or "heldout": blocked cross-validation on the training
-            recordings.
+        gamma: γ of the inertial parameters, or how to choose it: "heldout", by blocked
+            cross-validation on the training recordings, or "evidence".
         band: Cutoff frequency of all rows [Hz]; None: that of each row by the power that the
             nominal model explains.
         threshold: Largest scale-free variance of a direction that counts as identified.
@@ -87,7 +88,7 @@ class FloatingOptions:
 
     rows: Rows | None = None
     drive: tuple[str, ...] = DRIVE
-    distance: Distance = Distance.PULLBACK
+    distance: Distance = Distance.BREGMAN
     gamma: str | float = "heldout"
     band: float | None = None
     threshold: float = IDENTIFIABLE_VARIANCE
@@ -116,36 +117,6 @@ class RowWeights:
 
 
 @dataclass(frozen=True)
-class FloatingPrediction:
-    """Measured rows of a recording and the predictions of two models, below the band.
-
-    Attributes:
-        source: Name of the recording.
-        time: Times. Shape (N,) [s].
-        measured: Measured rows. Shape (N, r).
-        nominal: Rows predicted with the nominal bodies, and offsets fitted to the training
-            recordings with them. Shape (N, r).
-        fitted: Rows predicted with the identified bodies and offsets. Shape (N, r).
-        starts: Row at which each gap-free stretch begins.
-    """
-
-    source: str
-    time: FloatArray
-    measured: FloatArray
-    nominal: FloatArray
-    fitted: FloatArray
-    starts: tuple[int, ...]
-
-    def error(self, which: str = "fitted") -> FloatArray:
-        """Return the RMS error of the model `which` per row. Shape (r,) [N, N m]."""
-        return np.sqrt(np.mean((self.measured - getattr(self, which)) ** 2, axis=0))
-
-    def signal(self) -> FloatArray:
-        """Return the standard deviation of the measured rows. Shape (r,) [N, N m]."""
-        return np.asarray(self.measured.std(axis=0))
-
-
-@dataclass(frozen=True)
 class FloatingIdentification:
     """Result of an identification.
 
@@ -164,7 +135,8 @@ class FloatingIdentification:
         offset_deviation: Their standard deviations.
         analysis: Identifiability of the directions by the weighted information.
         gamma_trials: Pairs of γ and validation error.
-        fits: Predictions of the training recordings.
+        fits: Predictions of the training recordings; those with the nominal bodies contain the
+            offsets that fit best with them.
         validations: Predictions of the validation recordings.
     """
 
@@ -181,8 +153,8 @@ class FloatingIdentification:
     offset_deviation: FloatArray
     analysis: Identifiability
     gamma_trials: tuple[tuple[float, float], ...]
-    fits: tuple[FloatingPrediction, ...]
-    validations: tuple[FloatingPrediction, ...]
+    fits: tuple[Prediction, ...]
+    validations: tuple[Prediction, ...]
 
     @property
     def psi(self) -> FloatArray:
@@ -278,15 +250,24 @@ def identify(
     )
     nominal_offset = problem.offset(factor, fit.prior.nominal)
 
-    def predict(recording: Recording) -> FloatingPrediction:
+    def predict(recording: Recording) -> Prediction:
         part = floating_regression.build_equations(model, [recording], hertz)
         after, before = (
             part.equations.predicted(base.matrix @ psi) + part.offsets[:, :, :k] @ offset
-            for psi, offset in ((fit.posterior.psi, fit.offset), (fit.prior.nominal, nominal_offset))
+            for psi, offset in (
+                (fit.posterior.psi, fit.offset),
+                (fit.prior.nominal, nominal_offset),
+            )
         )
         equations = part.equations
-        return FloatingPrediction(
-            recording.source, equations.time, equations.torque, before, after, equations.starts
+        return Prediction(
+            recording.source,
+            equations.time,
+            equations.torque,
+            before,
+            after,
+            None,
+            equations.starts,
         )
 
     inverse = np.linalg.inv(factor[:k, :k]) if k else np.zeros((0, 0))
@@ -476,14 +457,15 @@ class _EstimationProblem:
         self, factor: FloatArray, weights: RowWeights
     ) -> tuple[Prior, tuple[tuple[float, float], ...]]:
         """Choose γ: given, or by blocked cross-validation on the training recordings."""
-        prior = self.start
-        if len(prior.joint_weights):
+        gamma, prior = self.options.gamma, self.start
+        if len(prior.joint_weights) or gamma == "evidence":
             root, target = self.stacked(factor)
-            joint = prior_weight.gamma_by_evidence(self.parameters, root, target, prior)[1]
-            prior = dataclasses.replace(prior, joint_weights=joint)
-        gamma = self.options.gamma
+            inertial, joint = prior_weight.gamma_by_evidence(self.parameters, root, target, prior)
+            prior = dataclasses.replace(prior, inertial_weight=inertial, joint_weights=joint)
         if not isinstance(gamma, str):
             return dataclasses.replace(prior, inertial_weight=float(gamma)), ()
+        if gamma == "evidence":
+            return prior, ()
         edges = np.linspace(0, len(self.columns), FOLDS + 1).astype(int)
         gap = int(np.ceil(weights.samples_per_independent.max()))
         folds = []

@@ -199,17 +199,13 @@ def pose_of(recording: Recording) -> FloatArray:
         UnusableInput: There are none.
     """
     if recording.base is None:
-        raise UnusableInput(
-            f"{recording.source}: has no pose of the base; record base.x … base.qw"
-        )
+        raise UnusableInput(f"{recording.source}: has no pose of the base; record base.x … base.qw")
     return recording.base
 
 
 def _relative(u: FloatArray, v: FloatArray) -> FloatArray:
     """Vector part of the quaternion product ū v, components x, y, z, w. Shapes (N, 4) -> (N, 3)."""
-    return np.asarray(
-        u[:, 3:] * v[:, :3] - v[:, 3:] * u[:, :3] - np.cross(u[:, :3], v[:, :3])
-    )
+    return np.asarray(u[:, 3:] * v[:, :3] - v[:, 3:] * u[:, :3] - np.cross(u[:, :3], v[:, :3]))
 
 
 def rotations(pose: FloatArray) -> FloatArray:
@@ -261,9 +257,7 @@ def contact_maps(
             for k, frame in enumerate(frames):
                 if frame is None:
                     continue
-                jacobian = pin.computeFrameJacobian(
-                    model, data, q, frame, pin.ReferenceFrame.LOCAL
-                )
+                jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.ReferenceFrame.LOCAL)
                 block = out[t, :, 6 * k : 6 * k + 6]
                 block[:3] = world_axes[t] @ jacobian[:, :3].T
                 block[3:6] = world_axes[t] @ jacobian[:, 3:6].T
@@ -284,13 +278,13 @@ def in_world_axes(rows_of_base: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def about_world_origin(wrench: FloatArray, pose: FloatArray) -> FloatArray:
-    """Move wrenches in the axes of the world from the base's origin to the world's. Shape (N, 6)."""
+    """Move wrenches in world axes from the base's origin to the world's. Shape (N, 6)."""
     moment = wrench[:, 3:] + np.cross(pose[:, :3], wrench[:, :3])
     return np.hstack([wrench[:, :3], moment])
 
 
 def about_base_origin(wrench: FloatArray, pose: FloatArray) -> FloatArray:
-    """Move wrenches in the axes of the world from the world's origin to the base's. Shape (N, 6)."""
+    """Move wrenches in world axes from the world's origin to the base's. Shape (N, 6)."""
     moment = wrench[:, 3:] - np.cross(pose[:, :3], wrench[:, :3])
     return np.hstack([wrench[:, :3], moment])
 
@@ -364,9 +358,7 @@ class RowFilter:
         """Return the filter of a gap-free recording."""
         encoder = float(segment.quantization_noise.max())
         highest = float(hertz.max())
-        return RowFilter(
-            LowPassFilter(highest, segment.rate, len(segment), encoder=encoder), hertz
-        )
+        return RowFilter(LowPassFilter(highest, segment.rate, len(segment), encoder=encoder), hertz)
 
     @property
     def margin(self) -> int:
@@ -392,9 +384,7 @@ class RowFilter:
         return out
 
 
-def measured_rows(
-    model: FloatingModel, recording: Recording, maps: FloatArray
-) -> FloatArray:
+def measured_rows(model: FloatingModel, recording: Recording, maps: FloatArray) -> FloatArray:
     """Return the left side of the equations at the samples of a recording. Shape (N, r).
 
     Args:
@@ -453,9 +443,7 @@ def _segment_equations(
         )
 
 
-def filtered_regressor(
-    model: FloatingModel, recording: Recording, rows: RowFilter
-) -> FloatArray:
+def filtered_regressor(model: FloatingModel, recording: Recording, rows: RowFilter) -> FloatArray:
     """Compute the filtered base regressor of a gap-free recording at the kept rows.
 
     Returns:

@@ -32,6 +32,7 @@ __all__ = [
     "PayloadResult",
     "PredictedWrench",
     "ReplayResult",
+    "SimulatedFloatingRecording",
     "SimulatedRecording",
     "VerificationResult",
     "design",
@@ -48,6 +49,7 @@ __all__ = [
     "read_recording",
     "replay",
     "simulate",
+    "simulate_floating",
     "verify",
 ]
 

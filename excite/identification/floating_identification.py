@@ -234,7 +234,8 @@ def identify(
     widths = np.full(robot.n, COULOMB_WIDTH)
     model = FloatingModel(robot, parameters, base, rows, contacts, widths)
     psi = consistency.consistent_nominal(parameters)
-    for _ in range(BAND_ITERATIONS if options.band is None else 1):
+    iterations = BAND_ITERATIONS if options.band is None else 1
+    for iteration in range(iterations):
         hertz = choose_bands(model, recordings, psi, options.band)
         progress(
             f"{sum(map(len, recordings))} rows, bands {hertz.min():.3g} to {hertz.max():.3g} Hz: "
@@ -246,7 +247,7 @@ def identify(
             f"{parameters.bodies} bodies: choosing the weights"
         )
         problem = _EstimationProblem(model, system, options)
-        fit = problem.solve(progress)
+        fit = problem.solve(progress, is_final=iteration == iterations - 1)
         psi = fit.posterior.psi
     factor = problem.factor(slice(0, len(system)), fit.weights)
     k = problem.offset_count
@@ -444,15 +445,19 @@ class _EstimationProblem:
         fitted = self.columns[:, :, k:-1] @ (self.model.base.matrix @ psi)
         return np.asarray(self.columns[:, :, -1] - fitted - self.columns[:, :, :k] @ offset)
 
-    def solve(self, progress: Progress) -> _Fit:
-        """Alternate between the weights of the rows, γ and the estimate."""
+    def solve(self, progress: Progress, *, is_final: bool) -> _Fit:
+        """Alternate between the weights of the rows, γ and the estimate.
+
+        γ is that of the evidence, which is quick to compute, until the weights are final.
+        """
         complete = slice(0, len(self.columns))
         weights = self.initial_weights()
         trials: tuple[tuple[float, float], ...] = ()
         prior, factor = self.start, self.factor(complete, weights)
         for iteration in range(WEIGHT_ITERATIONS):
-            if iteration != 1:  # the second changes the weights alone
-                prior, trials = self.choose_prior(factor, weights)
+            is_last = is_final and iteration == WEIGHT_ITERATIONS - 1
+            prior, trials = self.choose_prior(factor, weights, validated=is_last)
+            if is_last:
                 progress(f"γ {prior.inertial_weight:.3g} ({len(trials)} values compared)")
             posterior = self.estimate(factor, prior)
             offset = self.offset(factor, posterior.psi)
@@ -476,10 +481,12 @@ class _EstimationProblem:
         return RowWeights(deviation, samples)
 
     def choose_prior(
-        self, factor: FloatArray, weights: RowWeights
+        self, factor: FloatArray, weights: RowWeights, *, validated: bool
     ) -> tuple[Prior, tuple[tuple[float, float], ...]]:
-        """Choose γ: given, or by blocked cross-validation on the training recordings."""
+        """Choose γ: given, by evidence, or by blocked cross-validation if `validated`."""
         gamma, prior = self.options.gamma, self.start
+        if gamma == "heldout" and not validated:
+            gamma = "evidence"
         if len(prior.joint_weights) or gamma == "evidence":
             root, target = self.stacked(factor)
             inertial, joint = prior_weight.gamma_by_evidence(self.parameters, root, target, prior)

@@ -171,18 +171,18 @@ class FloatingIdentification:
     def body_shares(self) -> Mapping[str, float]:
         """Return for each link the share of its inertial parameters that the data decide.
 
-        It is 1 − tr(C G)/tr(C₀ G) with the posterior and prior covariances C, C₀ of its ten
-        parameters and the metric G at its nominal body: 0 where the prior decides all of them.
-        Symmetry is part of the prior.
+        It is 1 − tr(C G)/tr(C₀ G) with the posterior covariance C of its ten parameters, the
+        covariance C₀ that the prior alone gives them, and the metric G at the body: 0 where the
+        prior decides all of them. Symmetry is part of the prior.
         """
-        parameters = self.model.parameters
+        parameters, prior = self.model.parameters, self._local_prior()
         before = consistency.symmetric_pseudo_inverse(
-            consistency.prior_information(parameters, self.prior) + self.symmetry.T @ self.symmetry
+            consistency.prior_information(parameters, prior) + self.symmetry.T @ self.symmetry
         )
-        nominal = consistency.inertial_rows(parameters, self.prior.nominal)
+        bodies = consistency.inertial_rows(parameters, prior.nominal)
         shares = {}
         for i, link in enumerate(parameters.links):
-            block, G = slice(10 * i, 10 * i + 10), metric(nominal[i])
+            block, G = slice(10 * i, 10 * i + 10), metric(bodies[i])
             after = float(np.trace(self.posterior.covariance[block, block] @ G))
             ahead = float(np.trace(before[block, block] @ G))
             shares[link] = float(np.clip(1.0 - after / ahead, 0.0, 1.0))
@@ -191,7 +191,19 @@ class FloatingIdentification:
     def links(self) -> list[LinkEstimate]:
         """Return mass and centre of mass of each link."""
         further = self.symmetry.T @ self.symmetry
-        return estimates_of_links(self.model.parameters, self.posterior, self.prior, further)
+        return estimates_of_links(
+            self.model.parameters, self.posterior, self._local_prior(), further
+        )
+
+    def _local_prior(self) -> Prior:
+        """Prior whose information is that of its curvature at ψ̂.
+
+        The curvature of the log-det divergence is the metric at the body itself, that of the
+        quadratic distances the metric at the nominal body.
+        """
+        if self.prior.distance in (Distance.PULLBACK, Distance.EUCLIDEAN):
+            return self.prior
+        return dataclasses.replace(self.prior, nominal=self.psi)
 
 
 def identify(

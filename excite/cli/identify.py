@@ -21,6 +21,7 @@ from ..identification.inertia_distance import Distance
 from ..recordings import Recording
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from . import floating_identify
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
@@ -30,6 +31,9 @@ TORQUE_OPTIONS = ("prior", "align", "hausman", "simulate", "refine", "check_lmi"
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite identify`."""
+    if arguments.floating:
+        return floating_identify.run(arguments)
+    floating_identify.require_floating(arguments)
     output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
@@ -147,7 +151,7 @@ def _run_without_torque(
 
 
 def _options(arguments: argparse.Namespace) -> IdentificationOptions:
-    gamma = arguments.gamma
+    gamma = arguments.gamma or "evidence"
     return IdentificationOptions(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),

@@ -633,6 +633,10 @@ def _identifiability(commands: Commands) -> None:
     )
     _recording_options(sub)
     _model_options(sub)
+    group = sub.add_argument_group("floating base")
+    _floating_option(group)
+    _rows_option(group, "base")
+    _wrench_noise_option(group)
 
 
 def _identify(commands: Commands) -> None:
@@ -673,6 +677,7 @@ def _identify(commands: Commands) -> None:
         help="with --from position: gains of the position loop, one pair or one for each joint "
         "(default: estimated; then all torques are ratios to them)",
     )
+    _floating_options(sub)
     group = sub.add_argument_group("parameters")
     group.add_argument(
         "--without",
@@ -730,11 +735,10 @@ def _identify(commands: Commands) -> None:
     group.add_argument(
         "--gamma",
         type=WordOrNumbers(("evidence", "heldout"), Numbers(VARIANCE, (1, 2))),
-        default="evidence",
         metavar="G",
         help=(
             "weight of the prior: chosen by evidence, by cross-validation (heldout), a number, "
-            "or two numbers for links,joint parameters (default %(default)s)"
+            "or two numbers for links,joint parameters (default evidence; heldout with --floating)"
         ),
     )
     group.add_argument(
@@ -769,10 +773,57 @@ def _identify(commands: Commands) -> None:
     )
 
 
+def _floating_option(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--floating",
+        action="store_true",
+        help="the base moves freely: the recording holds its pose (base.x … base.qw) and contact "
+        "wrenches (wrench.<frame>.fx … mz, or wrench.world.*)",
+    )
+
+
+def _rows_option(group: argparse._ActionsContainer, default: str) -> None:
+    group.add_argument(
+        "--rows",
+        choices=("base", "joints", "both"),
+        help="rows of the equations of motion: the six of the base, those of the joints, or both "
+        f"(default: {default})",
+    )
+
+
+def _wrench_noise_option(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--wrench-noise",
+        type=Numbers(Range(1e-9, 1e9, "N, N m"), (2,)),
+        metavar="F,M",
+        help="standard deviations of contact forces and moments [N, N m] (default: 1 %% of the "
+        "robot's weight, and that at 0.1 m)",
+    )
+
+
+def _floating_options(sub: argparse.ArgumentParser) -> None:
+    """Add the options of a robot with a floating base."""
+    group = sub.add_argument_group("floating base")
+    _floating_option(group)
+    _rows_option(group, "all that the recordings hold")
+    group.add_argument(
+        "--symmetric",
+        metavar="LEFT:RIGHT",
+        help="links whose names begin with these words mirror each other, as left_:right_",
+    )
+    group.add_argument(
+        "--no-wrench-offsets",
+        action="store_true",
+        help="the sensors of the contact wrenches have no constant offsets",
+    )
+
+
 def _columns_option(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--columns",
-        type=ColumnNames(("q", "dq", "tau", "i", "qref", "qlink", "temp")),
+        type=ColumnNames(
+            ("q", "dq", "tau", "i", "qref", "qlink", "temp"), ("base", "wrench", "imu")
+        ),
         metavar="NAME=COLUMN,…",
         action="append",
         default=[],
@@ -810,7 +861,8 @@ def _predict(commands: Commands) -> None:
         dest="out",
         metavar="FILE.csv",
         required=True,
-        help="file for t,tau.<joint>… at the times of the recording",
+        help="file for t,tau.<joint>… at the times of the recording; with the model of a floating "
+        "base t,wrench.world.fx…",
     )
     _columns_option(sub)
 
@@ -942,13 +994,36 @@ def _simulate(commands: Commands) -> None:
         metavar="ROBOT",
         help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
-    sub.add_argument("trajectory", metavar="TRAJECTORY", help="trajectory.json of 'excite design'")
+    sub.add_argument(
+        "trajectory",
+        metavar="TRAJECTORY",
+        help="trajectory.json of 'excite design'; with --floating a CSV file with the columns t, "
+        "base.x … base.qw, q.<joint>",
+    )
     sub.add_argument(
         "-o",
         dest="out",
         metavar="FILE",
         required=True,
         help="CSV file for the recording; .json, .truth.json and .svg are written next to it",
+    )
+    group = sub.add_argument_group("floating base")
+    _floating_option(group)
+    group.add_argument(
+        "--contact",
+        metavar="LINK",
+        action="append",
+        default=[],
+        help="link with a contact sensor; may be repeated (default: total wrench about the "
+        "world's origin, without joint torques)",
+    )
+    _wrench_noise_option(group)
+    group.add_argument(
+        "--torque-noise",
+        type=Numbers(Range(1e-9, 1e9, "N m or N"), (1,)),
+        metavar="SIGMA",
+        help="standard deviation of the joint torques with --floating [N m] (default: 1 %% of the "
+        "torque limit)",
     )
     sub.add_argument(
         "--effect",

@@ -74,6 +74,24 @@ class PositionLoopDocument(msgspec.Struct):
     position_gain: PositionGain = PositionGain(1.0)
 
 
+class FloatingBaseDocument(msgspec.Struct):
+    """The part of a model whose base moves freely.
+
+    Attributes:
+        base_link: Name of the link of the base.
+        rows: Rows that were fitted.
+        contacts: Frames of the contact wrenches.
+        offsets: Offsets of their sensors, fx … mz of each contact [N, N m].
+        row_band_hz: Cutoff frequency of each row [Hz].
+    """
+
+    base_link: Name
+    rows: Literal["base", "joints", "both"]
+    contacts: list[Name]
+    offsets: list[tuple[Torque, Torque, Torque, Torque, Torque, Torque]]
+    row_band_hz: list[Band]
+
+
 class ModelDocument(msgspec.Struct):
     """The keys that a prediction reads.
 
@@ -87,6 +105,8 @@ class ModelDocument(msgspec.Struct):
         band_hz: Cutoff frequency of the identification [Hz].
         effects: Effects beyond the base model.
         position_loop: Position loop of each joint, where it was identified.
+        floating_base: Present if the base moves freely: `links` then contains the base, and only
+            links with a mass.
     """
 
     schema: Literal["excite.model/1"]
@@ -100,6 +120,7 @@ class ModelDocument(msgspec.Struct):
     band_hz: Band
     effects: list[EffectDocument]
     position_loop: dict[str, PositionLoopDocument] = {}
+    floating_base: FloatingBaseDocument | None = None
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) < len(self.joints):
@@ -110,6 +131,8 @@ class ModelDocument(msgspec.Struct):
         _check_parameters(self)
         if self.position_loop and set(self.position_loop) != set(self.joints):
             raise ValueError("position_loop: should have one entry for each of the joints, or none")
+        if self.floating_base is not None:
+            _check_floating_base(self.floating_base, len(self.joints))
         for i, effect in enumerate(self.effects):
             for key, named in (("joint", effect.joint), ("from", effect.other)):
                 if named is not None and named not in self.joints:
@@ -118,6 +141,15 @@ class ModelDocument(msgspec.Struct):
                 raise ValueError(
                     f"effects[{i}].values.link: {effect.values['link']:g} is the number of no link"
                 )
+
+
+def _check_floating_base(document: FloatingBaseDocument, joints: int) -> None:
+    """Raise ValueError unless offsets and bands fit the contacts and rows."""
+    if len(document.offsets) not in (0, len(document.contacts)):
+        raise ValueError("floating_base.offsets: should hold six values of each contact, or none")
+    count = {"base": 6, "joints": joints, "both": 6 + joints}[document.rows]
+    if len(document.row_band_hz) != count:
+        raise ValueError(f"floating_base.row_band_hz: should hold {count} values, one of each row")
 
 
 def _check_parameters(document: ModelDocument) -> None:

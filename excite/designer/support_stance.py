@@ -25,6 +25,13 @@ BEND_SHARE = 0.08
 """Share of the height over the ground by which the base link is lowered from the pose in which all
 joints are at 0, so that the legs are bent [1]."""
 
+RELAXED_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8)
+"""Shares of the way from the middle of the joint ranges to 0 that are tried for the standing pose
+[1]; at 0 itself, joints are often at a limit."""
+
+STATIC_TORQUE_SHARE = 0.6
+"""Largest static torque of the standing pose over its limit that is good enough [1]."""
+
 START_COUNT = 60
 """Random poses of a leg from which its standing pose is searched [1]."""
 
@@ -228,8 +235,7 @@ def standing(
             f"{robot.source}: --support {','.join(frames)}: name one foot, or two of different legs"
         )
     lower, upper = ranges(limits).T
-    q = 0.5 * (lower + upper)
-    q[joints] = np.clip(0.0, lower, upper)[joints]
+    q = _relaxed_pose(robot, limits, joints)
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, np.clip(np.zeros(robot.n), lower, upper))
     in_base = [
@@ -273,6 +279,34 @@ def standing(
                 raise _unreachable(robot, foot)
     weight = robot_mass(robot) * float(np.linalg.norm(robot.model.gravity.linear))
     return Stance(feet, contact, weight, base, q)
+
+
+def _relaxed_pose(robot: Robot, limits: Limits, legs: IntArray) -> FloatArray:
+    """Return the pose between the middle of the ranges and 0 with moderate static torques.
+
+    Of the poses on this line it is the first in which no joint outside the legs needs more than
+    `STATIC_TORQUE_SHARE` of its torque limit, else the one that needs least.
+
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        legs: Joints of the legs, which are at 0. Shape (m,).
+    """
+    lower, upper = ranges(limits).T
+    middle, zero = 0.5 * (lower + upper), np.clip(np.zeros(robot.n), lower, upper)
+    others = np.setdiff1d(np.arange(robot.n), legs)
+    data = robot.model.createData()
+    best, least = zero, np.inf
+    for share in RELAXED_SHARES:
+        q = middle + share * (zero - middle)
+        q[legs] = zero[legs]
+        torque = pin.computeGeneralizedGravity(robot.model, data, robot.expand(q))
+        largest = float(np.max(np.abs(torque / limits.torque)[others], initial=0.0))
+        if largest < least:
+            best, least = q, largest
+        if least <= STATIC_TORQUE_SHARE:
+            break
+    return best
 
 
 def _best_leg(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +23,14 @@ from ..designer import identifiability
 from ..designer.options import torque_noise_levels
 from ..diagnosis import fitted_effects
 from ..errors import ExciteWarning, UnusableInput
-from ..identification import consistency, identification, identified_model, lmi_check, torque_check
+from ..identification import (
+    consistency,
+    floating_model,
+    identification,
+    identified_model,
+    lmi_check,
+    torque_check,
+)
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
@@ -36,9 +43,13 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
+from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..trajectory import trajectory_file
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
+
+if TYPE_CHECKING:
+    from .floating_result import PredictedWrench
 
 IDENTIFICATION_FILES = ("model.json", "identified.urdf", "report.html")
 """Files of an identification."""
@@ -380,8 +391,11 @@ def predict(
     recording: RecordingSource,
     *,
     columns: Mapping[str, str] = MappingProxyType({}),
-) -> PredictedTorque:
+) -> PredictedTorque | PredictedWrench:
     """Predict the torque along a recording with an identified model, as `excite predict` does.
+
+    The model of a floating base predicts its contact wrench, and the torque of its joints if it was
+    fitted to them.
 
     Args:
         model: Path of a `model.json`.
@@ -391,7 +405,16 @@ def predict(
     Raises:
         UnusableInput: A file cannot be used.
     """
-    fitted = identified_model.read_model(Path(model))
+    file = identified_model.model_file(Path(model))
+    content = file.json()
+    file.schema(content, (MODEL_SCHEMA,))
+    if floating_model.is_floating(content):
+        from .floating_result import predict_floating  # imports this module
+
+        return predict_floating(
+            floating_model.model_from_document(file, content), recording, columns
+        )
+    fitted = identified_model.model_from_document(file, content)
     motion = read_recording(recording, fitted.robot, columns=columns)
     time, torque = fitted_effects.predict(fitted, motion)
     if not np.isfinite(torque).all():

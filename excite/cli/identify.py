@@ -16,12 +16,16 @@ from ..identification.estimators import Method
 from ..identification.identification import IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
 from ..robot.robot import Robot
+from . import floating_identify
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite identify`."""
+    if arguments.floating:
+        return floating_identify.run(arguments)
+    floating_identify.require_floating(arguments)
     output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)
     robot = shared.robot(arguments)
     result = api.identify(
@@ -56,7 +60,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def _options(arguments: argparse.Namespace) -> IdentificationOptions:
-    gamma = arguments.gamma
+    gamma = arguments.gamma or "evidence"
     return IdentificationOptions(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),

@@ -142,9 +142,15 @@ class WordOrNumbers:
 
 @dataclass(frozen=True)
 class ColumnNames:
-    """Names of columns: `t=Time,q.elbow=pos 3`."""
+    """Names of columns: `t=Time,q.elbow=pos 3`.
+
+    Attributes:
+        prefixes: Prefixes of the quantities of joints.
+        signals: First words of further columns, those of a floating base.
+    """
 
     prefixes: Sequence[str]
+    signals: Sequence[str] = ()
 
     def __call__(self, text: str) -> dict[str, str]:
         """Return the names in the file by standard name.
@@ -155,7 +161,9 @@ class ColumnNames:
         out: dict[str, str] = {}
         for part in text.split(","):
             name, separator, column = (word.strip() for word in part.partition("="))
-            known = name == "t" or (name.partition(".")[0] in self.prefixes and "." in name)
+            known = name == "t" or (
+                name.partition(".")[0] in (*self.prefixes, *self.signals) and "." in name
+            )
             if not (separator and column and known):
                 raise ArgumentTypeError(
                     f"'{_shown(part)}' should read NAME=COLUMN, NAME one of t, "

@@ -659,6 +659,7 @@ def _identify(commands: Commands) -> None:
         default=[],
         help="held-out recordings for validation; the model is not fitted to them",
     )
+    _floating_options(sub)
     group = sub.add_argument_group("parameters")
     group.add_argument(
         "--without",
@@ -716,11 +717,10 @@ def _identify(commands: Commands) -> None:
     group.add_argument(
         "--gamma",
         type=WordOrNumbers(("evidence", "heldout"), Numbers(VARIANCE, (1, 2))),
-        default="evidence",
         metavar="G",
         help=(
             "weight of the prior: chosen by evidence, by cross-validation (heldout), a number, "
-            "or two numbers for links,joint parameters (default %(default)s)"
+            "or two numbers for links,joint parameters (default evidence; heldout with --floating)"
         ),
     )
     group.add_argument(
@@ -755,10 +755,43 @@ def _identify(commands: Commands) -> None:
     )
 
 
+def _floating_option(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--floating",
+        action="store_true",
+        help="the base moves freely: the recording holds its pose (base.x … base.qw) and contact "
+        "wrenches (wrench.<frame>.fx … mz, or wrench.world.*)",
+    )
+
+
+def _floating_options(sub: argparse.ArgumentParser) -> None:
+    """Add the options of a robot with a floating base."""
+    group = sub.add_argument_group("floating base")
+    _floating_option(group)
+    group.add_argument(
+        "--rows",
+        choices=("base", "joints", "both"),
+        help="rows of the equations of motion: the six of the base, those of the joints, or both "
+        "(default: all that the recordings hold)",
+    )
+    group.add_argument(
+        "--symmetric",
+        metavar="LEFT:RIGHT",
+        help="links whose names begin with these words mirror each other, as left_:right_",
+    )
+    group.add_argument(
+        "--no-wrench-offsets",
+        action="store_true",
+        help="the sensors of the contact wrenches have no constant offsets",
+    )
+
+
 def _columns_option(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--columns",
-        type=ColumnNames(("q", "dq", "tau", "i", "qref", "qlink", "temp")),
+        type=ColumnNames(
+            ("q", "dq", "tau", "i", "qref", "qlink", "temp"), ("base", "wrench", "imu")
+        ),
         metavar="NAME=COLUMN,…",
         action="append",
         default=[],
@@ -796,7 +829,8 @@ def _predict(commands: Commands) -> None:
         dest="out",
         metavar="FILE.csv",
         required=True,
-        help="file for t,tau.<joint>… at the times of the recording",
+        help="file for t,tau.<joint>… at the times of the recording; with the model of a floating "
+        "base t,wrench.world.fx…",
     )
     _columns_option(sub)
 

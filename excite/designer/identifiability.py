@@ -9,14 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from .._types import BoolArray, FloatArray
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
-from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
+from ..robot.inertial_parameters import (
+    Parameters,
+    of_pseudo_inertia,
+    proper_body,
+    pseudo_inertia,
+)
 from ..robot.parameter_names import SMALLEST_SHARE, sentence
 from ..robot.robot import Robot
 from ..robot.samples import Samples
@@ -33,6 +38,20 @@ MIN_NULL_SHARE = 1e-20
 
 MIN_OBSERVABLE_TRACE = 1e-9
 """Trace of the projector on observable directions below which a link has none [1]."""
+
+
+class NamedRows(Protocol):
+    """A robot, or any equations of which each row has a name."""
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        ...
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the rows: of a robot with a fixed base, its joints."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -214,7 +233,7 @@ def analyse_information(
     base: Base,
     information: FloatArray,
     noise: FloatArray,
-    robot: Robot,
+    robot: NamedRows,
     *,
     threshold: float = IDENTIFIABLE_VARIANCE,
     samples: int | None = None,
@@ -247,7 +266,7 @@ def analyse_root(
     base: Base,
     root: FloatArray,
     noise: FloatArray,
-    robot: Robot,
+    robot: NamedRows,
     *,
     threshold: float = IDENTIFIABLE_VARIANCE,
     samples: int | None = None,
@@ -309,7 +328,7 @@ class _Eigensystem:
 
 def _describe(
     eigensystem: _Eigensystem,
-    robot: Robot,
+    robot: NamedRows,
     noise: FloatArray,
     threshold: float,
     samples: int | None,
@@ -450,7 +469,7 @@ def named_coordinates_root(phi: FloatArray) -> FloatArray:
     for k, (i, j) in enumerate(pairs):
         unit = np.zeros((4, 4))
         unit[i, j] = unit[j, i] = np.sqrt(2.0) if i == j else 1.0
-        out[:, k] = _vector(factor @ unit @ factor.T)
+        out[:, k] = of_pseudo_inertia(factor @ unit @ factor.T)
     block = out[4:, 4:]
     spread = np.linalg.norm(block, axis=1)
     correlation, vectors = np.linalg.eigh((block / spread[:, None]) @ (block / spread[:, None]).T)
@@ -458,12 +477,3 @@ def named_coordinates_root(phi: FloatArray) -> FloatArray:
     # "ZCA-cor")
     out[4:, 4:] = spread[:, None] * ((vectors * np.sqrt(np.maximum(correlation, 0.0))) @ vectors.T)
     return out
-
-
-def _vector(change: FloatArray) -> FloatArray:
-    """Return the inertial parameters of a pseudo-inertia, shape (4, 4). Shape (10,)."""
-    second = change[:3, :3]
-    t = np.trace(second) * np.eye(3) - second
-    return np.array(
-        [change[3, 3], *change[:3, 3], t[0, 0], t[0, 1], t[1, 1], t[0, 2], t[1, 2], t[2, 2]]
-    )

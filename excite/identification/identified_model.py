@@ -382,12 +382,17 @@ def read_model(path: Path) -> IdentifiedModel:
         UnusableInput: The file is missing, is of another schema, breaks a rule of `schemas.model`,
             or contains an invalid URDF.
     """
-    file = DocumentFile(
-        path, "a model", "identify or diagnose again", "the model.json of 'excite identify'"
-    )
+    file = model_file(path)
     content = file.json()
     file.schema(content, (SCHEMA,))
     return model_from_document(file, content)
+
+
+def model_file(path: Path) -> DocumentFile:
+    """Return the reader of a `model.json`."""
+    return DocumentFile(
+        path, "a model", "identify or diagnose again", "the model.json of 'excite identify'"
+    )
 
 
 def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
@@ -401,6 +406,11 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
         UnusableInput: As `read_model`.
     """
     document = file.converted(content, ModelDocument)
+    if document.floating_base is not None:
+        raise file.error(
+            "is the model of a robot with a floating base, which only 'excite predict' reads",
+            "floating_base",
+        )
     with tempfile.TemporaryDirectory() as folder:
         urdf = Path(folder) / "identified.urdf"
         urdf.write_text(document.urdf, encoding="utf-8")

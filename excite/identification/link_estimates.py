@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from .._types import FloatArray
+from ..robot.inertial_parameters import Parameters
 from . import consistency
+from .consistency import ConsistentEstimate, Prior
 from .identification import Identification
 
 DECIDED_SHARE = 0.5
@@ -66,21 +68,33 @@ class LinkEstimate:
 
 def link_estimates(identification: Identification) -> list[LinkEstimate]:
     """Return mass and centre of mass of each link."""
-    parameters, posterior = identification.model.parameters, identification.posterior
-    before = consistency.symmetric_pseudo_inverse(
-        consistency.prior_information(parameters, identification.prior)
+    return estimates_of_links(
+        identification.model.parameters, identification.posterior, identification.prior
     )
+
+
+def estimates_of_links(
+    parameters: Parameters, posterior: ConsistentEstimate, prior: Prior
+) -> list[LinkEstimate]:
+    """Return mass and centre of mass of each link.
+
+    Args:
+        parameters: Standard parameters.
+        posterior: Their estimate.
+        prior: The prior of that estimate.
+    """
+    before = consistency.symmetric_pseudo_inverse(consistency.prior_information(parameters, prior))
     rows = consistency.inertial_rows(parameters, posterior.psi)
-    nominal = consistency.inertial_rows(parameters, identification.prior.nominal)
+    nominal = consistency.inertial_rows(parameters, prior.nominal)
     out = []
     for i, (name, phi) in enumerate(zip(parameters.links, rows, strict=True)):
         block = slice(10 * i, 10 * i + 4)
         after = posterior.covariance[block, block]
         gradients = _gradients(phi)
         # the prior's spread is that of the nominal body
-        prior = np.diag(_gradients(nominal[i]) @ before[block, block] @ _gradients(nominal[i]).T)
+        spread = np.diag(_gradients(nominal[i]) @ before[block, block] @ _gradients(nominal[i]).T)
         variance = np.diag(gradients @ after @ gradients.T)
-        share = np.clip(1.0 - variance / np.maximum(prior, 1e-300), 0.0, 1.0)
+        share = np.clip(1.0 - variance / np.maximum(spread, 1e-300), 0.0, 1.0)
         deviation = np.sqrt(np.maximum(variance, 0.0))
         out.append(
             LinkEstimate(

@@ -101,7 +101,10 @@ def gamma_by_evidence(
 
 
 def gamma_by_validation(
-    squared_error: Callable[[float, int], float], start: float, folds: int
+    squared_error: Callable[[float, int], float],
+    start: float,
+    folds: int,
+    factors: FloatArray = VALIDATION_FACTORS,
 ) -> tuple[float, list[tuple[float, float]]]:
     """Find the γ of the inertial parameters with the smallest error on parts that were left out.
 
@@ -109,12 +112,13 @@ def gamma_by_validation(
         squared_error: Squared error on a fold of the model fitted to the others with a given γ.
         start: γ around which values are compared.
         folds: Number of folds.
+        factors: Values to compare, in units of `start`.
 
     Returns:
         The best γ, and all pairs of γ and error.
     """
     trials = [
         (gamma, sum(squared_error(gamma, fold) for fold in range(folds)))
-        for gamma in start * VALIDATION_FACTORS
+        for gamma in start * factors
     ]
     return min(trials, key=lambda trial: trial[1])[0], trials

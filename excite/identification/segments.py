@@ -313,7 +313,10 @@ def _chosen_cutoff(
 
 
 def split_into_chunks(
-    segment: RecordingSegment, overlap: int, multiple: int
+    segment: RecordingSegment | Recording,
+    overlap: int,
+    multiple: int,
+    chunk_samples: int = CHUNK_SAMPLES,
 ) -> Iterator[tuple[slice, slice]]:
     """Split a long aperiodic segment into overlapping chunks that are processed one by one.
 
@@ -321,14 +324,16 @@ def split_into_chunks(
         segment: The segment.
         overlap: Minimum number of samples that a chunk shares with its neighbour at either end.
         multiple: Chunks start at multiples of this number of samples.
+        chunk_samples: Number of samples of a chunk without its overlap.
 
     Yields:
         The rows of a chunk, and those of its rows (relative to its start) that are not overlap.
     """
-    if segment.periodic or len(segment) <= CHUNK_SAMPLES + 2 * overlap:
+    is_periodic = isinstance(segment, RecordingSegment) and segment.periodic
+    if is_periodic or len(segment) <= chunk_samples + 2 * overlap:
         yield slice(0, len(segment)), slice(0, len(segment))
         return
-    size, margin = CHUNK_SAMPLES // multiple * multiple, -(-overlap // multiple) * multiple
+    size, margin = -(-chunk_samples // multiple) * multiple, -(-overlap // multiple) * multiple
     starts = list(range(0, len(segment), size))
     if len(segment) - starts[-1] <= 2 * overlap:
         starts.pop()

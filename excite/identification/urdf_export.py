@@ -28,6 +28,7 @@ def identified_urdf(
     psi: FloatArray,
     widths: FloatArray,
     provenance: Sequence[str] = (),
+    model: pin.Model | None = None,
 ) -> str:
     """Return the URDF of a robot with parameters ψ.
 
@@ -40,6 +41,7 @@ def identified_urdf(
         psi: Values of the parameters. Shape (P,).
         widths: Widths of Coulomb friction. Shape (n,) [rad/s or m/s].
         provenance: Lines of a comment that says where the figures come from.
+        model: Model whose moving links get new inertias; None: that of the robot.
     """
     path = locate(robot.source)
     text = source_text.read_urdf_text(path)
@@ -50,7 +52,7 @@ def identified_urdf(
     bodies = {link: psi[10 * i : 10 * i + 10] for i, link in enumerate(parameters.links)}
     moving = {
         frame.name
-        for frame in robot.model.frames
+        for frame in (robot.model if model is None else model).frames
         if frame.type == pin.FrameType.BODY and frame.parentJoint > 0
     }
     for link in root.iter("link"):

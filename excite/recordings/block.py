@@ -21,7 +21,8 @@ class Block:
 
     Attributes:
         t: Times. Shape (N,) [s].
-        values: Measured quantities, NaN where a value is missing. Shape (N, n) each.
+        values: Measured quantities, NaN where a value is missing. Shape (N, n) each; those of a
+            floating base have other names and widths, see `floating_signals`.
         remarks: Remarks of the reader.
     """
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
+from . import floating_signals
 from .block import QUANTITIES, Block
 
 PREFIXES = {
@@ -23,6 +24,8 @@ PREFIXES = {
     "temp": "temperature",
 }
 """Prefixes of columns `<prefix>.<joint>`, with their quantities."""
+PREFIX_OF = {quantity: prefix for prefix, quantity in PREFIXES.items()}
+"""Prefix of the columns of each quantity."""
 RTDE = {
     "actual_q": "q",
     "actual_qd": "dq",
@@ -45,6 +48,7 @@ class ColumnLayout:
         names: Names of the columns, those of time first.
         places: Quantity and joint index of each column but time.
         n: Number of joints.
+        signals: Columns of each signal of a floating base; see `floating_signals`.
         time_factors: Factors by which the columns of time add up to seconds.
         from_first: True if time counts from the first row.
     """
@@ -54,6 +58,7 @@ class ColumnLayout:
     n: int
     time_factors: tuple[float, ...] = (1.0,)
     from_first: bool = False
+    signals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def block(self, table: FloatArray, origin: FloatArray | None = None) -> Block:
         """Sort the columns of a table into quantities.
@@ -70,6 +75,10 @@ class ColumnLayout:
         values = {
             name: np.full((len(table), self.n), np.nan) for name in QUANTITIES if name in recorded
         }
+        values |= {
+            name: np.full((len(table), len(columns)), np.nan)
+            for name, columns in self.signals.items()
+        }
         for column, (quantity, joint) in enumerate(self.places, start=len(self.time_factors)):
             values[quantity][:, joint] = table[:, column]
         return Block(np.ascontiguousarray(t), values)
@@ -82,6 +91,7 @@ def find_columns(
     time: Sequence[tuple[str, float]] = (("t", 1.0),),
     *,
     from_first: bool = False,
+    floating: bool = False,
 ) -> ColumnLayout:
     """Find the columns of a robot in a header, named `<prefix>.<joint>` or as by RTDE.
 
@@ -91,6 +101,7 @@ def find_columns(
         robot: Robot whose joints are recorded.
         time: Columns of time and their factors [s].
         from_first: True if time counts from the first row.
+        floating: True if the columns of a floating base are wanted.
 
     Raises:
         UnusableInput: A name occurs twice, or time or the position of a joint is missing; the
@@ -120,6 +131,9 @@ def find_columns(
         for prefix, quantity in PREFIXES.items()
         for i, joint in enumerate(robot.joints)
     }
+    signals = floating_signals.signal_columns(source, header) if floating else {}
+    for signal, columns in signals.items():
+        places |= {name: (signal, i) for i, name in enumerate(columns)}
     names = [name for name in header if name in places]
     return ColumnLayout(
         (*(name for name, _ in time), *names),
@@ -127,7 +141,21 @@ def find_columns(
         robot.n,
         tuple(factor for _, factor in time),
         from_first,
+        signals,
     )
+
+
+def column_of(quantity: str, index: int, joints: Sequence[str]) -> str:
+    """Return the name of the column that holds a quantity of a joint or an axis of a signal."""
+    if quantity in PREFIX_OF:
+        return f"{PREFIX_OF[quantity]}.{joints[index]}"
+    if quantity == "base":
+        return floating_signals.POSE[index]
+    if quantity == "gyroscope":
+        return floating_signals.GYROSCOPE[index]
+    if quantity == "accelerometer":
+        return floating_signals.ACCELEROMETER[index]
+    return f"{quantity}.{floating_signals.COMPONENTS[index]}"
 
 
 def _find_rtde_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayout:

@@ -77,6 +77,8 @@ def read_blocks(
     robot: Robot,
     columns: Mapping[str, str] = MappingProxyType({}),
     topic: str | None = None,
+    *,
+    floating: bool = False,
 ) -> Iterator[Block]:
     """Read a CSV file whose first row names the columns.
 
@@ -85,6 +87,7 @@ def read_blocks(
         robot: Robot whose joints are recorded.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in the file.
         topic: Topic of PlotJuggler's columns to use; None: there is one of the robot's joints.
+        floating: True if the columns of a floating base are wanted; see `floating_signals`.
 
     Yields:
         Consecutive rows, CHUNK_SIZE bytes of text at a time.
@@ -104,7 +107,12 @@ def read_blocks(
         header = recognise(str(path), cells, first_row, robot, columns, separator, topic)
         stream.seek(behind if header.has_line else 0)
         layout = find_columns(
-            str(path), header.names, robot, header.time, from_first=header.from_first
+            str(path),
+            header.names,
+            robot,
+            header.time,
+            from_first=header.from_first,
+            floating=floating,
         )
         table = _Table(path, separator, header, layout, line if header.has_line else None)
         table.remarks += _planned(cells, robot)

@@ -21,6 +21,7 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from . import (
     encoder_resolution,
+    floating_signals,
     glitches,
     missing_values,
     position_wraps,
@@ -30,7 +31,7 @@ from . import (
     uneven_stamps,
     units,
 )
-from .block import Block
+from .block import QUANTITIES, Block
 from .recording import MIN_ROWS, Recording
 from .remark import Remark, RemarkKind
 from .sidecar import KEYS, Sidecar
@@ -93,7 +94,8 @@ def check_and_repair(
         UnusableInput: Units are wrong, or there are too few rows or values.
     """
     source, robot = context.source, context.robot
-    block, repairs = window.block, list[Remark]()
+    block = floating_signals.with_continuous_quaternions(source, window.block)
+    repairs = list[Remark]()
     if complete:
         block, repairs = glitches.mask_glitches(source, block, robot, context.limits)
         block, wraps = position_wraps.unwrap_positions(block, robot, context.limits)
@@ -121,12 +123,20 @@ def check_and_repair(
             gridded, smoothed = _without_quantization(gridded, resolution)
         remarks += [*jitter, *_quantization_remarks(robot, smoothed)]
     inside = gridded.rows((gridded.t >= window.start) & (gridded.t <= window.end))
+    joint_values = {name: inside.values[name] for name in QUANTITIES if name in inside.values}
+    base = inside.values.get("base")
     t = window.block.t
     return Recording(
         source=source,
         joints=robot.joints,
         t=inside.t,
-        **inside.values,
+        **joint_values,
+        base=None if base is None else floating_signals.unit_quaternions(base),
+        signals={
+            name: value
+            for name, value in inside.values.items()
+            if name != "base" and name not in joint_values
+        },
         sidecar=context.sidecar,
         remarks=tuple(remarks),
         row_times=t[(t >= window.start) & (t <= window.end)],

@@ -13,14 +13,12 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
-from .column_names import PREFIXES
+from .column_names import column_of
 
 MAX_MAGNITUDE = 1e12
 """Largest magnitude of a measured quantity, whatever its unit."""
 MAX_TIME = 1e20
 """Largest magnitude of a time, in any unit: the year 2026 is 1.8e18 ns after 1970."""
-PREFIX_OF = {quantity: prefix for prefix, quantity in PREFIXES.items()}
-"""Prefix of the columns of each quantity."""
 
 
 def check_magnitudes(source: str, block: Block, robot: Robot, first_row: int) -> None:
@@ -42,7 +40,7 @@ def check_magnitudes(source: str, block: Block, robot: Robot, first_row: int) ->
     for quantity, values in block.values.items():
         place = _first_beyond(values, MAX_MAGNITUDE)
         if place is not None:
-            column = f"{PREFIX_OF[quantity]}.{robot.joints[place[1]]}"
+            column = column_of(quantity, place[1], robot.joints)
             value = float(values[place])
             raise UnusableInput(
                 _message(source, column, first_row + place[0], value, MAX_MAGNITUDE)

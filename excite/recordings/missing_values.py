@@ -8,7 +8,8 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import UnusableInput
-from .block import Block
+from .block import QUANTITIES, Block
+from .column_names import column_of
 from .remark import Remark, RemarkKind
 
 MAX_INTERPOLATED_ROWS = 5
@@ -46,8 +47,14 @@ def fill_missing(source: str, joints: Sequence[str], block: Block) -> tuple[Bloc
             continue
         values[name] = value.copy()
         for i in np.flatnonzero(missing.any(axis=0)).tolist():
-            joint, share = joints[i], float(missing[:, i].mean())
+            is_signal = name not in QUANTITIES
+            joint = column_of(name, i, joints) if is_signal else joints[i]
+            share = float(missing[:, i].mean())
             too_many = share > MAX_MISSING_SHARE
+            if too_many and is_signal:
+                raise UnusableInput(
+                    f"{source}: column '{joint}': {100 * share:.0f} % are no numbers; record them"
+                )
             if too_many and (name == "q" or (name in REQUIRED and share < 1.0)):
                 raise UnusableInput(
                     f"{source}: joint '{joint}': {100 * share:.0f} % of {name} are no numbers; "
@@ -62,7 +69,7 @@ def fill_missing(source: str, joints: Sequence[str], block: Block) -> tuple[Bloc
                 continue
             column, is_long = _interpolated(block.t, values[name][:, i], missing[:, i])
             values[name][:, i] = column
-            if name in REQUIRED:
+            if name in REQUIRED or is_signal:
                 keep &= ~is_long
             remarks.append(_remark(name, joint, block.t, missing[:, i], is_long))
     filled = Block(block.t, values, block.remarks)
@@ -94,12 +101,15 @@ def _interpolated(
 
 
 def _remark(name: str, joint: str, t: FloatArray, missing: BoolArray, is_long: BoolArray) -> Remark:
-    text = f"joint '{joint}': {int(missing.sum())} missing values of {name}"
+    is_signal = name not in QUANTITIES
+    subject = "" if is_signal else f"joint '{joint}': "
+    text = f"{subject}{int(missing.sum())} missing values of {joint if is_signal else name}"
     interpolated = int((missing & ~is_long).sum())
     if interpolated:
         text += f", {interpolated} interpolated"
     if is_long.any():
-        outcome = "dropped with their rows" if name in REQUIRED else "left out"
+        outcome = "dropped with their rows" if name in REQUIRED or is_signal else "left out"
         text += f", {int(is_long.sum())} in longer runs {outcome}"
     first, last = np.flatnonzero(missing)[[0, -1]]
-    return Remark(RemarkKind.MISSING, text, joint, float(t[first]), float(t[last]), repaired=True)
+    place = None if is_signal else joint
+    return Remark(RemarkKind.MISSING, text, place, float(t[first]), float(t[last]), repaired=True)

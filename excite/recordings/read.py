@@ -43,6 +43,8 @@ def read(
     robot: Robot,
     limits: Limits | None = None,
     columns: Mapping[str, str] = MappingProxyType({}),
+    *,
+    floating: bool = False,
 ) -> Recording:
     """Read, check and repair a recording.
 
@@ -54,13 +56,14 @@ def read(
         robot: Robot that it records.
         limits: Limits of the robot, by which wrong units are detected; None: those of the URDF.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+        floating: Read the signals of a floating base, too, from a CSV file; see `floating_signals`.
 
     Raises:
         UnusableInput: It cannot be read, assigned to the robot's joints or repaired.
     """
     context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
     blocks, rows, numbers = list[Block](), 0, 0
-    for block in _read_blocks(path, context, columns):
+    for block in _read_blocks(path, context, columns, floating=floating):
         if len(block) or block.remarks:
             blocks.append(block)
         rows += len(block)
@@ -124,7 +127,11 @@ def stream(
 
 
 def _read_blocks(
-    path: Path, context: RecordingContext, columns: Mapping[str, str] = MappingProxyType({})
+    path: Path,
+    context: RecordingContext,
+    columns: Mapping[str, str] = MappingProxyType({}),
+    *,
+    floating: bool = False,
 ) -> Iterator[Block]:
     """Yield blocks as the reader of the file's format returns them."""
     if not (os.path.isdir(path) or os.path.isfile(path)):
@@ -136,6 +143,11 @@ def _read_blocks(
     row = 1
     if columns and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
         raise UnusableInput(f"{path}: has no named columns; leave --columns out")
+    if floating and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
+        raise UnusableInput(
+            f"{path}: signals of a floating base are read from CSV; give columns t, base.x, … "
+            "base.qw, q.<joint>, …, wrench.<frame>.fx, …"
+        )
     try:
         if rosbag_reader.is_bag(path):
             blocks = rosbag_reader.read_blocks(path, context.robot, context.sidecar)
@@ -143,7 +155,9 @@ def _read_blocks(
             blocks = npz_reader.read_blocks(path, context.robot)
         else:
             blocks, row = (
-                csv_reader.read_blocks(path, context.robot, columns, context.sidecar.topic),
+                csv_reader.read_blocks(
+                    path, context.robot, columns, context.sidecar.topic, floating=floating
+                ),
                 2,
             )  # the header is row 1
         for block in blocks:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,6 +45,10 @@ class Recording:
         qref: Commanded positions. Shape (N, n) [rad or m].
         qlink: Positions measured on the link's side of the gear. Shape (N, n) [rad or m].
         temperature: Temperatures. Shape (N, n) [°C].
+        base: Pose of a floating base: position [m], unit quaternion x, y, z, w whose sign does not
+            change. Shape (N, 7).
+        signals: Other signals of a floating base by name: "wrench.<frame>", shape (N, 6) [N, N m],
+            "gyroscope" [rad/s] and "accelerometer" [m/s²], shape (N, 3); see `floating_signals`.
         sidecar: Sidecar of the file.
         remarks: Remarks about its data, and repairs.
         row_times: Distinct times of the rows in the file, in order. Shape (M,) [s], with M ≠ N
@@ -66,6 +70,8 @@ class Recording:
     qref: FloatArray | None = None
     qlink: FloatArray | None = None
     temperature: FloatArray | None = None
+    base: FloatArray | None = None
+    signals: Mapping[str, FloatArray] = field(default_factory=dict)
     sidecar: Sidecar = field(default_factory=Sidecar)
     remarks: tuple[Remark, ...] = ()
     row_times: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -186,7 +192,19 @@ class Recording:
         selected = {
             name: value[which] for name in QUANTITIES if (value := getattr(self, name)) is not None
         }
-        return dataclasses.replace(self, t=self.t[which], **selected)
+        signals = {name: value[which] for name, value in self.signals.items()}
+        base = None if self.base is None else self.base[which]
+        return dataclasses.replace(self, t=self.t[which], base=base, signals=signals, **selected)
+
+    @property
+    def contacts(self) -> tuple[str, ...]:
+        """Frames of the contact wrenches of a floating base, "world" among them."""
+        prefix = "wrench."
+        return tuple(name[len(prefix) :] for name in self.signals if name.startswith(prefix))
+
+    def wrench(self, frame: str) -> FloatArray:
+        """Return the wrench at a frame. Shape (N, 6) [N, N m]."""
+        return self.signals[f"wrench.{frame}"]
 
     def between(self, start: float, end: float) -> Recording:
         """Return the rows with start ≤ t ≤ end and the remarks that concern them.

@@ -110,6 +110,18 @@ def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
     )
     noise = np.maximum(limits.torque, LARGEST_WEIGHT_RATIO * limits.torque.max())
     stacked = (regressor(exact, parameters, motion) / noise[:, None]).reshape(-1, parameters.count)
+    base = base_of_columns(stacked, parameters)
+    _warn(robot, parameters, base.count)
+    return base
+
+
+def base_of_columns(stacked: FloatArray, parameters: Parameters) -> Base:
+    """Base parameters by a rank-revealing factorisation of the stacked regressor of a motion.
+
+    Args:
+        stacked: Rows of the regressor along a motion that excites everything. Shape (m, P).
+        parameters: The standard parameters.
+    """
     norms = np.linalg.norm(stacked, axis=0)
     present = (norms > RANK_TOLERANCE * _largest_of_kind(norms, parameters)) & (
         norms > ABSENT_COLUMN * norms.max()
@@ -117,7 +129,6 @@ def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
     unit = np.asarray(np.linalg.qr(stacked[:, present] / norms[present], mode="r"))
     values = np.linalg.svd(unit, compute_uv=False)
     rank = int(np.sum(values > RANK_TOLERANCE * values[0]))
-    _warn(robot, parameters, rank)
     chosen, coefficients = _echelon(unit, rank, _order(parameters)[present])
     matrix = np.zeros((rank, parameters.count))
     matrix[:, present] = coefficients * norms[present] / norms[present][chosen][:, None]
@@ -285,7 +296,7 @@ def base_count(robot: Robot, parameters: Parameters) -> int:
                 ]
             )
         )
-        invisible += _transfers(axis, reached, pulls[0], varying, rotor, offset)
+        invisible += transfers(axis, reached, pulls[0], varying, rotor, offset).shape[1]
         motions.append(_span(np.column_stack([reached, axis])))
         gravity.append(pulls[0])
         changes.append(varying)
@@ -293,15 +304,27 @@ def base_count(robot: Robot, parameters: Parameters) -> int:
     return 10 * parameters.bodies + drives - invisible
 
 
-def _transfers(
+def transfers(
     axis: FloatArray,
     reached: FloatArray,
     pull: FloatArray,
     varying: FloatArray,
     rotor: bool,
     offset: bool,
-) -> int:
-    """Dimension of the invisible changes (δφ, rotor inertia, offset) of one body and joint."""
+) -> FloatArray:
+    """Basis of the invisible changes (δφ, rotor inertia, offset) of one body and joint.
+
+    Args:
+        axis: Motion subspace of the joint, (linear, angular). Shape (6,).
+        reached: Basis of the velocities that the body attains. Shape (6, k).
+        pull: Gravity in the frame of the body. Shape (6,).
+        varying: Basis of the changes of gravity in that frame. Shape (6, m).
+        rotor: True if the joint has a rotor inertia among its parameters.
+        offset: True if it has a torque offset.
+
+    Returns:
+        Columns of 10 to 12 numbers; rotor inertia and offset follow the inertial parameters.
+    """
     momenta = np.einsum("a,kab->kb", axis, _INERTIAS)  # Sᵀ E_k
     conditions = [
         np.hstack([(momenta @ vector), 0.0, 0.0]) for vector in np.hstack([reached, varying]).T
@@ -313,6 +336,6 @@ def _transfers(
     conditions += [np.hstack([turned @ w @ v, 0.0, 0.0]) for v in reached.T for w in others.T]
     matrix = np.array(conditions)
     keep = [True] * 10 + [rotor, offset]
-    values = np.linalg.svd(matrix[:, keep], compute_uv=False)
+    _, values, right = np.linalg.svd(matrix[:, keep])
     rank = int(np.sum(values > RECURSION_TOLERANCE * max(1.0, float(values[0]))))
-    return int(np.sum(keep)) - rank
+    return np.asarray(right[rank:].T)

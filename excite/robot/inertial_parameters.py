@@ -8,7 +8,7 @@ number per moving joint.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,6 +149,22 @@ def pseudo_inertia(phi: FloatArray) -> FloatArray:
     return out
 
 
+def of_pseudo_inertia(matrix: FloatArray) -> FloatArray:
+    """Return the inertial parameters of a pseudo-inertia, the inverse of `pseudo_inertia`.
+
+    Args:
+        matrix: Symmetric matrix. Shape (4, 4).
+
+    Returns:
+        Inertial parameters. Shape (10,).
+    """
+    second = matrix[:3, :3]
+    t = np.trace(second) * np.eye(3) - second
+    return np.array(
+        [matrix[3, 3], *matrix[:3, 3], t[0, 0], t[0, 1], t[1, 1], t[0, 2], t[1, 2], t[2, 2]]
+    )
+
+
 _UNITS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
 
 
@@ -183,11 +199,7 @@ def inverse_root(phi: FloatArray) -> FloatArray:
         for j in range(i + 1):
             unit = np.zeros((4, 4))
             unit[i, j] = unit[j, i] = np.sqrt(2.0) if i == j else 1.0
-            change = factor @ unit @ factor.T
-            second, first, mass = change[:3, :3], change[:3, 3], change[3, 3]
-            tensor = np.trace(second) * np.eye(3) - second
-            xx, yy, zz = np.diag(tensor)
-            columns.append([mass, *first, xx, tensor[0, 1], yy, tensor[0, 2], tensor[1, 2], zz])
+            columns.append(of_pseudo_inertia(factor @ unit @ factor.T))
     return np.array(columns).T
 
 
@@ -225,6 +237,19 @@ def proper_body(phi: FloatArray, robot_mass: float) -> tuple[FloatArray, bool]:
     return np.array([mass, *(mass * centre), *moments]), True
 
 
+def drive_kinds(drive: Iterable[str]) -> tuple[str, ...]:
+    """Return kinds of joint parameters in the order of DRIVE.
+
+    Raises:
+        UnusableInput: One of them is unknown.
+    """
+    wanted = set(drive)
+    unknown = wanted - set(DRIVE)
+    if unknown:
+        raise UnusableInput(f"no joint parameter '{min(unknown)}'; there are: {', '.join(DRIVE)}")
+    return tuple(kind for kind in DRIVE if kind in wanted)
+
+
 def standard_parameters(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Parameters:
     """Return the standard parameters of a robot, with nominal values and metric.
 
@@ -242,48 +267,87 @@ def standard_parameters(robot: Robot, limits: Limits, drive: Iterable[str] = DRI
     Raises:
         UnusableInput: `drive` names an unknown kind.
     """
-    wanted = tuple(drive)
-    unknown = set(wanted) - set(DRIVE)
-    if unknown:
-        raise UnusableInput(f"no joint parameter '{min(unknown)}'; there are: {', '.join(DRIVE)}")
-    kinds = tuple(kind for kind in DRIVE if kind in wanted)
-    model, n = robot.model, robot.n
+    kinds = drive_kinds(drive)
+    model = robot.model
     bodies = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
-    robot_mass = (
-        float(sum(max(phi[0], 0.0) for phi in bodies)) or 1.0
-    )  # [kg], where nothing has a mass
-    proper = [proper_body(phi, robot_mass) for phi in bodies]
+    nominal, scale = drive_values(robot, limits, consistent_bodies(bodies))
+    numbers = range(1, len(bodies) + 1)
+    return assembled_parameters(robot, kinds, bodies, robot.links, numbers, nominal, scale)
+
+
+def consistent_bodies(bodies: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the bodies of a robot, with a substitute for each that is not physically consistent.
+
+    Args:
+        bodies: Inertial parameters of all bodies of the robot. Shape (10,) each.
+    """
+    return [proper_body(phi, _robot_mass(bodies))[0] for phi in bodies]
+
+
+def _robot_mass(bodies: Iterable[FloatArray]) -> float:
+    """Mass of a robot, or 1 where nothing has a mass [kg]."""
+    return float(sum(max(phi[0], 0.0) for phi in bodies)) or 1.0
+
+
+def assembled_parameters(
+    robot: Robot,
+    kinds: tuple[str, ...],
+    bodies: Sequence[FloatArray],
+    links: tuple[str, ...],
+    numbers: Iterable[int],
+    nominal: Mapping[str, FloatArray],
+    scale: Mapping[str, FloatArray],
+) -> Parameters:
+    """Assemble the standard parameters of bodies and joints.
+
+    Args:
+        robot: The robot, for its joints and for warnings.
+        kinds: Kinds of joint parameters.
+        bodies: Inertial parameters of the bodies. Shape (10,) each.
+        links: Names of the links that the bodies are named after.
+        numbers: Number of each body in the names of its parameters.
+        nominal: Nominal values of each kind of joint parameter. Shape (n,) each.
+        scale: Their scales.
+    """
+    n, mass = robot.n, _robot_mass(bodies)
+    proper = [proper_body(phi, mass) for phi in bodies]
     roots = [inverse_root(phi) for phi, _ in proper]
-    repaired = [link for link, (_, changed) in zip(robot.links, proper, strict=True) if changed]
+    repaired = [link for link, (_, changed) in zip(links, proper, strict=True) if changed]
     if repaired:
         text = (
             f"{robot.source}: no proper body in link(s) {', '.join(repaired)} (massless or "
             "singular inertia); the metric uses a substitute"
         )
-        warnings.warn(text, ExciteWarning, stacklevel=2)
-    nominal, scale = _drive_values(robot, limits, [phi for phi, _ in proper])
+        warnings.warn(text, ExciteWarning, stacklevel=3)
     size = 10 * len(bodies)
     matrix = np.zeros((size + n * len(kinds),) * 2)
     for i, root in enumerate(roots):
         matrix[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = root
     tail = [scale[kind] for kind in kinds]
     matrix[range(size, len(matrix)), range(size, len(matrix))] = np.concatenate([*tail, []])
-    names = [f"{symbol}{i}" for i in range(1, len(bodies) + 1) for symbol in INERTIAL]
+    names = [f"{symbol}{i}" for i in numbers for symbol in INERTIAL]
     names += [f"{DRIVE_SYMBOLS[kind]}{j}" for kind in kinds for j in range(1, n + 1)]
     return Parameters(
         drive=kinds,
         names=tuple(names),
         nominal=np.concatenate([*bodies, *[nominal[kind] for kind in kinds]]),
         scale=matrix,
-        links=robot.links,
+        links=links,
         joints=robot.joints,
         repaired=tuple(repaired),
     )
 
 
-def _drive_values(
+def drive_values(
     robot: Robot, limits: Limits, bodies: list[FloatArray]
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return nominal values and scales of each kind of joint parameter. Shape (n,) each.
+
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        bodies: Inertial parameters of its physically consistent bodies. Shape (10,) each.
+    """
     nominal = {
         kind: np.array([getattr(entry, kind) for entry in robot.entries], float) for kind in DRIVE
     }

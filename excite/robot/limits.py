@@ -36,6 +36,13 @@ from .urdf import NARROWEST_RANGE, WIDEST_RANGE, range_in_turns
 QUANTITIES = ("position", "velocity", "acceleration", "jerk", "torque")
 REQUIRED = ("position", "velocity", "torque")
 DERIVED = "derived"
+ASSUMED = "assumed"
+"""Source of a limit that nothing states, in analyses that need it as a scale only."""
+ASSUMED_VELOCITY = 2.0 * math.pi
+"""Assumed velocity limit [rad/s or m/s]: a turn per second."""
+ASSUMED_LEVER = 0.2
+"""Lever at which the assumed torque limit holds the robot's weight [m]: the hip of a standing
+person carries a few tenths of the body's weight times a metre."""
 URDF = "urdf"
 """Source of a limit that the URDF states."""
 SOFT_LIMITS = "urdf, safety_controller"
@@ -238,6 +245,31 @@ def stated_limits(robot: Robot, file: Path | None = None) -> tuple[LimitTable, d
             if (share := getattr(stated.margin, kind, None)) is not None
         }
     return table, shares
+
+
+def resolve_with_assumptions(robot: Robot, file: Path | None = None) -> Limits:
+    """Limits of a robot for analyses in which they are scales only, with assumed values of missing
+    ones: half a turn each way, ASSUMED_VELOCITY, and the torque that holds the robot's weight at
+    ASSUMED_LEVER.
+
+    Args:
+        robot: The robot.
+        file: Limits file, as of `resolve`.
+
+    Raises:
+        UnusableInput: The file cannot be read, names an unknown joint or contradicts itself.
+    """
+    table, _ = stated_limits(robot, file)
+    mass = sum(body.mass for body in robot.model.inertias)
+    weight = float(np.linalg.norm(robot.model.gravity.linear)) * mass
+    assumed: dict[str, Any] = {
+        "position": (-math.pi, math.pi),
+        "velocity": ASSUMED_VELOCITY,
+        "torque": ASSUMED_LEVER * weight or 1.0,
+    }
+    for fault in missing_limits(robot, table):
+        table[fault.joint][fault.quantity] = (assumed[fault.quantity], ASSUMED)
+    return _assemble(robot, table)
 
 
 def missing_limits(robot: Robot, table: LimitTable) -> list[LimitFault]:

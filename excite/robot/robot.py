@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +22,8 @@ from . import exact_placement, urdf
 from .link_inertia import LinkInertia, impossible_moments
 
 GRAVITY = (0.0, 0.0, -9.81)
+FLOATING_BASE = "excite_floating_base"
+"""Name of the free flyer in the models of `free_flyer_models`."""
 
 
 @dataclass(frozen=True)
@@ -259,6 +262,44 @@ def load(
     return robot
 
 
+def free_flyer_models(robot: Robot) -> tuple[pin.Model, pin.Model]:
+    """Return models of a robot whose base moves freely: as its file states, and with exact
+    placements.
+
+    The first joint, FLOATING_BASE, is a free flyer (nq = 7 + nv of the robot's joints).
+
+    Args:
+        robot: The robot; its locked joints, gravity, payload and inertias apply.
+
+    Raises:
+        UnusableInput: Its file cannot be read any more.
+    """
+    document = urdf.read(locate(robot.source))
+    options: Mapping[str, Any] = robot.options
+    stated = options.get("inertias")
+    if isinstance(stated, Mapping):
+        inertias = {**inertias_of_document(stated), **document.inertias}
+        document = dataclasses.replace(document, inertias=inertias)
+    links = {document.alias(link): link for link in document.links}
+    models = []
+    for exact in (False, True) if document.rounded else (False,):
+        full = _parse(document, document.text(exact=exact), free_flyer=True)
+        reference = pin.neutral(full)
+        moving = {FLOATING_BASE, *robot.model.names[1:]}
+        for name in full.names[2:]:
+            master, multiplier, offset = _resolve(document, name)
+            value = multiplier * float(options["locked"].get(master, 0.0)) + offset
+            if name not in moving:
+                angle = exact_placement.exact_angle(value) if exact else value
+                reference[full.joints[full.getJointId(name)].idx_q] = angle
+        models.append(_reduced(full, moving, reference, options["gravity"], links))
+    payload = options.get("payload")
+    if isinstance(payload, Mapping):
+        for model in models:
+            _attach(model, document.source, Payload(**payload))
+    return models[0], models[-1]
+
+
 def _frozen(array: FloatArray) -> FloatArray:
     array.setflags(write=False)
     return array
@@ -310,8 +351,10 @@ def _axes(model: pin.Model) -> list[FloatArray]:
     return [pin.log6(a.actInv(data.liMi[i])).vector for i, a in enumerate(before, start=1)]
 
 
-def _parse(document: urdf.Urdf, text: str) -> pin.Model:
+def _parse(document: urdf.Urdf, text: str, *, free_flyer: bool = False) -> pin.Model:
     try:
+        if free_flyer:
+            return pin.buildModelFromXML(text, pin.JointModelFreeFlyer(), FLOATING_BASE)
         return pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[0] if str(error).strip() else "no kinematic tree"

@@ -53,6 +53,24 @@ class ParameterDocument(msgspec.Struct):
     of: Text = Text("")
 
 
+class FloatingBaseDocument(msgspec.Struct):
+    """The part of a model whose base moves freely.
+
+    Attributes:
+        base_link: Name of the link of the base.
+        rows: Rows that were fitted.
+        contacts: Frames of the contact wrenches.
+        offsets: Offsets of their sensors, fx … mz of each contact [N, N m].
+        row_band_hz: Cutoff frequency of each row [Hz].
+    """
+
+    base_link: Name
+    rows: Literal["base", "joints", "both"]
+    contacts: list[Name]
+    offsets: list[tuple[Torque, Torque, Torque, Torque, Torque, Torque]]
+    row_band_hz: list[Band]
+
+
 class ModelDocument(msgspec.Struct):
     """The keys that a prediction reads.
 
@@ -65,6 +83,8 @@ class ModelDocument(msgspec.Struct):
         coulomb_width: Velocity over which Coulomb friction changes sign [rad/s or m/s].
         band_hz: Cutoff frequency of the identification [Hz].
         effects: Effects beyond the base model.
+        floating_base: Present if the base moves freely: `links` then contains the base, and only
+            links with a mass.
     """
 
     schema: Literal["excite.model/1"]
@@ -77,6 +97,7 @@ class ModelDocument(msgspec.Struct):
     coulomb_width: dict[str, FrictionWidth]
     band_hz: Band
     effects: list[EffectDocument]
+    floating_base: FloatingBaseDocument | None = None
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) < len(self.joints):
@@ -85,6 +106,8 @@ class ModelDocument(msgspec.Struct):
             if joint not in self.coulomb_width:
                 raise ValueError(f"coulomb_width: has no entry for the joint {shown(joint)}")
         _check_parameters(self)
+        if self.floating_base is not None:
+            _check_floating_base(self.floating_base, len(self.joints))
         for i, effect in enumerate(self.effects):
             for key, named in (("joint", effect.joint), ("from", effect.other)):
                 if named is not None and named not in self.joints:
@@ -93,6 +116,15 @@ class ModelDocument(msgspec.Struct):
                 raise ValueError(
                     f"effects[{i}].values.link: {effect.values['link']:g} is the number of no link"
                 )
+
+
+def _check_floating_base(document: FloatingBaseDocument, joints: int) -> None:
+    """Raise ValueError unless offsets and bands fit the contacts and rows."""
+    if len(document.offsets) not in (0, len(document.contacts)):
+        raise ValueError("floating_base.offsets: should hold six values of each contact, or none")
+    count = {"base": 6, "joints": joints, "both": 6 + joints}[document.rows]
+    if len(document.row_band_hz) != count:
+        raise ValueError(f"floating_base.row_band_hz: should hold {count} values, one of each row")
 
 
 def _check_parameters(document: ModelDocument) -> None:

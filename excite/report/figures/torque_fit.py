@@ -95,20 +95,39 @@ def draw_torque_fit(
         points: Largest number of points of a curve.
         labels: Names of the two models; nominal and identified robot when None.
     """
-    labels = labels or FitLabels()
-    columns = (
-        1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
-    )
+    title = f"Measured and predicted torque of every joint on {prediction.source}"
+    return draw_fit(prediction, robot.joints, torque_units(robot), title, points, labels)
+
+
+def draw_fit(
+    prediction: Prediction,
+    names: Sequence[str],
+    units: Sequence[str],
+    title: str,
+    points: int,
+    labels: FitLabels | None = None,
+) -> str:
+    """Draw measured and predicted rows, and below each the residual.
+
+    Args:
+        prediction: Rows along a recording.
+        names: Name of each row.
+        units: Unit of each row.
+        title: Title of the figure, for people who cannot see it.
+        points: Largest number of points of a curve.
+        labels: Names of the two models; nominal and identified robot when None.
+    """
+    labels, count = labels or FitLabels(), len(names)
+    columns = 1 if count == 1 else 2 if count <= 4 else 3 if count <= COMPACT_LAYOUT_JOINTS else 5
     size = _RowHeights(1.5, 0.8) if columns <= 2 else _RowHeights(1.05, 0.55)
-    rows = -(-robot.n // columns)
+    rows = -(-count // columns)
     height = 0.3 + rows * (size.torque + size.residual + size.gap)
     span = drawn_interval(prediction)
-    units = torque_units(robot)
 
     def draw(figure: Any) -> None:
         width = figure.get_size_inches()[0]
         cell = (width - 0.55 - 0.1 - 0.5 * (columns - 1)) / columns
-        for joint in range(robot.n):
+        for joint in range(count):
             row, column = divmod(joint, columns)
             left = 0.55 + column * (cell + 0.5)
             top = height - 0.3 - row * (size.torque + size.residual + size.gap) - 0.16
@@ -122,22 +141,20 @@ def draw_torque_fit(
             _torque(upper, prediction, joint, span, points)
             _residual(lower, prediction, joint, span, points, compared=labels.residuals)
             upper.set_title(
-                f"{short(robot.joints[joint], 22)} [{units[joint]}]",
+                f"{short(names[joint], 22)} [{units[joint]}]",
                 loc="left",
                 fontweight="bold",
                 pad=3,
             )
             error = labels.errors[joint] if labels.errors else _error_words(prediction, joint)
             upper.set_title(error, loc="right", fontsize=7, color=SOFT, pad=3)
-            if joint + columns >= robot.n:
+            if joint + columns >= count:
                 lower.set_xlabel("time [s]")
             if column == 0:
                 lower.set_ylabel("residual")
         _legend(figure, labels, has_floor=prediction.noise_floor is not None)
 
-    return render_svg(
-        f"Measured and predicted torque of every joint on {prediction.source}", height, draw
-    )
+    return render_svg(title, height, draw)
 
 
 def _error_words(prediction: Prediction, joint: int) -> str:

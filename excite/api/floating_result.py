@@ -1,0 +1,228 @@
+"""Identify floating-base robots, and predict wrenches with their models."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from .. import _json, recordings
+from .._system.output_files import output_files
+from .._system.progress import Progress, logger
+from .._types import FloatArray
+from ..errors import UnusableInput
+from ..identification import floating_identification, floating_model
+from ..identification.consistency import Bounds
+from ..identification.floating_identification import FloatingIdentification, FloatingOptions
+from ..identification.floating_model import FloatingIdentifiedModel
+from ..recordings import Recording, require_distinct
+from ..robot import floating_base
+from ..robot.floating_base import FloatingRobot
+from .identification_result import IDENTIFICATION_FILES, RecordingSource, read_bounds
+from .robots import RobotSource
+from .saved_result import SavedResult
+
+
+@dataclass(frozen=True)
+class FloatingIdentificationResult(SavedResult):
+    """An identified floating-base robot.
+
+    Attributes:
+        identification: Parameters, weights and predictions.
+        recordings: Recordings that the model is fitted to.
+        validation: Held-out recordings.
+    """
+
+    FILES = IDENTIFICATION_FILES
+
+    identification: FloatingIdentification
+    recordings: tuple[Recording, ...]
+    validation: tuple[Recording, ...]
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Identified standard parameters by name, in SI units."""
+        result = self.identification
+        return dict(zip(result.model.parameters.names, result.psi.tolist(), strict=True))
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of `model.json`."""
+        return floating_model.model_document(self.identification, self.recordings)
+
+    def html(self) -> str:
+        """Return the report as HTML."""
+        from ..report.floating_identification import floating_identification_page
+
+        remarks = [
+            r for recording in (*self.recordings, *self.validation) for r in recording.remarks
+        ]
+        return floating_identification_page(self.identification, remarks)
+
+    def contents(self, document: Mapping[str, Any] | None = None) -> dict[str, str]:
+        """Return the files of the identification by name.
+
+        Args:
+            document: Content of `model.json`; None: it is computed.
+        """
+        document = self.document() if document is None else document
+        return {
+            "model.json": _json.dumps(document),
+            "identified.urdf": str(document["urdf"]),
+            "report.html": self.html(),
+        }
+
+    def __repr__(self) -> str:
+        result = self.identification
+        return (
+            f"<FloatingIdentificationResult {result.model.name}: "
+            f"{result.analysis.identifiable_count} of {result.model.base.count} directions "
+            "identified>"
+        )
+
+
+def load_floating_robot(source: RobotSource | FloatingRobot, **options: Any) -> FloatingRobot:
+    """Load a robot with a free flyer between the world and its base.
+
+    Args:
+        source: Path of a URDF or name of a built-in model; a loaded robot is used as it is.
+        **options: `joints`, `lock`, `payload`, `gravity` of `load_robot`.
+
+    Raises:
+        UnusableInput: The file cannot be used, or a joint or link is unknown.
+    """
+    if isinstance(source, FloatingRobot):
+        return source
+    return floating_base.load(source, **options)
+
+
+def read_floating_recording(
+    path: RecordingSource,
+    robot: FloatingRobot,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> Recording:
+    """Read a recording with the pose of the base and contact wrenches.
+
+    Args:
+        path: CSV file with the columns `t`, `base.x` … `base.qw`, `q.<joint>`, and where recorded
+            `wrench.<frame>.fx` … `.mz`, `imu.*`, `tau.<joint>`; a recording is returned unchanged.
+        robot: The robot.
+        columns: Standard names of columns -> differing names in the file.
+
+    Raises:
+        UnusableInput: The file cannot be used, or a wrench names an unknown frame.
+    """
+    if isinstance(path, Recording):
+        return path
+    recording = recordings.read(Path(path), robot.joint_robot, None, columns, floating=True)
+    for frame in recording.contacts:
+        floating_base.require_frame(robot, frame, recording.source)
+    return recording
+
+
+def identify_floating(
+    robot: RobotSource | FloatingRobot,
+    recordings_of_fit: Sequence[RecordingSource],
+    *,
+    validate: Sequence[RecordingSource] = (),
+    limits: str | Path | None = None,
+    bounds: str | Path | Bounds | None = None,
+    columns: Mapping[str, str] = MappingProxyType({}),
+    options: FloatingOptions = FloatingOptions(),  # noqa: B008  # immutable
+    progress: Progress | None = None,
+    **choices: Any,
+) -> FloatingIdentificationResult:
+    """Identify the bodies of a floating-base robot, as `excite identify --floating` does.
+
+    Args:
+        robot: Path of a URDF, name of a built-in model, or a loaded robot.
+        recordings_of_fit: Recordings that the model is fitted to.
+        validate: Held-out recordings; the model is not fitted to them.
+        limits: Limits file, for the scales of joint parameters.
+        bounds: Bounds of masses and centres of mass, or a TOML file with them.
+        columns: Standard names of columns -> differing names in a CSV file.
+        options: Rows, distance, γ, band and further choices; single fields may be given by keyword.
+        progress: Called with each line of progress; None: the logger "excite" at level INFO.
+        **choices: Fields of `FloatingOptions`.
+
+    Raises:
+        UnusableInput: An argument or a file cannot be used.
+    """
+    loaded = load_floating_robot(robot)
+    table = floating_base.limits(loaded, None if limits is None else Path(limits))
+    train, held_out = (
+        [read_floating_recording(path, loaded, columns) for path in paths]
+        for paths in (recordings_of_fit, validate)
+    )
+    require_distinct(train, held_out)
+    chosen = dataclasses.replace(options, **choices)
+    if bounds is not None:
+        standard = floating_base.standard_parameters(loaded)
+        inertial = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
+        chosen = dataclasses.replace(chosen, bounds=inertial)
+    result = floating_identification.identify(
+        loaded, train, held_out, chosen, table, progress or logger.info
+    )
+    return FloatingIdentificationResult(result, tuple(train), tuple(held_out))
+
+
+@dataclass(frozen=True)
+class PredictedWrench:
+    """Wrench and joint torque that the model of a floating-base robot predicts.
+
+    Attributes:
+        columns: Names of the columns: `wrench.world.fx`, …, `tau.<joint>`, …
+        time: Times of the recording's rows. Shape (N,) [s].
+        values: Predicted values. Shape (N, r) [N, N m].
+    """
+
+    columns: tuple[str, ...]
+    time: FloatArray
+    values: FloatArray
+
+    def csv(self) -> str:
+        """Return the table as CSV."""
+        stream = io.StringIO()
+        csv.writer(stream, lineterminator="\n").writerow(["t", *self.columns])
+        np.savetxt(stream, np.column_stack([self.time, self.values]), fmt="%.9g", delimiter=",")
+        return stream.getvalue()
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table as CSV; return its path.
+
+        Raises:
+            UnusableInput: The file cannot be written.
+        """
+        path = Path(path)
+        return output_files(path).replace({path.name: self.csv()})[0]
+
+    def __repr__(self) -> str:
+        return f"<PredictedWrench of {len(self.columns)} columns at {len(self.time)} times>"
+
+
+def predict_floating(
+    model: FloatingIdentifiedModel,
+    recording: RecordingSource,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> PredictedWrench:
+    """Predict wrench and torque along a recording with the model of a floating-base robot.
+
+    Args:
+        model: The model.
+        recording: Recording of the motion.
+        columns: Standard names of columns -> differing names in a CSV file.
+
+    Raises:
+        UnusableInput: The recording cannot be used.
+    """
+    motion = read_floating_recording(recording, model.robot, columns)
+    time, values = model.predict(motion)
+    if not np.isfinite(values).all():
+        raise UnusableInput(f"{model.source}: its prediction is not finite; identify again")
+    return PredictedWrench(model.columns, time, values)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from . import criteria
 from .casadi_batch import MappedFunction, PaddedFunction
 from .evaluator import ConstraintRows, centred, selected_rows
@@ -24,6 +24,11 @@ NEWTON_ITERATIONS = 12
 
 CLOSURE_TOLERANCE = 1e-12
 """Error of a foot's pose at which Newton's method ends [m and rad]."""
+
+
+INFORMATION_STRIDE = 2
+"""Samples of the constraints for each sample of the information [1]: forces between samples exceed
+their limits, while a sum over samples converges fast."""
 
 
 @dataclass
@@ -101,9 +106,12 @@ class SupportEvaluator:
         """Allocate the functions at all samples."""
         self.problem, self.bases = problem, problem.bases()
         functions, count = problem.functions, problem.options.samples
-        library, bodies = functions.library, count * (problem.robot.n + 1)
-        self._bodies = MappedFunction(functions.bodies, count, library)
-        self._bodies_adjoint = MappedFunction(functions.bodies_adjoint, count, library)
+        library = functions.library
+        self._informative = np.arange(0, count, INFORMATION_STRIDE)
+        some = len(self._informative)
+        bodies = some * (problem.robot.n + 1)
+        self._bodies = MappedFunction(functions.bodies, some, library)
+        self._bodies_adjoint = MappedFunction(functions.bodies_adjoint, some, library)
         self._block = MappedFunction(functions.regressor, bodies, library)
         self._block_adjoint = MappedFunction(functions.regressor_adjoint, bodies, library)
         self._rows = MappedFunction(functions.rows, count, library)
@@ -119,7 +127,7 @@ class SupportEvaluator:
         )
         self._independent, self._home = problem.independent, problem.home
         self._row_scale = np.sqrt(
-            problem.options.rate * motion_duration(problem.options.period) / count
+            problem.options.rate * motion_duration(problem.options.period) / some
         ) / np.asarray(problem.wrench_noise)
         self._point: _Point | None = None
 
@@ -151,11 +159,13 @@ class SupportEvaluator:
     def _regressor(self, point: _Point) -> tuple[FloatArray, FloatArray]:
         """Return the states of the bodies and the regressor of the base rows, weighted.
 
-        Shapes (N·(n + 1), BODY_STATE) and (N·6, 10·(n + 1)).
+        Every `INFORMATION_STRIDE`-th sample counts. Shapes (M·(n + 1), BODY_STATE) and
+        (M·6, 10·(n + 1)).
         """
-        count, bodies = self.problem.options.samples, self.problem.robot.n + 1
+        count, bodies = len(self._informative), self.problem.robot.n + 1
         if point.states is None:
-            point.states = self._bodies(*point.motion)[0].reshape(-1, BODY_STATE).copy()
+            motion = (array[self._informative] for array in point.motion)
+            point.states = self._bodies(*motion)[0].reshape(-1, BODY_STATE).copy()
         blocks = self._block(point.states)[0].reshape(count, bodies, WRENCH_SIZE, 10)
         rows = blocks.transpose(0, 2, 1, 3) * self._row_scale[:, None, None]
         return point.states, rows.reshape(count * WRENCH_SIZE, 10 * bodies)
@@ -165,28 +175,31 @@ class SupportEvaluator:
 
         Args:
             x: Variables. Shape (size,).
-            sharpness: Sharpness of the smoothed extreme eigenvalues [1].
+            sharpness: Not used: A and D are smooth.
 
         Returns:
             The objective, and its gradient. Shape (size,).
         """
         point, p = self._at(x), self.problem
         states, Y = self._regressor(point)
-        stacked = np.vstack([Y @ p.columns, p.earlier_root])
-        value, slope = criteria.smooth_objective(p.options.criterion, stacked, sharpness)
+        rows = Y @ p.columns
+        information = rows.T @ rows + p.earlier_information
+        value, slope = criteria.regularised_objective(p.options.criterion, information)
         by_rows = 2.0 * Y @ (p.columns @ slope @ p.columns.T)
-        count, bodies = p.options.samples, p.robot.n + 1
+        count, bodies = len(self._informative), p.robot.n + 1
         by_blocks = by_rows.reshape(count, WRENCH_SIZE, bodies, 10) * self._row_scale[:, None, None]
         seed = by_blocks.transpose(0, 2, 1, 3).reshape(-1, WRENCH_SIZE, 10)
         by_states = self._block_adjoint(states, seed)[0].reshape(count, bodies, BODY_STATE)
-        gradients = [g.copy() for g in self._bodies_adjoint(*point.motion, by_states)]
-        samples = np.arange(count)
-        table = self._by_independent(point, samples, gradients)
-        out = sum(g.T @ basis for g, basis in zip(table, self.bases, strict=True))
-        return value, np.asarray(out * p.scale).ravel()
+        motion = (array[self._informative] for array in point.motion)
+        gradients = [g.copy() for g in self._bodies_adjoint(*motion, by_states)]
+        table = self._by_independent(point, self._informative, gradients)
+        out = np.zeros(p.scale.shape)
+        for gradient, basis in zip(table, self.bases, strict=True):
+            out += gradient.T @ basis[self._informative]
+        return value, np.asarray((out * p.scale).ravel())
 
     def _by_independent(
-        self, point: _Point, samples: np.ndarray, gradients: list[FloatArray]
+        self, point: _Point, samples: IntArray, gradients: list[FloatArray]
     ) -> list[FloatArray]:
         """Return gradients by the independent coordinates from gradients by all coordinates.
 
@@ -235,7 +248,9 @@ class SupportEvaluator:
                 for kind, ratio in ratios.items()
                 if kind in self.kinds
             }
-            values["contact"] = rows[None, :, self.problem.robot.n :].copy()
+            values["contact"] = (
+                rows[None, :, self.problem.robot.n :] + self.problem.contact_reserve
+            )
             point.constraint_values = values
         return point.constraint_values
 

@@ -275,7 +275,8 @@ def support_functions(
 
     Args:
         robot: The robot; its base link moves.
-        parameters: Standard parameters of its joints and its links but the base link.
+        parameters: Its standard parameters, for those of its joints; the links have the inertias of
+            the model.
         stance: The feet that stand on the ground.
         torque_bound: Limit of the torque of each joint. Shape (n,) [N m].
     """
@@ -359,16 +360,15 @@ def _constraint_rows(
 ) -> tuple[ca.SX, list[str], list[ca.SX]]:
     """Return the nominal torques, and names and values of the contact constraints."""
     b, dq, ddq = motion
-    phi = ca.SX(parameters.nominal[: 10 * parameters.bodies])
+    inertias = [np.array(inertia.toDynamicParameters()) for inertia in robot.model.inertias]
+    phi = ca.SX(np.concatenate(inertias[1:]))
     torque, (moment, force) = inverse_dynamics(robot, placements, moving, phi)
     for kind, column in (("rotor_inertia", ddq), ("viscous", dq), ("offset", None)):
         if kind in parameters.drive:
             nominal = ca.SX(parameters.nominal[parameters.block(kind)])
             torque += nominal if column is None else nominal * column
-    own = ca.mtimes(
-        body_regressor(*base), ca.SX(np.array(robot.model.inertias[0].toDynamicParameters()))
-    )
-    moment, force = moment + own[0:3], force + own[3:6]
+    of_base = ca.mtimes(body_regressor(*base), ca.SX(inertias[0]))
+    moment, force = moment + of_base[0:3], force + of_base[3:6]
     R0 = base_rotation(b[3:6])
     force = ca.mtimes(R0, force)
     moment = ca.mtimes(R0, moment) + ca.cross(b[0:3], force)

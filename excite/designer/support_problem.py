@@ -46,11 +46,12 @@ class SupportProblem:
         columns: W; the information in these coordinates is Wᵀ (Σ Yᵀ Σ⁻¹ Y) W with the regressor Y
             of the base rows. Shape (10·(n + 1), p).
         wrench_noise: Standard deviation of each base row. Shape (6,) [N, N m].
-        earlier_root: G, with GᵀG the information before the motion in these coordinates, a prior
-            included. Shape (p, p).
+        earlier_information: Information before the motion in these coordinates, a prior included.
+            Shape (p, p).
         options: Options; `period` is that of the Fourier series.
         scale: Units of the variables, the coefficients (a, b) of each independent coordinate.
             Shape (m, 2K).
+        contact_reserve: Share of the weight that contact constraints keep free [1].
         objective: None: the criterion of the options.
     """
 
@@ -60,9 +61,10 @@ class SupportProblem:
     functions: SupportFunctions
     columns: FloatArray
     wrench_noise: FloatArray
-    earlier_root: FloatArray
+    earlier_information: FloatArray
     options: DesignOptions
     scale: FloatArray
+    contact_reserve: float = 0.0
     objective: DesignObjective | None = None
 
     @property

@@ -6,6 +6,7 @@ ground, with its x axis along the length of the foot and its z axis up.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -46,6 +47,14 @@ NEWTON_ITERATIONS = 60
 
 MAX_NEWTON_STEP = 0.3
 """Longest step of a joint in one iteration of Newton's method [rad]."""
+
+LEAST_DETERMINANT_SHARE = 0.35
+"""Least determinant of a leg's Jacobian over that of the standing pose [1]: a knee then stays bent
+by about a third of the standing angle."""
+
+DETERMINANT_STEPS = 200
+"""Positions of a joint between the standing pose and its limit at which the determinant is
+computed [1]."""
 
 BALANCE_ITERATIONS = 8
 """Times that the base link is shifted until the centre of mass is over the feet [1]."""
@@ -279,6 +288,39 @@ def standing(
                 raise _unreachable(robot, foot)
     weight = robot_mass(robot) * float(np.linalg.norm(robot.model.gravity.linear))
     return Stance(feet, contact, weight, base, q)
+
+
+def without_singularities(robot: Robot, limits: Limits, stance: Stance) -> Limits:
+    """Return limits that keep the support legs away from singular poses, such as a straight knee.
+
+    Each joint of a leg is moved alone from the standing pose; its range ends where the determinant
+    of the leg's Jacobian falls to `LEAST_DETERMINANT_SHARE` of that of the standing pose.
+
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        stance: The feet and the standing pose.
+    """
+    position, data = limits.position.copy(), robot.model.createData()
+    bounds = ranges(limits)
+    for foot in stance.feet:
+        body = int(foot.joints[-1]) + 1
+
+        def determinant(q: FloatArray, foot: Foot = foot, body: int = body) -> float:
+            pin.computeJointJacobians(robot.model, data, q)
+            jacobian = pin.getJointJacobian(robot.model, data, body, pin.LOCAL)
+            return float(np.linalg.det(jacobian[:, foot.joints]))
+
+        standing_value = determinant(stance.pose)
+        for joint in foot.joints:
+            for side, bound in enumerate(bounds[joint]):
+                for value in np.linspace(stance.pose[joint], bound, DETERMINANT_STEPS)[1:]:
+                    q = stance.pose.copy()
+                    q[joint] = value
+                    if determinant(q) / standing_value < LEAST_DETERMINANT_SHARE:
+                        position[joint, side] = value
+                        break
+    return dataclasses.replace(limits, position=position)
 
 
 def _relaxed_pose(robot: Robot, limits: Limits, legs: IntArray) -> FloatArray:

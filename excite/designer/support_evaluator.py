@@ -236,7 +236,7 @@ class SupportEvaluator:
         if not point.constraint_values:
             q, dq, ddq = (array[:, BASE_COORDINATES:] for array in point.motion)
             rows = self._rows(*point.motion)[0]
-            torque = rows[:, : self.problem.robot.n].copy()
+            torque = rows[:, : self.problem.robot.n] / (1.0 - self.problem.torque_reserve)
             ratios = {
                 "velocity": dq / limits.velocity,
                 "acceleration": ddq / limits.acceleration,
@@ -299,7 +299,10 @@ class SupportEvaluator:
                 gradients[order][at, BASE_COORDINATES + joint] = sign / bound[joint]
                 continue
             weights = np.zeros((len(at), p.functions.rows.size1_out(0)))
-            weights[np.arange(len(at)), joint + (p.robot.n if kind == "contact" else 0)] = sign
+            if kind == "contact":
+                weights[np.arange(len(at)), joint + p.robot.n] = sign
+            else:
+                weights[np.arange(len(at)), joint] = sign / (1.0 - p.torque_reserve)
             motion = [array[sample] for array in point.motion]
             for gradient, part in zip(
                 gradients, self._rows_adjoint(*motion, weights), strict=True

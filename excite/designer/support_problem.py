@@ -40,7 +40,7 @@ class SupportProblem:
 
     Attributes:
         robot: The robot.
-        limits: Limits of the joints at the optimiser's samples.
+        limits: Limits of position, velocity and acceleration at the optimiser's samples.
         stance: The feet and the standing pose.
         functions: Dynamics and their derivatives.
         columns: W; the information in these coordinates is Wᵀ (Σ Yᵀ Σ⁻¹ Y) W with the regressor Y
@@ -51,6 +51,7 @@ class SupportProblem:
         options: Options; `period` is that of the Fourier series.
         scale: Units of the variables, the coefficients (a, b) of each independent coordinate.
             Shape (m, 2K).
+        torque_reserve: Share of the torque limits of `functions` that is kept free [1].
         contact_reserve: Share of the weight that contact constraints keep free [1].
         objective: None: the criterion of the options.
     """
@@ -64,6 +65,7 @@ class SupportProblem:
     earlier_information: FloatArray
     options: DesignOptions
     scale: FloatArray
+    torque_reserve: float = 0.0
     contact_reserve: float = 0.0
     objective: DesignObjective | None = None
 

@@ -5,11 +5,18 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
+from excite.recordings.floating_signals import POSE
 
 _SHARED = Path(os.environ.get("EXCITE_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 HUMAN = _SHARED / "recordings" / "human_wrench"
 """Recording of a human on a force plate, with the URDF."""
+
+BIPED_JOINTS = ("left_hip", "left_knee", "right_hip", "right_knee")
+"""Joints of the robot of `biped_urdf`."""
 
 needs_human = pytest.mark.skipif(
     not (HUMAN / "motion.csv").is_file(), reason=f"the shared recording is not at {HUMAN}"
@@ -63,3 +70,21 @@ def biped_urdf(*, drive: bool = False) -> str:
                 f'<limit lower="-1.5" upper="1.5" velocity="0" effort="0"/>{friction}</joint>'
             )
     return "".join([*parts, "</robot>"])
+
+
+def motion_csv(seconds: float = 20.0, seed: int = 0, rate: float = 100.0) -> str:
+    """Return a CSV file of a random smooth motion of the robot of `biped_urdf`."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+
+    def smooth(count: int, amplitude: float) -> np.ndarray:
+        frequency, phase = rng.uniform(0.1, 1.5, (6, count)), rng.uniform(0.0, 6.3, (6, count))
+        size = amplitude / 2.5 * rng.normal(size=(6, count))
+        waves = np.sin(2.0 * np.pi * frequency * t[:, None, None] + phase)
+        return np.sum(size * waves, axis=1)
+
+    rotations = Rotation.from_rotvec(smooth(3, 0.5)).as_quat()
+    table = np.column_stack([t, smooth(3, 0.1), rotations, smooth(4, 0.5)])
+    names = ["t", *POSE, *(f"q.{joint}" for joint in BIPED_JOINTS)]
+    lines = [",".join(names), *(",".join(f"{x:.12g}" for x in row) for row in table)]
+    return "\n".join(lines) + "\n"

@@ -9,6 +9,13 @@ from .design_result import DesignResult as DesignResult
 from .design_result import design as design
 from .diagnosis_result import DiagnosisResult as DiagnosisResult
 from .diagnosis_result import diagnose as diagnose
+from .floating_result import FloatingIdentificationResult as FloatingIdentificationResult
+from .floating_result import PredictedWrench as PredictedWrench
+from .floating_result import identify_floating as identify_floating
+from .floating_result import load_floating_robot as load_floating_robot
+from .floating_result import read_floating_recording as read_floating_recording
+from .floating_simulation import SimulatedFloatingRecording as SimulatedFloatingRecording
+from .floating_simulation import simulate_floating as simulate_floating
 from .identification_result import IdentificationResult as IdentificationResult
 from .identification_result import identify as identify
 from .identification_result import predict as predict

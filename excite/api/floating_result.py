@@ -22,9 +22,10 @@ from ..identification import floating_identification, floating_model
 from ..identification.consistency import Bounds
 from ..identification.floating_identification import FloatingIdentification, FloatingOptions
 from ..identification.floating_model import FloatingIdentifiedModel
+from ..identification.inertia_distance import Distance
 from ..recordings import Recording, require_distinct
 from ..robot import floating_base
-from ..robot.floating_base import FloatingRobot
+from ..robot.floating_base import FloatingRobot, Rows
 from .identification_result import IDENTIFICATION_FILES, RecordingSource, read_bounds
 from .robots import RobotSource
 from .saved_result import SavedResult
@@ -149,7 +150,7 @@ def identify_floating(
         columns: Standard names of columns -> differing names in a CSV file.
         options: Rows, distance, γ, band and further choices; single fields may be given by keyword.
         progress: Called with each line of progress; None: the logger "excite" at level INFO.
-        **choices: Fields of `FloatingOptions`.
+        **choices: Fields of `FloatingOptions`; `distance` and `rows` may be words.
 
     Raises:
         UnusableInput: An argument or a file cannot be used.
@@ -161,6 +162,10 @@ def identify_floating(
         for paths in (recordings_of_fit, validate)
     )
     require_distinct(train, held_out)
+    if isinstance(choices.get("distance"), str):
+        choices["distance"] = Distance(choices["distance"])
+    if isinstance(choices.get("rows"), str):
+        choices["rows"] = Rows(choices["rows"])
     chosen = dataclasses.replace(options, **choices)
     if bounds is not None:
         standard = floating_base.standard_parameters(loaded)

@@ -633,6 +633,10 @@ def _identifiability(commands: Commands) -> None:
     )
     _recording_options(sub)
     _model_options(sub)
+    group = sub.add_argument_group("floating base")
+    _floating_option(group)
+    _rows_option(group, "base")
+    _wrench_noise_option(group)
 
 
 def _identify(commands: Commands) -> None:
@@ -764,16 +768,30 @@ def _floating_option(group: argparse._ActionsContainer) -> None:
     )
 
 
-def _floating_options(sub: argparse.ArgumentParser) -> None:
-    """Add the options of a robot with a floating base."""
-    group = sub.add_argument_group("floating base")
-    _floating_option(group)
+def _rows_option(group: argparse._ActionsContainer, default: str) -> None:
     group.add_argument(
         "--rows",
         choices=("base", "joints", "both"),
         help="rows of the equations of motion: the six of the base, those of the joints, or both "
-        "(default: all that the recordings hold)",
+        f"(default: {default})",
     )
+
+
+def _wrench_noise_option(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--wrench-noise",
+        type=Numbers(Range(1e-9, 1e9, "N, N m"), (2,)),
+        metavar="F,M",
+        help="standard deviations of contact forces and moments [N, N m] (default: 1 %% of the "
+        "robot's weight, and that at 0.1 m)",
+    )
+
+
+def _floating_options(sub: argparse.ArgumentParser) -> None:
+    """Add the options of a robot with a floating base."""
+    group = sub.add_argument_group("floating base")
+    _floating_option(group)
+    _rows_option(group, "all that the recordings hold")
     group.add_argument(
         "--symmetric",
         metavar="LEFT:RIGHT",
@@ -962,13 +980,36 @@ def _simulate(commands: Commands) -> None:
         metavar="ROBOT",
         help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
-    sub.add_argument("trajectory", metavar="TRAJECTORY", help="trajectory.json of 'excite design'")
+    sub.add_argument(
+        "trajectory",
+        metavar="TRAJECTORY",
+        help="trajectory.json of 'excite design'; with --floating a CSV file with the columns t, "
+        "base.x … base.qw, q.<joint>",
+    )
     sub.add_argument(
         "-o",
         dest="out",
         metavar="FILE",
         required=True,
         help="CSV file for the recording; .json, .truth.json and .svg are written next to it",
+    )
+    group = sub.add_argument_group("floating base")
+    _floating_option(group)
+    group.add_argument(
+        "--contact",
+        metavar="LINK",
+        action="append",
+        default=[],
+        help="link with a contact sensor; may be repeated (default: total wrench about the "
+        "world's origin, without joint torques)",
+    )
+    _wrench_noise_option(group)
+    group.add_argument(
+        "--torque-noise",
+        type=Numbers(Range(1e-9, 1e9, "N m or N"), (1,)),
+        metavar="SIGMA",
+        help="standard deviation of the joint torques with --floating [N m] (default: 1 %% of the "
+        "torque limit)",
     )
     sub.add_argument(
         "--effect",

@@ -8,6 +8,7 @@ from typing import Any
 
 from .. import api
 from ..api.simulated_recording import checked_path, recording_files
+from . import floating_simulate
 from .outcome import Outcome, written_lines
 
 SETTINGS = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error")
@@ -16,6 +17,9 @@ SETTINGS = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite simulate`: write the recording, its sidecar, its ground truth and a plot."""
+    if arguments.floating:
+        return floating_simulate.run(arguments)
+    floating_simulate.require_floating(arguments)
     path = checked_path(arguments.out)
     inputs = (arguments.robot, arguments.trajectory, arguments.like)
     output = recording_files(path, [Path(name) for name in inputs if name is not None])

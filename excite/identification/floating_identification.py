@@ -1,9 +1,9 @@
 """Identification of floating-base robots from contact wrenches, joint torques or both.
 
-Steps: cutoff frequency by the power that the nominal model explains → filtered equations
-y = Γ θ + N b with sensor offsets b → weights of the rows → weight γ of the prior by blocked
-cross-validation on the training recordings → physically consistent estimate (Lee, Kwon, Wensing &
-Park, eq. 12 and 21).
+Steps: cutoff frequency of each row by the prediction error of the nominal model → filtered
+equations y = Γ θ + N b with sensor offsets b → weights of the rows → weight γ of the prior by
+blocked cross-validation on the training recordings → physically consistent estimate (Lee, Kwon,
+Wensing & Park, eq. 12 and 21); once more with the cutoff frequencies of the identified model.
 
 Every row is weighted by the variance of its residual times the number of samples per independent
 sample, 1 + 2 Σ ρ_k with the autocorrelations ρ_k of its residual (summed up to the first that is
@@ -36,6 +36,7 @@ from .floating_regression import FloatingEquations, FloatingModel
 from .identification import Prediction
 from .inertia_distance import Distance
 from .link_estimates import LinkEstimate, estimates_of_links
+from .lowpass import SETTLING_FACTOR, TAPER_FRACTION, LowPassFilter
 
 Progress = Callable[[str], None]
 """Receives one line of text per step."""
@@ -48,6 +49,9 @@ FINE_FACTORS = 10.0 ** np.array([-0.5, 0.0, 0.5])
 UNIT_GAMMA_OF_SI = 1e3
 """Factor of these values for the Euclidean distance, whose unit is that of SI squared [1]: of the
 parameters of a link of 1 kg the largest squared entries of the metric are of this order."""
+BAND_ITERATIONS = 2
+"""Number of alternations between the cutoff frequencies and the estimate: first those of the
+nominal bodies, then those of the identified ones."""
 WEIGHT_ITERATIONS = 3
 """Number of alternations between the estimate and the weights of the rows."""
 MAX_BAND_HZ = 20.0
@@ -58,7 +62,7 @@ MAX_BAND_SHARE = 0.4
 """Cutoff frequency over the rate of a recording, at most."""
 WELCH_SECONDS = 20.0
 """Length of a window in the densities of the rows [s]: their resolution is then 0.05 Hz."""
-MAX_MARGIN_SHARE = 0.25
+MAX_MARGIN_SHARE = 0.5
 """Share of a recording that the filter may discard at its ends, where the cutoff is chosen."""
 OFFSET_SHARE = 0.05
 """Standard deviation of a force offset over the robot's weight [1], of a sensor that was zeroed
@@ -77,8 +81,8 @@ class FloatingOptions:
         distance: Distance of link inertias from nominal.
         gamma: γ of the inertial parameters, or how to choose it: "heldout", by blocked
             cross-validation on the training recordings, or "evidence".
-        band: Cutoff frequency of all rows [Hz]; None: that of each row by the power that the
-            nominal model explains.
+        band: Cutoff frequency of all rows [Hz]; None: that of each row by its prediction
+            error, see `choose_bands`.
         threshold: Largest scale-free variance of a direction that counts as identified.
         bounds: Bounds of masses and centres of mass.
         symmetric: Prefixes of the names of links on the left and on the right whose bodies mirror
@@ -224,18 +228,21 @@ def identify(
     base = floating_base.find_base_parameters(robot, parameters, rows)
     widths = np.full(robot.n, COULOMB_WIDTH)
     model = FloatingModel(robot, parameters, base, rows, contacts, widths)
-    hertz = choose_bands(model, recordings, options.band)
-    progress(
-        f"{sum(map(len, recordings))} rows, bands {hertz.min():.3g} to {hertz.max():.3g} Hz: "
-        "building the equations"
-    )
-    system = floating_regression.build_equations(model, recordings, hertz)
-    progress(
-        f"{len(system)} × {len(model.joints)} equations, {base.count} base parameters, "
-        f"{parameters.bodies} bodies: choosing the weights"
-    )
-    problem = _EstimationProblem(model, system, options)
-    fit = problem.solve(progress)
+    psi = consistency.consistent_nominal(parameters)
+    for _ in range(BAND_ITERATIONS if options.band is None else 1):
+        hertz = choose_bands(model, recordings, psi, options.band)
+        progress(
+            f"{sum(map(len, recordings))} rows, bands {hertz.min():.3g} to {hertz.max():.3g} Hz: "
+            "building the equations"
+        )
+        system = floating_regression.build_equations(model, recordings, hertz)
+        progress(
+            f"{len(system)} × {len(model.joints)} equations, {base.count} base parameters, "
+            f"{parameters.bodies} bodies: choosing the weights"
+        )
+        problem = _EstimationProblem(model, system, options)
+        fit = problem.solve(progress)
+        psi = fit.posterior.psi
     factor = problem.factor(slice(0, len(system)), fit.weights)
     k = problem.offset_count
     root = factor[k:, k:-1]
@@ -295,17 +302,22 @@ def identify(
 
 
 def choose_bands(
-    model: FloatingModel, recordings: Sequence[Recording], hertz: float | None = None
+    model: FloatingModel,
+    recordings: Sequence[Recording],
+    psi: FloatArray,
+    hertz: float | None = None,
 ) -> FloatArray:
-    """Choose for each row the cutoff frequency below which the nominal model explains its power.
+    """Choose for each row the cutoff frequency at which its prediction error is smallest.
 
     Wrenches are often stored with a narrower band than the motion, or the motion is noisier: above
     some frequency the predicted row then only adds error. With the densities S_y of the measured
-    row and S_e of its residual, the cutoff maximises ∫₀ᶠ (S_y − S_e) over the training recordings.
+    row, S_ŷ of the predicted one and S_e of their difference, a filter of gain g leaves the error
+    ∫ S_y − g (S_y + S_ŷ − S_e) + g² S_ŷ over the training recordings.
 
     Args:
-        model: The model with its nominal bodies.
+        model: The model.
         recordings: The training recordings.
+        psi: Its parameters. Shape (P,).
         hertz: Cutoff frequency to use for all rows instead [Hz].
 
     Returns:
@@ -322,22 +334,26 @@ def choose_bands(
     highest = max(min(MAX_BAND_HZ, MAX_BAND_SHARE * rate), lowest)
     system = floating_regression.build_equations(model, recordings, np.full(count, highest))
     equations = system.equations
-    nominal = consistency.consistent_nominal(model.parameters)
-    residual = equations.torque - equations.predicted(model.base.matrix @ nominal)
+    predicted = equations.predicted(model.base.matrix @ psi)
     window = max(equations.stretches(), key=lambda stretch: stretch.stop - stretch.start)
     size = min(window.stop - window.start, int(np.ceil(WELCH_SECONDS * equations.rate)))
-    (frequency, measured), (_, unexplained) = (
+    densities = [
         signal.welch(x[window], equations.rate, nperseg=size, axis=0, detrend="constant")
-        for x in (equations.torque, residual)
-    )
-    explained = np.cumsum(measured - unexplained, axis=0)
-    return np.clip(frequency[np.argmax(explained, axis=0)], lowest, highest)
+        for x in (equations.torque, predicted, equations.torque - predicted)
+    ]
+    frequency = densities[0][0]
+    S_y, S_p, S_e = (density for _, density in densities)
+    candidates = np.unique(np.clip(frequency, lowest, highest))
+    band = LowPassFilter(highest, equations.rate, len(equations))
+    errors = []
+    for candidate in candidates:
+        gain = band.gain(frequency, float(candidate))[:, None]
+        errors.append(np.sum(S_y - gain * (S_y + S_p - S_e) + gain**2 * S_p, axis=0))
+    return np.asarray(candidates[np.argmin(errors, axis=0)])
 
 
 def _shortest_band(length: float) -> float:
     """Cutoff frequency whose margins are MAX_MARGIN_SHARE of a recording's length [s]."""
-    from .lowpass import SETTLING_FACTOR, TAPER_FRACTION
-
     return 2.0 * SETTLING_FACTOR / (TAPER_FRACTION * MAX_MARGIN_SHARE * length)
 
 

@@ -149,10 +149,11 @@ class FloatingIdentifiedModel:
         if not self.contacts:
             return np.zeros(rigid.shape)
         if stretch.contacts == self.contacts:
-            wrench = np.hstack([stretch.wrench(frame) for frame in self.contacts])
-            wrench = wrench - (self.offset if len(self.offset) else 0.0)
+            wrench: FloatArray = np.hstack([stretch.wrench(name) for name in self.contacts])
+            if len(self.offset):
+                wrench = wrench - self.offset
         elif len(self.contacts) == 1 and self.rows.has_base:
-            wrench = np.linalg.solve(maps[:, :6], rigid[:, :6, None])[:, :, 0]
+            wrench = np.asarray(np.linalg.solve(maps[:, :6], rigid[:, :6, None]))[:, :, 0]
         else:
             raise UnusableInput(
                 f"{stretch.source}: has no wrench of {', '.join(self.contacts)}, without which the "

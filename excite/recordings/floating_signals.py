@@ -5,8 +5,8 @@ Columns:
 - `base.x`, `base.y`, `base.z` [m] and `base.qx`, `base.qy`, `base.qz`, `base.qw`: pose of the base
   link in the world, unit quaternion;
 - `wrench.<frame>.fx` … `.mz` [N, N m]: wrench of a contact on the robot, in the axes of the frame
-  at its origin; `wrench.world.*`: in the axes of the world, about the world's origin. Columns `fx` …
-  `mz` alone are those of `wrench.world`;
+  at its origin; `wrench.world.*`: in the axes of the world, about the world's origin. Columns
+  `fx` … `mz` alone are those of `wrench.world`;
 - `imu.wx`, `imu.wy`, `imu.wz` [rad/s] and `imu.ax`, `imu.ay`, `imu.az` [m/s²]: angular velocity and
   specific force (acceleration minus gravity: +9.81 upwards at standstill) at the origin of the base
   link in its axes.

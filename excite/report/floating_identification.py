@@ -246,8 +246,8 @@ def _rows_section(identification: FloatingIdentification) -> Section:
         tables.append(Table(("offset of the sensor at", *WRENCH), cells, (1, 2, 3, 4, 5, 6)))
     answer = (
         "Every row is weighted by the variance of its residual times the number of samples that "
-        "are worth an independent one; its cutoff is the frequency up to which the nominal bodies "
-        "explain its power."
+        "are worth an independent one; with its cutoff frequency "
+        "the predicted row has the smallest error on the recordings of the fit."
     )
     return Section("rows", "How were the rows weighted?", answer, {"tables": tables})
 

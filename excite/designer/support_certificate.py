@@ -143,9 +143,7 @@ def _quantities(
         friction = np.array([contact.friction])
         yield _bounded("friction", (foot.frame,), sliding[:, None], -friction, friction)
         turning = sole_friction_use(foot, contact.friction, wrench)
-        yield _bounded(
-            "turning friction", (foot.frame,), turning[:, None], -np.ones(1), np.ones(1)
-        )
+        yield _bounded("turning friction", (foot.frame,), turning[:, None], -np.ones(1), np.ones(1))
 
 
 def _bounded(

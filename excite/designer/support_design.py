@@ -1,7 +1,7 @@
 """Design of motions in single or double support: a sequence from rest to rest, certified.
 
 The information of each motion is added to that of the earlier ones, so that the next motion excites
-what they leave uncertain. Before the first motion there is a prior: every parameter direction is
+the directions that are still uncertain. Before the first motion there is a prior: every parameter direction is
 known to a share of its nominal value in the metric.
 """
 
@@ -22,13 +22,15 @@ from ..robot.floating_base import FloatingRobot, Rows
 from ..robot.inertial_parameters import DRIVE, Parameters
 from ..robot.limits import Limits
 from ..trajectory.rest_to_rest import PhaseProfile
-from . import sqp, support_certificate
+from . import floating_identifiability, sqp, support_certificate
 from .certificate import Certificate
 from .criteria import Criterion
+from .floating_identifiability import RowNoise
+from .identifiability import Identifiability
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
-from .options import DesignOptions, samples_per_period, torque_noise_levels
-from .support_evaluator import SupportEvaluator
+from .options import DesignOptions, samples_per_period
 from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS
+from .support_evaluator import SupportEvaluator
 from .support_kinematics import support_samples
 from .support_model import SupportFunctions, support_functions
 from .support_problem import (
@@ -36,13 +38,12 @@ from .support_problem import (
     motion_duration,
     series_period,
     variable_scale,
-    wrench_noise_levels,
 )
 from .support_stance import ContactLimits, SoleSize, Stance, standing, without_singularities
 
 FIRST_RESERVES = (0.03, 0.06)
-"""Shares of the joint limits, and of the weight in contact limits, that the optimiser keeps free for
-what happens between its samples [1]. Motions of Talos exceed limits there by 3 and 5 %."""
+"""Shares of the joint limits, and of the weight in contact limits, that the optimiser keeps free
+for what happens between its samples [1]. Motions of Talos exceed limits there by 3 and 5 %."""
 
 MAX_TIGHTENINGS = 5
 """Times that these shares are raised until the certificate holds [1]."""
@@ -92,8 +93,9 @@ class SupportOptions:
         duration: Duration of each motion [s].
         harmonics: Number of harmonics of the Fourier series.
         criterion: A or D, of the base rows.
-        wrench_noise: Standard deviation of forces [N] and moments [N m] of the base rows.
-        torque_noise: Standard deviation of the joint torques; None: 1 % of the limits. Shape (n,).
+        wrench_noise: Standard deviation of forces [N] and moments [N m] of the base rows; None: as
+            `floating_identifiability.assumed_noise`.
+        torque_noise: Standard deviation of the joint torques [N m]; None: likewise.
         prior_deviation: Standard deviation of every direction before the first motion, in the
             metric [1].
         rate: Rows per second of the exported motion [Hz].
@@ -114,7 +116,7 @@ class SupportOptions:
     prior_deviation: float = IDENTIFIABLE_VARIANCE**0.5
     rate: float = 100.0
     starts: int = 8
-    iterations: int = 40
+    iterations: int = 120
     seed: int = 0
 
     def design_options(self) -> DesignOptions:
@@ -143,13 +145,13 @@ class SupportDesign:
         options: Options of the design.
         stance: The feet and the standing pose.
         parameters: Standard parameters with those of the joints.
+        inertial: Standard parameters of the bodies alone.
         base: Base parameters of the base rows.
+        noise: Noise of the rows.
         motions: Motions of the independent coordinates.
         certificate: Certificate of all motions, played one after the other.
-        eigenvalues: Ascending eigenvalues of the information of the base rows after each motion.
-            Shape (count, p).
-        joint_rows_count: Number of identifiable directions of all inertial parameters with the
-            joint rows in addition.
+        roots: R with RᵀR the information of the base rows after each motion. Shape (r, P) each.
+        root_of_all_rows: R of base and joint rows after the last motion, with the joint parameters.
         seconds: Wall-clock time of the design [s].
     """
 
@@ -158,11 +160,13 @@ class SupportDesign:
     options: SupportOptions
     stance: Stance
     parameters: Parameters
+    inertial: Parameters
     base: Base
+    noise: RowNoise
     motions: tuple[PhaseProfile, ...]
     certificate: Certificate
-    eigenvalues: FloatArray
-    joint_rows_count: int
+    roots: tuple[FloatArray, ...]
+    root_of_all_rows: FloatArray
     seconds: float
 
     @property
@@ -170,9 +174,42 @@ class SupportDesign:
         """Duration of all motions [s]."""
         return len(self.motions) * motion_duration(self.motions[0].fourier.period)
 
+    @property
+    def samples_per_motion(self) -> int:
+        """Number of rows of a motion as exported."""
+        return round(self.duration / len(self.motions) * self.options.rate)
+
     def identifiable_counts(self, threshold: float = IDENTIFIABLE_VARIANCE) -> list[int]:
         """Return the number of identifiable directions of the base rows after each motion."""
-        return [int(np.sum(values >= 1.0 / threshold)) for values in self.eigenvalues]
+        return [
+            int(np.sum(np.linalg.svd(root @ self.base.geometric)[1] ** 2 >= 1.0 / threshold))
+            for root in self.roots
+        ]
+
+    def analysis(self, rows: Rows, threshold: float = IDENTIFIABLE_VARIANCE) -> Identifiability:
+        """Return the identifiability by all motions.
+
+        Args:
+            rows: Base rows, for the inertial parameters; or both, with those of the joints.
+            threshold: Largest variance of an identifiable direction [1].
+        """
+        is_base = rows is Rows.BASE
+        parameters = self.inertial if is_base else self.parameters
+        base = (
+            self.base
+            if is_base
+            else floating_base.find_base_parameters(self.robot, parameters, Rows.BOTH)
+        )
+        return floating_identifiability.analyse(
+            self.robot,
+            parameters,
+            base,
+            self.roots[-1] if is_base else self.root_of_all_rows,
+            self.noise,
+            rows,
+            threshold=threshold,
+            samples=len(self.motions) * self.samples_per_motion,
+        )
 
 
 def design_support(
@@ -201,15 +238,16 @@ def design_support(
     stance = standing(robot.joint_robot, usable, options.frames, options.soles, options.contact)
     search = _Search(robot, limits, options, stance)
     motions: list[PhaseProfile] = []
-    eigenvalues = []
+    roots: list[FloatArray] = []
     report(
         f"{robot.name}: {robot.n} joints, {search.base.count} base parameters of the base rows, "
         f"{len(stance.feet)} feet on the ground"
     )
     for number in range(options.count):
         motions.append(search.next_motion(number))
-        eigenvalues.append(np.linalg.eigvalsh(search.information))
-        known = int(np.sum(eigenvalues[-1] >= 1.0 / IDENTIFIABLE_VARIANCE))
+        roots.append(search.root)
+        eigenvalues = np.linalg.eigvalsh(search.information)
+        known = int(np.sum(eigenvalues >= 1.0 / IDENTIFIABLE_VARIANCE))
         report(
             f"motion {number + 1} of {options.count}: {known} of {search.base.count} directions "
             "identifiable"
@@ -223,11 +261,13 @@ def design_support(
         options,
         stance,
         search.parameters,
+        search.inertial,
         search.base,
+        search.noise,
         tuple(motions),
         certificate,
-        np.array(eigenvalues),
-        search.joint_rows_count(motions),
+        tuple(roots),
+        search.root_of_all_rows(motions),
         time.perf_counter() - began,
     )
 
@@ -254,7 +294,8 @@ class _Search:
     Attributes:
         parameters: Standard parameters with those of the joints.
         base: Base parameters of the base rows.
-        information: Information of the motions so far, in the metric. Shape (p, p).
+        noise: Noise of the rows.
+        root: R with RᵀR the information of the motions so far. Shape (r, P).
     """
 
     def __init__(
@@ -265,14 +306,19 @@ class _Search:
         self.parameters = floating_base.standard_parameters(robot, limits, DRIVE)
         self.inertial = floating_base.standard_parameters(robot, limits)
         self.base = floating_base.find_base_parameters(robot, self.inertial, Rows.BASE)
-        self.wrench_noise = wrench_noise_levels(options.wrench_noise)
-        count = self.base.count
-        self.information = np.zeros((count, count))
-        self.prior = np.eye(count) / options.prior_deviation**2
-        self._functions = self._build_functions()
-        self._search_limits = without_singularities(
-            robot.joint_robot, limits.reduced(), stance
+        self.noise = floating_identifiability.assumed_noise(
+            robot, limits, options.wrench_noise, options.torque_noise
         )
+        self.root = np.zeros((0, self.inertial.count))
+        self.prior = np.eye(self.base.count) / options.prior_deviation**2
+        self._functions = self._build_functions()
+        self._search_limits = without_singularities(robot.joint_robot, limits.reduced(), stance)
+
+    @property
+    def information(self) -> FloatArray:
+        """Information of the motions so far, in the metric. Shape (p, p)."""
+        rows = self.root @ self.base.geometric
+        return np.asarray(rows.T @ rows)
 
     def _build_functions(self) -> SupportFunctions:
         """Build the dynamics, with the torque limits less Coulomb friction."""
@@ -299,7 +345,7 @@ class _Search:
             self.stance,
             self._functions,
             columns,
-            self.wrench_noise,
+            self.noise.of(Rows.BASE),
             self.information + self.prior,
             options,
             variable_scale(self.robot.joint_robot, self.limits, self.stance, options),
@@ -322,11 +368,11 @@ class _Search:
             problem = self._problem(*reserves)
             evaluator = SupportEvaluator(problem)
             if x is None:
-                state = self._optimised(evaluator, sqp.initial_state(self._start(evaluator, number)))
-            else:  # the motion is slightly infeasible: short steps that weigh constraints heavily
-                state = sqp.SearchState(
-                    x, x, radius=sqp.RETURN_RADIUS, penalty=sqp.RETURN_PENALTY
+                state = self._optimised(
+                    evaluator, sqp.initial_state(self._start(evaluator, number))
                 )
+            else:  # the motion is slightly infeasible: short steps that weigh constraints heavily
+                state = sqp.SearchState(x, x, radius=sqp.RETURN_RADIUS, penalty=sqp.RETURN_PENALTY)
                 state = self._optimised(evaluator, state, REPAIR_ITERATIONS)
                 if not np.isfinite(state.best_value):
                     state = sqp.initial_state(_shrink(evaluator, x))
@@ -337,7 +383,7 @@ class _Search:
                 self.robot, self.limits, self.stance, self.parameters, [motion]
             )
             if certificate.ok:
-                self.information += self._information(motion)
+                self.root = self._with_motion(self.root, motion, self.inertial, Rows.BASE)
                 return motion
             reason = certificate.failure_reason()
             reserves = _raised(reserves, certificate)
@@ -377,13 +423,15 @@ class _Search:
                 best, least = x, value
         return best
 
-    def _information(self, motion: PhaseProfile) -> FloatArray:
-        """Return the information of the base rows of a motion as exported. Shape (p, p)."""
-        samples = self._exported(motion)
-        Y = floating_base.regressor(self.robot, self.inertial, samples, Rows.BASE)
-        rows = (Y / self.wrench_noise[:, None]).reshape(-1, self.inertial.count)
-        rows = rows @ self.base.geometric
-        return np.asarray(rows.T @ rows)
+    def _with_motion(
+        self, root: FloatArray, motion: PhaseProfile, parameters: Parameters, rows: Rows
+    ) -> FloatArray:
+        """Return a root of information to which that of a motion as exported is added."""
+        exported = self._exported(motion)
+        added = floating_identifiability.information_root(
+            self.robot, parameters, exported, self.noise, rows
+        )
+        return np.asarray(np.linalg.qr(np.vstack([root, added]), mode="r"))
 
     def _exported(self, motion: PhaseProfile) -> floating_base.FloatingMotion:
         """Return the rows of a motion as exported."""
@@ -391,29 +439,12 @@ class _Search:
         t = np.arange(round(duration * self.options.rate)) / self.options.rate
         return support_samples(self.robot, self.stance, self.parameters, motion, t).motion
 
-    def joint_rows_count(self, motions: list[PhaseProfile]) -> int:
-        """Return the number of identifiable directions by base and joint rows together.
-
-        Joint parameters are estimated, too; only the directions of inertial parameters are counted.
-        """
-        noise = torque_noise_levels(self.limits, self.options.torque_noise)
-        edge = self.inertial.count
-        scale = self.parameters.scale
-        total = np.zeros((self.parameters.count,) * 2)
+    def root_of_all_rows(self, motions: list[PhaseProfile]) -> FloatArray:
+        """Return a root of the information of base and joint rows of all motions."""
+        root = np.zeros((0, self.parameters.count))
         for motion in motions:
-            Y = floating_base.regressor(
-                self.robot, self.parameters, self._exported(motion), Rows.BOTH
-            )
-            rows = (Y / np.concatenate([self.wrench_noise, noise])[:, None]).reshape(
-                -1, self.parameters.count
-            )
-            rows = rows @ scale
-            total += rows.T @ rows
-        # the joint parameters are eliminated by the Schur complement
-        cross, joints = total[:edge, edge:], total[edge:, edge:]
-        remaining = total[:edge, :edge] - cross @ np.linalg.pinv(joints, hermitian=True) @ cross.T
-        values = np.linalg.eigvalsh(remaining)
-        return int(np.sum(values >= 1.0 / IDENTIFIABLE_VARIANCE))
+            root = self._with_motion(root, motion, self.parameters, Rows.BOTH)
+        return root
 
 
 def _raised(reserves: list[float], certificate: Certificate) -> list[float]:

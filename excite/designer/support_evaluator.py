@@ -1,8 +1,8 @@
 """Objective and constraints of a motion in single or double support, with exact derivatives.
 
 The joints of the support legs are an implicit function of the base coordinates. With the chain
-equations C = (c, ċ, c̈) of the base y = (b, ḃ, b̈) and the leg z = (l, l̇, l̈), a gradient by z adds
-−(C_z⁻¹ C_y)ᵀ times itself to the gradient by y (implicit function theorem).
+equations C = (c, ċ, c̈) of the base y = (b, ḃ, b̈) and the leg z = (l, l̇, l̈), a gradient g by z
+adds −(C_z⁻¹ C_y)ᵀ g to the gradient by y (implicit function theorem).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .casadi_batch import MappedFunction, PaddedFunction
 from .evaluator import ConstraintRows, centred, selected_rows
 from .support_model import BASE_COORDINATES, BODY_STATE, WRENCH_SIZE, LegFunctions
 from .support_problem import SupportProblem, motion_duration
-from .support_stance import LEG_JOINTS, MAX_CLOSURE_ERROR, MAX_NEWTON_STEP
+from .support_stance import MAX_CLOSURE_ERROR, MAX_NEWTON_STEP
 
 NEWTON_ITERATIONS = 12
 """Iterations of Newton's method for a leg at most [1]: it begins at a solution nearby."""
@@ -248,9 +248,7 @@ class SupportEvaluator:
                 for kind, ratio in ratios.items()
                 if kind in self.kinds
             }
-            values["contact"] = (
-                rows[None, :, self.problem.robot.n :] + self.problem.contact_reserve
-            )
+            values["contact"] = rows[None, :, self.problem.robot.n :] + self.problem.contact_reserve
             point.constraint_values = values
         return point.constraint_values
 
@@ -304,9 +302,7 @@ class SupportEvaluator:
             else:
                 weights[np.arange(len(at)), joint] = sign / (1.0 - p.torque_reserve)
             motion = [array[sample] for array in point.motion]
-            for gradient, part in zip(
-                gradients, self._rows_adjoint(*motion, weights), strict=True
-            ):
+            for gradient, part in zip(gradients, self._rows_adjoint(*motion, weights), strict=True):
                 gradient[at] = part
         table = self._by_independent(point, rows.sample, gradients)
         out = np.zeros((len(rows), *p.scale.shape))
@@ -335,6 +331,6 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
 def _solve_matrix(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve A X = B at all samples; at a singular leg, the solution of least norm."""
     try:
-        return np.linalg.solve(matrix, right)
+        return np.asarray(np.linalg.solve(matrix, right), float)
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.pinv(matrix) @ right)

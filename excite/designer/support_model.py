@@ -293,9 +293,7 @@ def support_functions(
     states = [_state(ca.SX.eye(3), ca.SX(3, 1), *base)]
     states += [
         _state(R, p, *rates)
-        for (R, p), *rates in zip(
-            _poses(placements), moving.w, moving.dw, moving.acc, strict=True
-        )
+        for (R, p), *rates in zip(_poses(placements), moving.w, moving.dw, moving.acc, strict=True)
     ]
     table = ca.densify(ca.horzcat(*states))
     seed = ca.SX.sym("seed", BODY_STATE, n + 1)
@@ -315,7 +313,9 @@ def support_functions(
     functions = (
         ca.Function("bodies", motion, [table]),
         ca.Function(
-            "bodies_adjoint", [*motion, seed], [ca.densify(g) for g in ca.vertsplit(gradient, split)]
+            "bodies_adjoint",
+            [*motion, seed],
+            [ca.densify(g) for g in ca.vertsplit(gradient, split)],
         ),
         ca.Function("block", [state], [ca.densify(block.T)]),
         ca.Function(

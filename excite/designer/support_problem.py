@@ -20,15 +20,11 @@ from ..trajectory.fourier import FourierSeries, fourier_basis
 from ..trajectory.rest_to_rest import JerkProfile, PhaseProfile
 from .design_objective import DesignObjective
 from .options import DesignOptions
-from .support_model import BASE_COORDINATES, WRENCH_SIZE, SupportFunctions
+from .support_model import BASE_COORDINATES, SupportFunctions
 from .support_stance import Stance
 
 BASE_REACH = (0.08, 0.08, 0.08, 0.25, 0.25, 0.25)
 """Units of the base coordinates [m and rad]: the order of magnitude of what bent legs allow."""
-
-WRENCH_NOISE = (0.5, 1.5)
-"""Standard deviation of the force [N] and the moment [N m] of the ground where none is stated: that
-of Lee, Lee and Park (Automatica 131, 2021)."""
 
 RAMP_SHARE = 0.2
 """Share of a motion in which its phase accelerates, and in which it decelerates [1]."""
@@ -95,9 +91,7 @@ class SupportProblem:
         table = x.reshape(self.scale.shape) * self.scale
         sine, cosine = table[:, :K], table[:, K:]
         k = 2.0 * np.pi / self.options.period * np.arange(1, K + 1)
-        series = FourierSeries(
-            sine, cosine, self.home + cosine @ (1.0 / k), self.options.period
-        )
+        series = FourierSeries(sine, cosine, self.home + cosine @ (1.0 / k), self.options.period)
         return PhaseProfile(series, rest_to_rest_phase(self.options.period))
 
     def bases(self) -> tuple[FloatArray, ...]:
@@ -163,15 +157,6 @@ def sample_times(options: DesignOptions) -> FloatArray:
     return np.linspace(0.0, motion_duration(options.period), options.samples)
 
 
-def wrench_noise_levels(noise: tuple[float, float] | None) -> FloatArray:
-    """Return the standard deviation of each base row. Shape (6,) [N, N m].
-
-    Args:
-        noise: Standard deviation of forces [N] and moments [N m]; None: `WRENCH_NOISE`.
-    """
-    return np.repeat(np.asarray(WRENCH_NOISE if noise is None else noise, float), WRENCH_SIZE // 2)
-
-
 def variable_scale(
     robot: Robot, limits: Limits, stance: Stance, options: DesignOptions
 ) -> FloatArray:
@@ -186,7 +171,9 @@ def variable_scale(
         )
     bounded = np.isfinite(limits.position).all(axis=1)
     half = np.where(
-        bounded, 0.5 * (limits.position[:, 1] - np.where(bounded, limits.position[:, 0], 0.0)), np.pi
+        bounded,
+        0.5 * (limits.position[:, 1] - np.where(bounded, limits.position[:, 0], 0.0)),
+        np.pi,
     )
     reach = np.concatenate([BASE_REACH, half])
     speed = np.concatenate([np.full(BASE_COORDINATES, np.inf), limits.velocity])

@@ -124,7 +124,7 @@ class Stance:
         feet: One or two feet.
         contact: Limits of their contact.
         weight: Weight of the robot [N].
-        base: Base coordinates (x, y, z, roll, pitch, yaw) of the standing pose. Shape (6,) [m, rad].
+        base: Base coordinates (x, y, z, roll, pitch, yaw) of the standing pose. Shape (6,).
         pose: Joint positions of the standing pose. Shape (n,) [rad or m].
     """
 
@@ -351,9 +351,7 @@ def _relaxed_pose(robot: Robot, limits: Limits, legs: IntArray) -> FloatArray:
     return best
 
 
-def _best_leg(
-    robot: Robot, limits: Limits, foot: Foot, base: pin.SE3, q: FloatArray
-) -> FloatArray:
+def _best_leg(robot: Robot, limits: Limits, foot: Foot, base: pin.SE3, q: FloatArray) -> FloatArray:
     """Return the standing pose of a leg that is farthest from its limits; others keep theirs."""
     lower, upper = ranges(limits)[foot.joints].T
     rng, data = np.random.default_rng(0), robot.model.createData()

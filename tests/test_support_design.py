@@ -104,9 +104,7 @@ def options(*frames: str, **changes) -> SupportOptions:
 
 def search(walker, table, *frames: str) -> _Search:
     chosen = options(*frames)
-    stance = standing(
-        walker.joint_robot, table.reduced(), frames, chosen.soles, chosen.contact
-    )
+    stance = standing(walker.joint_robot, table.reduced(), frames, chosen.soles, chosen.contact)
     return _Search(walker, table, chosen, stance)
 
 
@@ -122,11 +120,11 @@ def single(walker, walker_limits):
 
 @pytest.fixture(params=["double", "single"])
 def evaluated(request):
-    found = request.getfixturevalue(request.param)
-    evaluator = SupportEvaluator(found._problem(0.0, 0.0))
+    searched = request.getfixturevalue(request.param)
+    evaluator = SupportEvaluator(searched._problem(0.0, 0.0))
     x = 0.1 * np.random.default_rng(3).normal(size=evaluator.problem.size)
     assert np.isfinite(evaluator.max_constraint_value(x))
-    return found, evaluator, x
+    return searched, evaluator, x
 
 
 def test_the_standing_pose_puts_the_soles_on_the_ground_under_the_centre_of_mass(walker, double):
@@ -174,31 +172,31 @@ def test_the_gradients_of_all_constraints_are_exact(evaluated):
 
 
 def test_motion_and_forces_are_those_of_pinocchio(walker, walker_limits, evaluated):
-    found, evaluator, x = evaluated
+    searched, evaluator, x = evaluated
     problem = evaluator.problem
     samples = support_samples(
-        walker, found.stance, found.parameters, problem.motion(x), sample_times(problem.options)
+        walker, searched.stance, searched.parameters, problem.motion(x), sample_times(problem.options)
     )
     q, dq, ddq = (array[:, BASE_COORDINATES:] for array in evaluator.motion(x))
     np.testing.assert_allclose(samples.motion.q, q, atol=1e-9)
     np.testing.assert_allclose(samples.joint_velocity, dq, atol=1e-9)
     np.testing.assert_allclose(samples.joint_acceleration, ddq, atol=1e-8)
-    bound = walker_limits.reduced().torque - found.parameters.coulomb()
+    bound = walker_limits.reduced().torque - searched.parameters.coulomb()
     torque = evaluator.constraint_values(x)["torque"][0] * bound
     np.testing.assert_allclose(samples.torque, torque, atol=1e-7)
 
 
 def test_wrenches_of_the_feet_and_torques_balance_the_equations_of_motion(walker, evaluated):
-    found, evaluator, x = evaluated
+    searched, evaluator, x = evaluated
     motion = evaluator.problem.motion(x)
     samples = support_samples(
-        walker, found.stance, found.parameters, motion, np.array([0.4, 0.9, 1.3])
+        walker, searched.stance, searched.parameters, motion, np.array([0.4, 0.9, 1.3])
     )
     model, data = walker.model, walker.model.createData()
     for i, coordinates in enumerate(walker.configurations(samples.motion)):
         pin.computeJointJacobians(model, data, coordinates)
         total = np.zeros(model.nv)
-        for foot, wrench in zip(found.stance.feet, samples.wrenches[i], strict=True):
+        for foot, wrench in zip(searched.stance.feet, samples.wrenches[i], strict=True):
             frame = model.getFrameId(foot.frame)
             pin.updateFramePlacement(model, data, frame)
             jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL)
@@ -214,10 +212,10 @@ def test_wrenches_of_the_feet_and_torques_balance_the_equations_of_motion(walker
 
 
 def test_velocity_and_acceleration_are_derivatives_of_the_motion(walker, evaluated):
-    found, evaluator, x = evaluated
+    searched, evaluator, x = evaluated
     motion, step = evaluator.problem.motion(x), 1e-4
     samples = support_samples(
-        walker, found.stance, found.parameters, motion, 0.7 + step * np.arange(-1.0, 2.0)
+        walker, searched.stance, searched.parameters, motion, 0.7 + step * np.arange(-1.0, 2.0)
     )
     q = walker.configurations(samples.motion)
     speed = pin.difference(walker.model, q[0], q[2]) / (2.0 * step)
@@ -277,8 +275,8 @@ def test_the_files_replay_the_motions(walker, walker_limits, tmp_path):
     columns, table = header.split(","), np.array([line.split(",") for line in lines], float)
     assert len(table) == 101
     assert {"base.x", "base.qw", "q.left_knee", "wrench.right_sole.mz"} <= set(columns)
-    rest = table[[0, -1]][:, [name.startswith(("dq.", "ddq.")) for name in columns]]
-    assert np.abs(rest).max() < 1e-9
+    end_rates = table[[0, -1]][:, [name.startswith(("dq.", "ddq.")) for name in columns]]
+    assert np.abs(end_rates).max() < 1e-9
     weight = 9.81 * walker.mass
     assert table[0, columns.index("wrench.right_sole.fz")] == pytest.approx(weight)
 

@@ -29,6 +29,8 @@ from .replay_result import replay as replay
 from .robots import load_robot as load_robot
 from .simulated_recording import SimulatedRecording as SimulatedRecording
 from .simulated_recording import simulate as simulate
+from .support_design_result import SupportDesignResult as SupportDesignResult
+from .support_design_result import design_support as design_support
 from .verification_result import VerificationResult as VerificationResult
 from .verification_result import export as export
 from .verification_result import verify as verify

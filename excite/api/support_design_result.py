@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,9 +123,7 @@ class SupportDesignResult:
             is_last = number == len(design.motions) - 1
             count = design.samples_per_motion + is_last
             t = np.arange(count) / design.options.rate
-            samples = support_samples(
-                design.robot, design.stance, design.parameters, motion, t
-            )
+            samples = support_samples(design.robot, design.stance, design.parameters, motion, t)
             start = number * design.samples_per_motion / design.options.rate
             rows.append(self._table(samples, start))
         joints = design.robot.joints

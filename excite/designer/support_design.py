@@ -1,8 +1,8 @@
 """Design of motions in single or double support: a sequence from rest to rest, certified.
 
 The information of each motion is added to that of the earlier ones, so that the next motion excites
-the directions that are still uncertain. Before the first motion there is a prior: every parameter direction is
-known to a share of its nominal value in the metric.
+the directions that are still uncertain. Before the first motion there is a prior: every parameter
+direction is known to a share of its nominal value in the metric.
 """
 
 from __future__ import annotations

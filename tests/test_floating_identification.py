@@ -158,7 +158,8 @@ def test_each_row_gets_the_cutoff_of_its_own_content(folder):
         low, recording.wrench("world")[:, 0]
     )
     result = identify_floating(robot, [recording], gamma=10.0).identification
-    assert result.hertz[0] < 2.0 < 5.0 < result.hertz[1]
+    assert result.hertz[0] < 2.0
+    assert result.hertz[1] > 5.0
 
 
 # -- symmetric bodies ------------------------------------------------------------------------------
@@ -182,6 +183,7 @@ def test_symmetric_bodies_stay_nearer_to_each_other(folder):
             folder / "biped.urdf", [folder / "plate.csv"], gamma=3.0, **choices
         ).identification
         root = symmetry_root(result.model.robot, result.model.parameters, "left_", "right_")
+        assert max(result.body_shares().values()) < 1.0
         return np.linalg.norm(root @ result.psi)
 
     assert difference(symmetric=("left_", "right_")) < 0.7 * difference()

@@ -15,6 +15,8 @@ TEXT = {
     "joints",
     "limits",
     "without",
+    "symmetric",
+    "contact",
     "given",
     "for_task",
     "discriminate",

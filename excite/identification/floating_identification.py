@@ -135,6 +135,8 @@ class FloatingIdentification:
         information_root: R with RᵀR the weighted information on θ, offsets unknown. Shape (m, p).
         posterior: Physically consistent estimate with the prior.
         prior: ψ₀, the distance and γ.
+        symmetry: Root of the information of symmetric bodies, see `symmetry`; without rows if there
+            is none. Shape (10 pairs, P).
         offset: Offsets of the wrench sensors, six of each contact. Shape (6 contacts,).
         offset_deviation: Their standard deviations.
         analysis: Identifiability of the directions by the weighted information.
@@ -153,6 +155,7 @@ class FloatingIdentification:
     information_root: FloatArray
     posterior: ConsistentEstimate
     prior: Prior
+    symmetry: FloatArray
     offset: FloatArray
     offset_deviation: FloatArray
     analysis: Identifiability
@@ -170,10 +173,11 @@ class FloatingIdentification:
 
         It is 1 − tr(C G)/tr(C₀ G) with the posterior and prior covariances C, C₀ of its ten
         parameters and the metric G at its nominal body: 0 where the prior decides all of them.
+        Symmetry is part of the prior.
         """
         parameters = self.model.parameters
         before = consistency.symmetric_pseudo_inverse(
-            consistency.prior_information(parameters, self.prior)
+            consistency.prior_information(parameters, self.prior) + self.symmetry.T @ self.symmetry
         )
         nominal = consistency.inertial_rows(parameters, self.prior.nominal)
         shares = {}
@@ -186,7 +190,8 @@ class FloatingIdentification:
 
     def links(self) -> list[LinkEstimate]:
         """Return mass and centre of mass of each link."""
-        return estimates_of_links(self.model.parameters, self.posterior, self.prior)
+        further = self.symmetry.T @ self.symmetry
+        return estimates_of_links(self.model.parameters, self.posterior, self.prior, further)
 
 
 def identify(
@@ -292,6 +297,7 @@ def identify(
         information_root=root,
         posterior=fit.posterior,
         prior=fit.prior,
+        symmetry=problem.symmetry,
         offset=fit.offset,
         offset_deviation=np.sqrt(np.diag(spread)),
         analysis=analysis,

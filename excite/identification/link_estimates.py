@@ -74,7 +74,10 @@ def link_estimates(identification: Identification) -> list[LinkEstimate]:
 
 
 def estimates_of_links(
-    parameters: Parameters, posterior: ConsistentEstimate, prior: Prior
+    parameters: Parameters,
+    posterior: ConsistentEstimate,
+    prior: Prior,
+    further: FloatArray | None = None,
 ) -> list[LinkEstimate]:
     """Return mass and centre of mass of each link.
 
@@ -82,8 +85,12 @@ def estimates_of_links(
         parameters: Standard parameters.
         posterior: Their estimate.
         prior: The prior of that estimate.
+        further: Information of other prior knowledge. Shape (P, P).
     """
-    before = consistency.symmetric_pseudo_inverse(consistency.prior_information(parameters, prior))
+    information = consistency.prior_information(parameters, prior)
+    before = consistency.symmetric_pseudo_inverse(
+        information if further is None else information + further
+    )
     rows = consistency.inertial_rows(parameters, posterior.psi)
     nominal = consistency.inertial_rows(parameters, prior.nominal)
     out = []

@@ -30,6 +30,9 @@ LONG_RECORDING_BIN_FACTOR = 5.0
 MIN_BIN_FREEDOM = 12.0
 """Degrees of freedom over which a density is averaged, at least: its relative error is then
 √(2/12) = 0.4."""
+MAX_GRAM_NUMBERS = 1 << 25
+"""Numbers of the products of scores that are held at once (256 MiB); joints are processed in groups
+of that size."""
 WINDOW_ROWS = 2048
 """Number of rows of a long segment that are transformed together."""
 MIN_AGREEMENT_PROBABILITY = 1e-3
@@ -98,9 +101,54 @@ def noise_spectrum(
         else LONG_RECORDING_BIN_FACTOR * MIN_BIN_WIDTH_HZ
     )
     count = max(2, int(0.5 * rate / max(finest, rate / longest)))
-    power, freedom, spread, repeats = (np.zeros((count, n)) for _ in range(4))
     scores = rows if instruments is None else instruments
-    grams = np.zeros((count, n, scores.shape[2], scores.shape[2]))
+    gram_numbers = count * scores.shape[2] ** 2
+    group_size = max(1, MAX_GRAM_NUMBERS // gram_numbers)
+    densities, agreements = [], []
+    covariance: FloatArray = np.zeros((scores.shape[2],) * 2)
+    for start in range(0, n, group_size):
+        joints = range(start, min(start + group_size, n))
+        density, agrees, grams = _group_spectrum(
+            equations, residual, rows, noise_root, instruments, count, joints
+        )
+        densities.append(density)
+        agreements.append(agrees)
+        covariance += np.einsum("fj,fjpq->pq", density, grams)
+    spectrum = NoiseSpectrum(
+        (np.arange(count) + 0.5) * 0.5 * rate / count,
+        np.concatenate(densities, axis=1),
+        np.concatenate(agreements),
+    )
+    return spectrum, covariance
+
+
+def _group_spectrum(
+    equations: TorqueEquations,
+    residual: FloatArray,
+    rows: FloatArray,
+    noise_root: FloatArray,
+    instruments: FloatArray | None,
+    count: int,
+    joints: range,
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Densities of some joints, agreement with periods, and scores' products in each bin.
+
+    Args:
+        equations: The equations.
+        residual: Weighted residual. Shape (N, n).
+        rows: Weighted regressor. Shape (N, n, r).
+        noise_root: C with Σ = C Cᵀ. Shape (n, n) [N m].
+        instruments: Z if it is not the regressor. Shape (N, n, q).
+        count: Number of bins F.
+        joints: The m joints.
+
+    Returns:
+        Densities, shape (F, m); True where repeated periods contribute, shape (m,); ZᵀZ, shape
+        (F, m, q, q).
+    """
+    width = (rows if instruments is None else instruments).shape[2]
+    power, freedom, spread, repeats = (np.zeros((count, len(joints))) for _ in range(4))
+    grams = np.zeros((count, len(joints), width, width))
     inverse = np.linalg.inv(noise_root)
     for part, length, (periods, deviations) in _windows(equations):
         # the noise of a mean period is periodic; of a long window the ends do not matter
@@ -111,26 +159,25 @@ def noise_spectrum(
         sides = np.full(len(bins), 2.0)
         sides[0], sides[-1] = 1.0, 2.0 if points % 2 else 1.0
         share = length / points
-        for joint in range(n):
+        for k, joint in enumerate(joints):
             periodogram = np.abs(np.fft.rfft(residual[part, joint], points)) ** 2 / length
             X = _transformed(rows[part, joint], points)
             fitted = np.sum(np.abs(X) ** 2, axis=1) / length
-            np.add.at(power[:, joint], bins, share * periodogram)
-            np.add.at(freedom[:, joint], bins, share * np.maximum(1.0 - fitted, 0.0))
+            np.add.at(power[:, k], bins, share * periodogram)
+            np.add.at(freedom[:, k], bins, share * np.maximum(1.0 - fitted, 0.0))
             Z = X if instruments is None else _transformed(instruments[part, joint], points)
             Z = Z * np.sqrt(sides / points)[:, None]
-            for k, first in zip(*np.unique(bins, return_index=True), strict=True):
-                block = Z[first : first + int(np.sum(bins == k))]
+            for f, first in zip(*np.unique(bins, return_index=True), strict=True):
+                block = Z[first : first + int(np.sum(bins == f))]
                 parted = np.vstack([block.real, block.imag])
-                grams[k, joint] += parted.T @ parted
+                grams[f, k] += parted.T @ parted
         if deviations is not None:
             between = np.abs(deviations @ inverse.T) ** 2 / length / periods
+            between = between[:, :, joints.start : joints.stop]
             np.add.at(spread, bins[1 : 1 + between.shape[1]], between.sum(axis=0))
             np.add.at(repeats, bins[1 : 1 + between.shape[1]], float(periods - 1))
     agrees = _agrees_with_periods(power, freedom, spread, repeats)
-    density = _smoothed(power + agrees * spread, freedom + agrees * repeats)
-    spectrum = NoiseSpectrum((np.arange(count) + 0.5) * 0.5 * rate / count, density, agrees)
-    return spectrum, np.einsum("fj,fjpq->pq", density, grams)
+    return _smoothed(power + agrees * spread, freedom + agrees * repeats), agrees, grams
 
 
 def _windows(

@@ -142,7 +142,7 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("-o", dest="out", type=Path)
     parser.add_argument("--motions", type=int, default=20)
-    parser.add_argument("--criterion", choices=("a", "d"), default="d")
+    parser.add_argument("--criterion", choices=("a", "d"), default="a")
     parser.add_argument("--iterations", type=int, default=120)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--identify", action="store_true")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from excite.api.support_design_result import SUPPORT_FILES
 from excite.api.support_design_result import design_support as design_files
+from excite.cli.main import main
 from excite.designer import support_certificate
 from excite.designer.criteria import Criterion
 from excite.designer.support_design import SupportOptions, _Search, design_support
@@ -175,7 +178,11 @@ def test_motion_and_forces_are_those_of_pinocchio(walker, walker_limits, evaluat
     searched, evaluator, x = evaluated
     problem = evaluator.problem
     samples = support_samples(
-        walker, searched.stance, searched.parameters, problem.motion(x), sample_times(problem.options)
+        walker,
+        searched.stance,
+        searched.parameters,
+        problem.motion(x),
+        sample_times(problem.options),
     )
     q, dq, ddq = (array[:, BASE_COORDINATES:] for array in evaluator.motion(x))
     np.testing.assert_allclose(samples.motion.q, q, atol=1e-9)
@@ -306,3 +313,46 @@ def test_a_robot_too_weak_to_stand_is_infeasible(walker, walker_limits):
     weak = dataclasses.replace(walker_limits, torque=np.full(walker.n, 5.0))
     with pytest.raises(Infeasible, match="standing pose"):
         design_support(walker, weak, options("left_sole", "right_sole"))
+
+
+def run(capsys, *arguments):
+    code = main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_the_command_designs_a_motion_on_one_foot(walker, capsys, tmp_path):
+    code, out, err = run(
+        capsys,
+        *("design", walker.source, "--floating", "--support", "left_sole", "--sole", "0.2,0.12"),
+        *("--duration", 2, "--harmonics", 3, "--iterations", 4, "--starts", 1, "--json"),
+        *("--wrench-noise", "0.5,1.5", "-o", tmp_path),
+    )
+    assert code == 0, err
+    document = json.loads(out)
+    assert {Path(name).name for name in document["files"]} == set(SUPPORT_FILES)
+    assert all(margin["margin"] >= 0.0 for margin in document["margins"])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--support", "left_sole"], "add --floating"),
+        (["--floating"], "--support FRAME"),
+        (["--floating", "--support", "left_sole"], "--sole"),
+        (["--floating", "--support", "a,b,c", "--sole", "0.2,0.1"], "one or two frames"),
+        (["--floating", "--support", "foot", "--sole", "0.2,0.1"], "no frame 'foot'"),
+        (["--floating", "--support", "left_sole", "--sole", "0.2,0.1", "--plain"], "--plain"),
+        (
+            ["--floating", "--support", "left_sole", "--sole", "0.2,0.1", "--criterion", "e"],
+            "a or d",
+        ),
+    ],
+)
+def test_faults_of_the_command_are_one_line_with_exit_code_2(
+    walker, capsys, tmp_path, words, message
+):
+    code, out, err = run(capsys, "design", walker.source, *words, "-o", tmp_path)
+    assert (code, out) == (2, "")
+    (line,) = [line for line in err.splitlines() if line.startswith("excite:")]
+    assert message in line

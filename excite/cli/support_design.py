@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from .._system.output_files import output_folder
@@ -34,7 +35,6 @@ UNSUPPORTED = {
     "--srdf": "srdf",
     "--floor": "floor",
     "--clearance": "clearance",
-    "--noise": "noise",
     "--force": "force",
 }
 """Options of `excite design` that a design in support does not have."""
@@ -66,8 +66,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
     for option, name in UNSUPPORTED.items():
         if getattr(arguments, name):
             raise UnusableInput(f"{option}: is not available with --floating; leave it out")
+    if arguments.speed != 1.0:
+        raise UnusableInput("--speed: is not available with --floating; leave it out")
     options = _options(arguments)
     robot = floating_identify.load(arguments)
+    options = replace(options, torque_noise=shared.noise(arguments, robot.joint_robot))
     limits = shared.limits(arguments, robot.joint_robot)
     output = output_folder(Path(arguments.out), SUPPORT_FILES)
     result = design_support(robot, options, limits=limits)

@@ -110,7 +110,7 @@ class SupportOptions:
     count: int = 1
     duration: float = 3.0
     harmonics: int = 5
-    criterion: Criterion = Criterion.D
+    criterion: Criterion = Criterion.A
     wrench_noise: tuple[float, float] | None = None
     torque_noise: tuple[float, ...] | None = None
     prior_deviation: float = IDENTIFIABLE_VARIANCE**0.5

@@ -31,6 +31,8 @@ from .servo_identification_result import ServoIdentificationResult as ServoIdent
 from .servo_identification_result import identify_servo as identify_servo
 from .simulated_recording import SimulatedRecording as SimulatedRecording
 from .simulated_recording import simulate as simulate
+from .support_design_result import SupportDesignResult as SupportDesignResult
+from .support_design_result import design_support as design_support
 from .verification_result import VerificationResult as VerificationResult
 from .verification_result import export as export
 from .verification_result import verify as verify

@@ -20,6 +20,7 @@ from ..errors import UnusableInput
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
 from . import options as shared
+from . import support_design
 from .outcome import Outcome, with_files, written_lines
 
 DISCRIMINATION_STARTS = 4
@@ -33,6 +34,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 
 def _design(arguments: argparse.Namespace) -> Outcome:
+    if arguments.floating:
+        return support_design.run(arguments)
+    support_design.require_floating(arguments)
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
     output = output_folder(Path(arguments.out), DESIGN_FILES)

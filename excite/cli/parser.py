@@ -289,6 +289,53 @@ def _model_options(sub: argparse.ArgumentParser) -> None:
     )
 
 
+def _support_options(sub: argparse.ArgumentParser) -> None:
+    """Add the options of a robot that stands on its feet."""
+    group = sub.add_argument_group("single or double support")
+    group.add_argument(
+        "--floating",
+        action="store_true",
+        help="the base moves freely and the feet of --support stand on the ground",
+    )
+    group.add_argument(
+        "--support",
+        metavar="FRAME[,FRAME]",
+        help="frames of the soles that stand on the ground, z axis up, each at the end of a leg of "
+        "six joints",
+    )
+    group.add_argument(
+        "--sole",
+        type=Numbers(ranges.LENGTH, (2, 4)),
+        metavar="LENGTH,WIDTH[,X,Y]",
+        help="size of a sole along x and y of its frame, and its centre [m]",
+    )
+    group.add_argument(
+        "--cop-margin",
+        type=Number(ranges.LENGTH),
+        metavar="M",
+        help="distance of the centre of pressure from the edges of each sole [m] (default 0.02)",
+    )
+    group.add_argument(
+        "--friction",
+        type=Number(Range(1e-3, 10.0, "1")),
+        metavar="MU",
+        help="coefficient of friction of the soles (default 0.6)",
+    )
+    group.add_argument(
+        "--duration",
+        type=Number(Range(0.2, 1e3, "s")),
+        metavar="S",
+        help="duration of each motion [s] (default 3)",
+    )
+    group.add_argument(
+        "--motions",
+        type=Number(Range(1, 1000, "1"), whole=True),
+        metavar="N",
+        help="number of motions, each from the standing pose and back (default 1)",
+    )
+    _wrench_noise_option(group)
+
+
 def _design(commands: Commands) -> None:
     sub = _command(commands, "design", "design an excitation trajectory")
     _folder_option(
@@ -296,6 +343,7 @@ def _design(commands: Commands) -> None:
     )
     _robot_options(sub)
     _model_options(sub)
+    _support_options(sub)
     group = sub.add_argument_group("criterion")
     group.add_argument(
         "--criterion",

@@ -45,7 +45,7 @@ class DynamicsFunctions:
     support: tuple[IntArray, ...]
 
 
-def _rotate(axis: FloatArray, angle: ca.SX) -> ca.SX:
+def axis_rotation(axis: FloatArray, angle: ca.SX) -> ca.SX:
     """Return the rotation about a unit axis by Rodrigues' formula."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -57,7 +57,7 @@ def _rotate(axis: FloatArray, angle: ca.SX) -> ca.SX:
     return ca.sparsify(R)
 
 
-def _clean(matrix: FloatArray) -> ca.SX:
+def constant(matrix: FloatArray) -> ca.SX:
     """Return a constant without rounding errors, so that zeros remain structural."""
     return ca.sparsify(ca.SX(np.where(np.abs(matrix) < ROUNDING, 0.0, matrix)))
 
@@ -72,7 +72,7 @@ def _inertia_times(vector: ca.SX) -> ca.SX:
     return out
 
 
-def _body_regressor(w: ca.SX, dw: ca.SX, a: ca.SX) -> ca.SX:
+def body_regressor(w: ca.SX, dw: ca.SX, a: ca.SX) -> ca.SX:
     """Return the map from inertial parameters φ to (moment, force) on a body. Shape (6, 10).
 
     Args:
@@ -89,7 +89,7 @@ def _body_regressor(w: ca.SX, dw: ca.SX, a: ca.SX) -> ca.SX:
 
 
 @dataclass(frozen=True)
-class _Kinematics:
+class BodyPlacements:
     """Kinematic tree at one configuration, for each body.
 
     Attributes:
@@ -105,28 +105,28 @@ class _Kinematics:
     parent: list[int]
 
 
-def _kinematics(robot: Robot, q: ca.SX) -> _Kinematics:
+def kinematic_tree(robot: Robot, q: ca.SX) -> BodyPlacements:
     """Return the kinematic tree at positions `q`."""
     model = robot.model
-    coordinates = ca.mtimes(_clean(robot.spread), q) + ca.SX(robot.shift)
+    coordinates = ca.mtimes(constant(robot.spread), q) + ca.SX(robot.shift)
     rotation, lever, axis, parent = [], [], [], []
     for i, unit in enumerate(robot.axes(), start=1):
         placement = model.jointPlacements[i]
         linear, angular = unit[:3], unit[3:]
-        R, p = _clean(placement.rotation), _clean(placement.translation)
+        R, p = constant(placement.rotation), constant(placement.translation)
         if np.linalg.norm(angular) > 0.5:
-            rotation.append(ca.mtimes(R, _rotate(angular, coordinates[i - 1])))
+            rotation.append(ca.mtimes(R, axis_rotation(angular, coordinates[i - 1])))
             lever.append(p)
         else:
             rotation.append(R)
-            lever.append(p + ca.mtimes(R, _clean(linear)) * coordinates[i - 1])
-        axis.append((_clean(angular), _clean(linear)))
+            lever.append(p + ca.mtimes(R, constant(linear)) * coordinates[i - 1])
+        axis.append((constant(angular), constant(linear)))
         parent.append(int(model.parents[i]) - 1)
-    return _Kinematics(rotation, lever, axis, parent)
+    return BodyPlacements(rotation, lever, axis, parent)
 
 
 @dataclass(frozen=True)
-class _Velocities:
+class BodyMotions:
     """Motion of each body in its own frame.
 
     Attributes:
@@ -140,9 +140,13 @@ class _Velocities:
     acc: list[ca.SX]
 
 
-def _velocities(
-    robot: Robot, kinematics: _Kinematics, dq: ca.SX, ddq: ca.SX, lift: ca.SX | None = None
-) -> _Velocities:
+def body_motions(
+    robot: Robot,
+    kinematics: BodyPlacements,
+    dq: ca.SX,
+    ddq: ca.SX,
+    base: tuple[ca.SX, ca.SX, ca.SX] | None = None,
+) -> BodyMotions:
     """Propagate velocities and accelerations from the base to the tips.
 
     Args:
@@ -150,16 +154,17 @@ def _velocities(
         kinematics: Its kinematic tree.
         dq: Joint velocities.
         ddq: Joint accelerations.
-        lift: Acceleration of the base minus gravity [m/s²]; None: the robot's gravity alone.
+        base: Angular velocity, angular acceleration and acceleration of the origin minus gravity of
+            the base link, in its own frame; None: it does not move.
     """
-    spread = _clean(robot.spread)
+    spread = constant(robot.spread)
     v, a = ca.mtimes(spread, dq), ca.mtimes(spread, ddq)
-    out = _Velocities([], [], [])
-    still = ca.SX(3, 1)
-    lift = _clean(-np.array(robot.model.gravity.linear)) if lift is None else lift
+    out = BodyMotions([], [], [])
+    if base is None:
+        base = (ca.SX(3, 1), ca.SX(3, 1), constant(-np.array(robot.model.gravity.linear)))
     for i, up in enumerate(kinematics.parent):
         back = kinematics.rotation[i].T
-        w0, dw0, a0 = (still, still, lift) if up < 0 else (out.w[up], out.dw[up], out.acc[up])
+        w0, dw0, a0 = base if up < 0 else (out.w[up], out.dw[up], out.acc[up])
         turn, slide = kinematics.axis[i]
         wp = ca.mtimes(back, w0)
         out.w.append(wp + turn * v[i])
@@ -173,7 +178,7 @@ def _velocities(
     return out
 
 
-def _inertial_regressor(robot: Robot, kinematics: _Kinematics, motion: _Velocities) -> ca.SX:
+def _inertial_regressor(robot: Robot, kinematics: BodyPlacements, motion: BodyMotions) -> ca.SX:
     """Return the regressor of the inertial parameters. Shape (n, 10·bodies).
 
     Block (j, i) is the wrench map of body i along the axis of joint j, for i and all its ancestors.
@@ -191,21 +196,30 @@ def _inertial_regressor(robot: Robot, kinematics: _Kinematics, motion: _Velociti
         }
         axes[i] = kinematics.axis[i]
         carried.append(axes)
-        wrench = _body_regressor(motion.w[i], motion.dw[i], motion.acc[i])
+        wrench = body_regressor(motion.w[i], motion.dw[i], motion.acc[i])
         for j, (turn, slide) in axes.items():
             Y[j, 10 * i : 10 * i + 10] = ca.mtimes(ca.vertcat(turn, slide).T, wrench)
-    return ca.mtimes(_clean(robot.spread).T, Y)
+    return ca.mtimes(constant(robot.spread).T, Y)
 
 
-def _inverse_dynamics(
-    robot: Robot, kinematics: _Kinematics, motion: _Velocities, phi: ca.SX
-) -> ca.SX:
+def inverse_dynamics(
+    robot: Robot, kinematics: BodyPlacements, motion: BodyMotions, phi: ca.SX
+) -> tuple[ca.SX, SpatialVector]:
     """Return the torque of bodies with given inertial parameters, by one recursion.
 
-    It equals the regressor times `phi`, shape (10·bodies,).
+    Args:
+        robot: The robot.
+        kinematics: Its kinematic tree.
+        motion: Motion of its bodies.
+        phi: Inertial parameters of the bodies. Shape (10·bodies,).
+
+    Returns:
+        Joint torques, the regressor times `phi`, shape (n,), and the moment and force that the base
+        link exerts on the bodies, at its origin and in its frame.
     """
     torque = ca.SX(robot.model.nv, 1)
     moments, forces = [], []
+    base_moment, base_force = ca.SX(3, 1), ca.SX(3, 1)
     for i, (w, dw, acc) in enumerate(zip(motion.w, motion.dw, motion.acc, strict=True)):
         mass, h, inertia = phi[10 * i], phi[10 * i + 1 : 10 * i + 4], phi[10 * i + 4 : 10 * i + 10]
         forces.append(mass * acc + ca.cross(dw, h) + ca.cross(w, ca.cross(w, h)))
@@ -217,13 +231,17 @@ def _inverse_dynamics(
     for i in reversed(range(len(forces))):
         turn, slide = kinematics.axis[i]
         torque[i] = ca.dot(turn, moments[i]) + ca.dot(slide, forces[i])
+        force = ca.mtimes(kinematics.rotation[i], forces[i])
+        moment = ca.mtimes(kinematics.rotation[i], moments[i]) + ca.cross(
+            kinematics.lever[i], force
+        )
         if (up := kinematics.parent[i]) >= 0:
-            force = ca.mtimes(kinematics.rotation[i], forces[i])
             forces[up] += force
-            moments[up] += ca.mtimes(kinematics.rotation[i], moments[i]) + ca.cross(
-                kinematics.lever[i], force
-            )
-    return ca.mtimes(_clean(robot.spread).T, torque)
+            moments[up] += moment
+        else:
+            base_force += force
+            base_moment += moment
+    return ca.mtimes(constant(robot.spread).T, torque), (base_moment, base_force)
 
 
 def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunctions:
@@ -242,8 +260,8 @@ def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunction
         "coulomb": ca.tanh(dq / COULOMB_WIDTH),
         "offset": ca.SX.ones(n),
     }
-    kinematics = _kinematics(robot, q)
-    motion = _velocities(robot, kinematics, dq, ddq)
+    kinematics = kinematic_tree(robot, q)
+    motion = body_motions(robot, kinematics, dq, ddq)
     Y = ca.horzcat(
         _inertial_regressor(robot, kinematics, motion),
         *[ca.diag(columns[kind]) for kind in parameters.drive],
@@ -254,7 +272,7 @@ def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunction
         ca.SX.sym("pick", n),
     )
     gradient = ca.jtimes(ca.vec(Y.T), state, ca.vec(seed), True)
-    torque = _inverse_dynamics(robot, kinematics, motion, weight)
+    torque, _ = inverse_dynamics(robot, kinematics, motion, weight)
     for kind in parameters.drive:
         torque += columns[kind] * weight[parameters.block(kind)]
     along = ca.gradient(ca.dot(pick, torque), state)
@@ -287,9 +305,10 @@ def link_torque(
     Returns:
         Joint torques. Shape (n,) [N m].
     """
-    kinematics = _kinematics(robot, q)
-    motion = _velocities(robot, kinematics, dq, ddq, lift)
-    return ca.densify(_inverse_dynamics(robot, kinematics, motion, phi))
+    kinematics = kinematic_tree(robot, q)
+    base = None if lift is None else (ca.SX(3, 1), ca.SX(3, 1), lift)
+    motion = body_motions(robot, kinematics, dq, ddq, base)
+    return ca.densify(inverse_dynamics(robot, kinematics, motion, phi)[0])
 
 
 def frame_position(robot: Robot, frame: str) -> ca.Function:
@@ -304,9 +323,9 @@ def frame_position(robot: Robot, frame: str) -> ca.Function:
         and its Jacobian, shape (3, n).
     """
     q = ca.SX.sym("q", robot.n)
-    kinematics = _kinematics(robot, q)
+    kinematics = kinematic_tree(robot, q)
     target = robot.model.frames[robot.frame(frame)]
-    point, j = _clean(target.placement.translation), int(target.parentJoint) - 1
+    point, j = constant(target.placement.translation), int(target.parentJoint) - 1
     while j >= 0:
         point = kinematics.lever[j] + ca.mtimes(kinematics.rotation[j], point)
         j = kinematics.parent[j]

@@ -367,7 +367,7 @@ def limit_margins(trajectory: Trajectory, constraints: MotionConstraints) -> lis
     margins: dict[tuple[str, str], LimitMargin] = {}
     for segment in trajectory.motion.segments:
         for times, quantity in segment_quantities(constraints, trajectory, segment):
-            for margin in _margins(quantity, times, _promised(trajectory, quantity.limit)):
+            for margin in nearest_margins(quantity, times, _promised(trajectory, quantity.limit)):
                 if segment.profile is None and _is_derived(
                     constraints.limits, constraints.robot, margin
                 ):
@@ -484,7 +484,7 @@ def _ramp_quantities(
         yield segment.start + dense, quantity
 
 
-def _margins(
+def nearest_margins(
     quantity: BoundedQuantity, times: FloatArray, required: float
 ) -> Iterator[LimitMargin]:
     """Yield the nearest margin of each joint of a quantity."""

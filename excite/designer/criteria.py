@@ -198,6 +198,32 @@ def smooth_objective(
     return low + high, (vectors * ((high_slope - low_slope) / values)) @ vectors.T
 
 
+def regularised_objective(
+    criterion: Criterion, information: FloatArray
+) -> tuple[float, FloatArray]:
+    """Evaluate `smooth_objective` of A or D for information that contains a prior.
+
+    The prior bounds the condition number, so that Cholesky's factorisation is precise enough; it is
+    several times faster than the eigenvalues.
+
+    Args:
+        criterion: A or D.
+        information: Information with the prior, positive definite. Shape (p, p).
+
+    Returns:
+        The objective, to be minimised, and its gradient with respect to the information.
+        Shape (p, p).
+    """
+    factor = np.linalg.cholesky(information)
+    half = np.linalg.solve(factor, np.eye(len(factor)))
+    covariance = half.T @ half
+    if criterion is Criterion.D:
+        count = len(factor)
+        return -2.0 * float(np.mean(np.log(np.diag(factor)))), -covariance / count
+    trace = float(np.trace(covariance))
+    return float(np.log(trace)), -(covariance @ covariance) / trace
+
+
 def _soft_max(values: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
     """Return log(Σ exp(ρ v))/ρ and its gradient."""
     top = float(values.max())

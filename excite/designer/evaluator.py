@@ -5,7 +5,9 @@ An evaluation takes one pass of the regressor, dense linear algebra, and one rev
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -14,7 +16,8 @@ from ..collision.clearance_constraint import ClearanceEvaluation
 from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
 from .casadi_batch import MappedFunction, PaddedFunction
-from .design_objective import SampledMotion
+from .design_objective import DesignObjective, SampledMotion
+from .options import DesignOptions
 from .problem import DesignProblem
 
 NEARLY_ACTIVE = 0.98
@@ -43,6 +46,88 @@ class ConstraintRows:
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    def values_of(self, table: dict[str, FloatArray], kinds: Sequence[str]) -> FloatArray:
+        """Return the values of the selected constraints. Shape (m,).
+
+        Args:
+            table: Values of all constraints, by kind. Shape (signs, N, joints) each.
+            kinds: Names of the kinds, in the order of `kind`.
+        """
+        out = np.empty(len(self))
+        for number, kind in enumerate(kinds):
+            at = self.kind == number
+            out[at] = table[kind][(self.sign[at] < 0).astype(int), self.sample[at], self.joint[at]]
+        return out
+
+
+def selected_rows(mask: BoolArray, shapes: Sequence[tuple[int, int, int]]) -> ConstraintRows:
+    """Return the constraints that a flat mask selects.
+
+    Args:
+        mask: Mask of all constraints, kind after kind.
+        shapes: Shape of the values of each kind: signs, samples, joints.
+    """
+    kinds, samples, joints, signs, start = [], [], [], [], 0
+    for number, shape in enumerate(shapes):
+        size = int(np.prod(shape))
+        sign, sample, joint = np.unravel_index(np.flatnonzero(mask[start : start + size]), shape)
+        start += size
+        kinds.append(np.full(len(sign), number))
+        samples.append(sample)
+        joints.append(joint)
+        signs.append(1.0 - 2.0 * sign)
+    return ConstraintRows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
+
+
+class SearchProblem(Protocol):
+    """Problem whose motion `sqp` searches."""
+
+    @property
+    def options(self) -> DesignOptions:
+        """Options of the design."""
+        ...
+
+    @property
+    def objective(self) -> DesignObjective | None:
+        """Objective in place of the criterion of the options, None for the criterion."""
+        ...
+
+
+class ConstrainedObjective(Protocol):
+    """Objective and constraints of a motion, with exact derivatives, as `sqp` needs them.
+
+    The methods are those of `Evaluator`.
+    """
+
+    @property
+    def problem(self) -> SearchProblem:
+        """The problem that is evaluated."""
+        ...
+
+    def objective(self, x: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+        """Return the objective to be minimised, and its gradient."""
+        ...
+
+    def max_constraint_value(self, x: FloatArray) -> float:
+        """Return the largest value of all constraints, at most 1 where the motion is feasible."""
+        ...
+
+    def rows_above(self, x: FloatArray, threshold: float) -> BoolArray:
+        """Return the flat mask of the constraints above a threshold."""
+        ...
+
+    def rows(self, mask: BoolArray) -> ConstraintRows:
+        """Return the constraints that a flat mask selects."""
+        ...
+
+    def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
+        """Return the values of selected constraints."""
+        ...
+
+    def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
+        """Return the Jacobian of selected constraints."""
+        ...
 
 
 @dataclass
@@ -230,7 +315,7 @@ class Evaluator:
         limits = self.problem.limits
         q, dq, ddq, dddq = point.motion
         if kind == "position":
-            return _centred(q, limits.position[:, 0], limits.position[:, 1])
+            return centred(q, limits.position[:, 0], limits.position[:, 1])
         if kind in ("velocity", "acceleration", "jerk"):
             ratio = {"velocity": dq, "acceleration": ddq, "jerk": dddq}[kind] / getattr(
                 limits, kind
@@ -246,7 +331,7 @@ class Evaluator:
         index = int(kind[3:])
         box = self.problem.boxes[index]
         centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
-        return _centred(centre, np.array(box.lower), np.array(box.upper))
+        return centred(centre, np.array(box.lower), np.array(box.upper))
 
     def _band(self, point: _Point) -> tuple[FloatArray, FloatArray]:
         """Return nominal torque and half width of its band over all uncertain robots."""
@@ -339,19 +424,7 @@ class Evaluator:
 
     def rows(self, mask: BoolArray) -> ConstraintRows:
         """Return the constraints that a flat mask selects."""
-        kinds, samples, joints, signs, start = [], [], [], [], 0
-        for number, kind in enumerate(self.kinds):
-            shape = self._shape(kind)
-            size = int(np.prod(shape))
-            sign, sample, joint = np.unravel_index(
-                np.flatnonzero(mask[start : start + size]), shape
-            )
-            start += size
-            kinds.append(np.full(len(sign), number))
-            samples.append(sample)
-            joints.append(joint)
-            signs.append(1.0 - 2.0 * sign)
-        return ConstraintRows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
+        return selected_rows(mask, [self._shape(kind) for kind in self.kinds])
 
     def _shape(self, kind: str) -> tuple[int, int, int]:
         """Return the shape of the values of one kind."""
@@ -362,12 +435,7 @@ class Evaluator:
 
     def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
         """Return the values of selected constraints. Shape (m,)."""
-        table = self.constraint_values(x)
-        out = np.empty(len(rows))
-        for number, kind in enumerate(self.kinds):
-            at = rows.kind == number
-            out[at] = table[kind][(rows.sign[at] < 0).astype(int), rows.sample[at], rows.joint[at]]
-        return out
+        return rows.values_of(self.constraint_values(x), self.kinds)
 
     def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
         """Return the exact Jacobian of selected constraints. Shape (m, size)."""
@@ -464,7 +532,7 @@ def _without_coulomb(parameters: Parameters) -> FloatArray:
     return nominal
 
 
-def _centred(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+def centred(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return ±(distance from the middle of a range) over its half width; −inf where unbounded."""
     bounded = np.isfinite(lower) & np.isfinite(upper)
     middle = np.where(

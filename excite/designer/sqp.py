@@ -16,7 +16,7 @@ import numpy as np
 from .._types import BoolArray, FloatArray
 from . import qp_subproblem
 from .criteria import Criterion
-from .evaluator import ConstraintRows, Evaluator
+from .evaluator import ConstrainedObjective, ConstraintRows
 from .problem import LIMIT_RESERVE
 from .qp_subproblem import SubproblemSolution
 
@@ -162,7 +162,7 @@ def initial_state(x: FloatArray) -> SearchState:
 
 
 def advance(
-    evaluator: Evaluator,
+    evaluator: ConstrainedObjective,
     state: SearchState,
     history: History,
     iterations: int | None = None,
@@ -171,7 +171,7 @@ def advance(
     """Continue a search.
 
     Args:
-        evaluator: Evaluator of the design problem.
+        evaluator: ConstrainedObjective of the design problem.
         state: State to continue from.
         history: Record that the iterates are added to.
         iterations: Number of iterations; None: to the end.
@@ -221,7 +221,7 @@ class _Search:
 
     def __init__(
         self,
-        evaluator: Evaluator,
+        evaluator: ConstrainedObjective,
         state: SearchState,
         sharpness: float,
         history: History,

@@ -1,0 +1,136 @@
+"""`excite design --floating --support`: motions of a robot that stands on one or two feet."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from .._system.output_files import output_folder
+from ..api.support_design_result import SUPPORT_FILES, SupportDesignResult, design_support
+from ..designer.criteria import Criterion
+from ..designer.support_design import SupportOptions
+from ..designer.support_stance import ContactLimits, SoleSize
+from ..errors import UnusableInput
+from ..robot.floating_base import Rows
+from . import floating_identify
+from . import options as shared
+from .outcome import Outcome, with_files, written_lines
+
+UNSUPPORTED = {
+    "--plain": "plain",
+    "--given": "given",
+    "--for": "for_task",
+    "--for-payload": "for_payload",
+    "--discriminate": "discriminate",
+    "--validation": "validation",
+    "--period": "period",
+    "--optimise-period": "optimise_period",
+    "--time": "time",
+    "--periods": "periods",
+    "--samples": "samples",
+    "--start": "start",
+    "--box": "box",
+    "--scene": "scene",
+    "--srdf": "srdf",
+    "--floor": "floor",
+    "--clearance": "clearance",
+    "--force": "force",
+}
+"""Options of `excite design` that a design in support does not have."""
+SUPPORT_ONLY = {
+    "--support": "support",
+    "--sole": "sole",
+    "--cop-margin": "cop_margin",
+    "--friction": "friction",
+    "--duration": "duration",
+    "--motions": "motions",
+    "--wrench-noise": "wrench_noise",
+}
+"""Options that only a design in support has."""
+
+
+def require_floating(arguments: argparse.Namespace) -> None:
+    """Check that no option of a design in support is given without `--floating`.
+
+    Raises:
+        UnusableInput: One is.
+    """
+    for option, name in SUPPORT_ONLY.items():
+        if getattr(arguments, name) is not None:
+            raise UnusableInput(f"{option}: is for a robot that stands; add --floating")
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Run `excite design --floating --support`."""
+    for option, name in UNSUPPORTED.items():
+        if getattr(arguments, name):
+            raise UnusableInput(f"{option}: is not available with --floating; leave it out")
+    if arguments.speed != 1.0:
+        raise UnusableInput("--speed: is not available with --floating; leave it out")
+    options = _options(arguments)
+    robot = floating_identify.load(arguments)
+    options = replace(options, torque_noise=shared.noise(arguments, robot.joint_robot))
+    limits = shared.limits(arguments, robot.joint_robot)
+    output = output_folder(Path(arguments.out), SUPPORT_FILES)
+    result = design_support(robot, options, limits=limits)
+    written = output.replace(result.contents())
+    document = with_files(result.document(), written)
+    return 0, document, "\n".join([*_lines(result), *written_lines(written)])
+
+
+def _options(arguments: argparse.Namespace) -> SupportOptions:
+    """Return the options of the design.
+
+    Raises:
+        UnusableInput: Feet or soles are not stated, or there are other than one or two feet.
+    """
+    if arguments.support is None:
+        raise UnusableInput(
+            "--floating: name the frames of the soles on the ground with --support FRAME[,FRAME]"
+        )
+    frames = tuple(name.strip() for name in arguments.support.split(","))
+    if len(frames) > 2 or not all(frames):
+        raise UnusableInput(f"--support {arguments.support}: name one or two frames")
+    if arguments.sole is None:
+        raise UnusableInput("--support: state the size of a sole with --sole LENGTH,WIDTH[,X,Y]")
+    length, width, *centre = arguments.sole
+    x, y = centre or (0.0, 0.0)
+    default, contact = SupportOptions(frames, ()), ContactLimits()
+    if arguments.cop_margin is not None:
+        contact = ContactLimits(contact.friction, arguments.cop_margin)
+    if arguments.friction is not None:
+        contact = ContactLimits(arguments.friction, contact.margin)
+    return SupportOptions(
+        frames=frames,
+        soles=(SoleSize(0.5 * length, 0.5 * width, (x, y)),) * len(frames),
+        contact=contact,
+        count=arguments.motions or 1,
+        duration=arguments.duration or default.duration,
+        harmonics=arguments.harmonics or default.harmonics,
+        criterion=Criterion(arguments.criterion),
+        wrench_noise=arguments.wrench_noise,
+        rate=arguments.rate,
+        starts=arguments.starts or default.starts,
+        iterations=arguments.iterations,
+        seed=arguments.seed,
+    )
+
+
+def _lines(result: SupportDesignResult) -> list[str]:
+    """Return the summary of a design for people."""
+    design = result.design
+    counts = design.identifiable_counts()
+    both = design.analysis(Rows.BOTH)
+    motions = "1 motion" if len(counts) == 1 else f"{len(counts)} motions"
+    return [
+        f"{design.robot.name}: {counts[-1]} of {design.base.count} directions practically "
+        f"identifiable from the base rows (noise {design.noise.force:.3g} N, "
+        f"{design.noise.moment:.3g} N m)",
+        f"with joint torques {both.identifiable_count} of {len(both.directions)} directions, "
+        "those of the joints included",
+        f"{motions} of {design.duration / len(counts):g} s from rest to rest on "
+        f"{' and '.join(foot.frame for foot in design.stance.feet)}",
+        *design.certificate.verdict_lines(),
+        f"designed in {design.seconds:.1f} s",
+    ]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..designer.criteria import Criterion
+from ..designer.design_objective import SampledMotion
 from ..designer.discrimination import Comparison, SeparationObjective
 from ..designer.discrimination_design import (
     CandidateExplanation,
@@ -28,17 +29,28 @@ from ..effects import EFFECTS_BY_NAME
 from ..errors import ExciteWarning, UnusableInput
 from ..identification.identified_model import read_model
 from ..robot import inertial_parameters
+from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import COULOMB_WIDTH
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..schemas.diagnosis import SCHEMA, DiagnosisDocument, FindingDocument
+from ..robot.samples import Samples
+from ..schemas.diagnosis import (
+    FindingDocument,
+    JointErrorDocument,
+    diagnosis_file,
+    read_diagnosis,
+)
 from ..schemas.document_file import DocumentFile
 from ..trajectory.fourier import FourierSeries
+from .identification_result import REFERENCE_RATE
 
 MIN_PROBABILITY = 0.02
 """Probability that an explanation has at least, however small the diagnosis states it [1]."""
 MAX_CONSIDERED = 4
 """Considered effects of a joint that compete, the most probable ones [1]."""
+MAX_GIVEN_ROWS = 2000
+"""Rows of an earlier recording that count as one period [1]: 20 s, of which the ends are a small
+part."""
 WITHOUT_JOINT = ("delay", "gravity_tilt")
 """Effects of `SYMBOLIC_EFFECTS` that need no joint."""
 
@@ -51,11 +63,31 @@ class DiagnosisQuestions:
         source: Path of the diagnosis.
         explanations: Competing explanations.
         omitted: Effects that take no part, and why.
+        noise: Torque error of the diagnosis's model on held-out recordings, by joint [N m]; None
+            where it is not stated.
     """
 
     source: str
     explanations: ExplanationSet
     omitted: tuple[str, ...]
+    noise: tuple[float, ...] | None = None
+
+    def with_given(self, given: Sequence[Samples]) -> DiagnosisQuestions:
+        """Return the questions with the motions of earlier recordings.
+
+        Args:
+            given: Their samples at `REFERENCE_RATE`.
+        """
+        constants = self.explanations.constants
+        motions = []
+        for samples in given:
+            for start in range(0, len(samples), MAX_GIVEN_ROWS):
+                part = samples.rows(slice(start, start + MAX_GIVEN_ROWS))
+                Y = regressor(constants.robot, constants.parameters, part)
+                motions.append(
+                    SampledMotion(part.q, part.dq, part.ddq, Y, len(part) / REFERENCE_RATE)
+                )
+        return replace(self, explanations=replace(self.explanations, given=tuple(motions)))
 
     def result(
         self, problem: DesignProblem, limits: Limits, designed: FourierSeries
@@ -83,6 +115,7 @@ class DiagnosisQuestions:
             odds[0],
             odds[1],
             compute_menu(problem, limits, objective, reference, designed),
+            objective.given is not None,
         )
 
 
@@ -109,13 +142,8 @@ def read_questions(
         raise UnusableInput(
             f"--discriminate {path}: replaces the criterion; leave out --criterion and --plain"
         )
-    file = DocumentFile(
-        path, "a diagnosis", "diagnose again", "the diagnosis.json of 'excite diagnose'"
-    )
-    content = file.json()
-    file.schema(content, (SCHEMA,))
-    document = file.converted(content, DiagnosisDocument)
-    builder = _Builder(file, robot, _constants(path, robot, limits, options))
+    document = read_diagnosis(path)
+    builder = _Builder(diagnosis_file(path), robot, _constants(path, robot, limits, options))
     builder.add_findings(document.findings)
     builder.add_considered(document.considered)
     comparisons = builder.comparisons()
@@ -126,7 +154,15 @@ def read_questions(
             + "; design with --for or --criterion"
         )
     explanations = ExplanationSet(builder.constants, tuple(builder.candidates), comparisons)
-    return DiagnosisQuestions(str(path), explanations, tuple(builder.omitted))
+    stated: dict[str, JointErrorDocument] = {str(k): v for k, v in document.joints.items()}
+    errors = [stated.get(joint, JointErrorDocument()).rmse_after for joint in robot.joints]
+    noise = tuple(error for error in errors if error)
+    return DiagnosisQuestions(
+        str(path),
+        explanations,
+        tuple(builder.omitted),
+        noise if len(noise) == robot.n else None,
+    )
 
 
 def _constants(path: Path, robot: Robot, limits: Limits, options: DesignOptions) -> RobotConstants:
@@ -146,6 +182,19 @@ def _constants(path: Path, robot: Robot, limits: Limits, options: DesignOptions)
                 stacklevel=2,
             )
     return RobotConstants(robot, standard, psi, widths, limits)
+
+
+def _shares(finding: FindingDocument) -> dict[str, float]:
+    """Return the probability of a finding and of each equivalent, which sum to its probability.
+
+    The odds are those that the diagnosis states, or else even.
+    """
+    log_odds = {rival.effect: rival.log_odds for rival in finding.rivals}
+    names = (finding.effect, *finding.equivalents)
+    logs = np.array([-(log_odds.get(name) or 0.0) for name in names])
+    weights = np.exp(logs - logs.max())
+    shares = finding.probability * weights / weights.sum()
+    return dict(zip(names, shares.tolist(), strict=True))
 
 
 class _Builder:
@@ -225,12 +274,12 @@ class _Builder:
         """Add each finding and its equivalents as one class."""
         for number, finding in enumerate(findings):
             specification = self._specification(finding, f"findings[{number}]")
-            share = finding.probability / (1 + len(finding.equivalents))
-            main = self._add(specification, share)
+            shares = _shares(finding)
+            main = self._add(specification, shares[finding.effect])
             members = [] if main is None else [main]
             for name in finding.equivalents:
                 rival = EffectSpecification(name, specification.joint, {})
-                index = self._add(rival, share, main)
+                index = self._add(rival, shares[name], main)
                 if index is not None and index not in members:
                     members.append(index)
             if members:

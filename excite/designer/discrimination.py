@@ -92,6 +92,12 @@ class WeightedRows:
             np.vstack([self.base, other.base]), np.vstack([self.columns, other.columns])
         )
 
+    def compressed(self) -> WeightedRows:
+        """Return the fewest rows with the same inner products of all columns."""
+        p = self.base.shape[1]
+        triangle = np.asarray(np.linalg.qr(np.hstack([self.base, self.columns]), mode="r"))
+        return WeightedRows(triangle[:, :p], triangle[:, p:])
+
 
 @dataclass(frozen=True)
 class BaseProjection:
@@ -271,6 +277,7 @@ class SeparationObjective:
         comparisons: The comparisons that a motion can decide.
         settings: How the motion is recorded.
         undecidable: Comparisons that no motion decides, as the rival reproduces the torque.
+        given: Rows of earlier recordings; None without.
     """
 
     effects: EffectColumns
@@ -279,6 +286,16 @@ class SeparationObjective:
     settings: RunSettings
     undecidable: tuple[Comparison, ...] = ()
     stopping_gain: float = STOPPING_GAIN
+    given: WeightedRows | None = None
+
+    def known_rows(self, std: float = PRIOR_STD) -> WeightedRows:
+        """Return the rows of the prior and of earlier recordings.
+
+        Args:
+            std: Prior standard deviation of the base parameters in the metric [1].
+        """
+        prior = prior_rows(self.settings, self.effects.count, std)
+        return prior if self.given is None else prior.stacked(self.given)
 
     def rows(self, motion: SampledMotion) -> WeightedRows:
         """Return the rows of a recording of a motion, without the prior's."""
@@ -286,8 +303,8 @@ class SeparationObjective:
         return run_rows(motion, values.columns, self.effects, self.settings).rows
 
     def separations(self, motion: SampledMotion) -> FloatArray:
-        """Return the separation of every comparison along a motion. Shape (c,)."""
-        rows = self.rows(motion).stacked(prior_rows(self.settings, self.effects.count))
+        """Return the separation of every comparison after a recording of a motion. Shape (c,)."""
+        rows = self.rows(motion).stacked(self.known_rows())
         return separations(rows, self.effects.slices, self.explanations, self.comparisons).values
 
     def evaluate(self, motion: SampledMotion) -> ObjectiveGradient:
@@ -295,7 +312,7 @@ class SeparationObjective:
         values = self.effects.evaluate(motion)
         recorded = run_rows(motion, values.columns, self.effects, self.settings)
         m = len(recorded.rows.base)
-        rows = recorded.rows.stacked(prior_rows(self.settings, self.effects.count))
+        rows = recorded.rows.stacked(self.known_rows())
         result = separations(rows, self.effects.slices, self.explanations, self.comparisons)
         weights = np.array([c.weight for c in self.comparisons])
         logs = np.log(np.maximum(result.values, 1e-300))

@@ -15,6 +15,7 @@ from ..recordings import Remark
 from ..robot.parameter_names import listed, some
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
+from .decisions import decisions_section
 from .diagnosis_evidence import (
     encoders_section,
     prediction_section,
@@ -80,6 +81,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
         banners=_banners(document, budgets),
         cards=(),
         sections=[
+            *decisions_section(document),
             _budget_section(diagnosis, document, budgets),
             _findings_section(document, units),
             *unknown_section(document, units),

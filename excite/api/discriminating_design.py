@@ -36,7 +36,7 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..schemas.diagnosis import (
     FindingDocument,
-    JointErrorDocument,
+    JointNoiseDocument,
     diagnosis_file,
     read_diagnosis,
 )
@@ -63,8 +63,7 @@ class DiagnosisQuestions:
         source: Path of the diagnosis.
         explanations: Competing explanations.
         omitted: Effects that take no part, and why.
-        noise: Torque error of the diagnosis's model on held-out recordings, by joint [N m]; None
-            where it is not stated.
+        noise: Torque noise that the diagnosis found, by joint [N m]; None where it is not stated.
     """
 
     source: str
@@ -124,9 +123,10 @@ def read_questions(
 ) -> DiagnosisQuestions:
     """Read the competing explanations of a diagnosis.
 
-    Each finding competes with its equivalents, and with the effects considered at its joint; what
-    stands alone competes with no effect at all. The findings elsewhere are fitted jointly. Load and
-    friction are those of the `model.json` next to the diagnosis where it fits the robot.
+    Each finding competes with its equivalents and rivals, and with the effects considered at its
+    joint; what stands alone competes with no effect at all. The findings elsewhere are fitted
+    jointly. Load and friction are those of the `model.json` next to the diagnosis where it fits the
+    robot.
 
     Args:
         path: The `diagnosis.json`.
@@ -154,9 +154,9 @@ def read_questions(
             + "; design with --for or --criterion"
         )
     explanations = ExplanationSet(builder.constants, tuple(builder.candidates), comparisons)
-    stated: dict[str, JointErrorDocument] = {str(k): v for k, v in document.joints.items()}
-    errors = [stated.get(joint, JointErrorDocument()).rmse_after for joint in robot.joints]
-    noise = tuple(error for error in errors if error)
+    stated: dict[str, JointNoiseDocument] = {str(k): v for k, v in document.joints.items()}
+    floors = [stated.get(joint, JointNoiseDocument()).noise_floor for joint in robot.joints]
+    noise = tuple(floor for floor in floors if floor)
     return DiagnosisQuestions(
         str(path),
         explanations,
@@ -185,12 +185,12 @@ def _constants(path: Path, robot: Robot, limits: Limits, options: DesignOptions)
 
 
 def _shares(finding: FindingDocument) -> dict[str, float]:
-    """Return the probability of a finding and of each equivalent, which sum to its probability.
+    """Return the probability of a finding and of each rival, which sum to its probability.
 
     The odds are those that the diagnosis states, or else even.
     """
     log_odds = {rival.effect: rival.log_odds for rival in finding.rivals}
-    names = (finding.effect, *finding.equivalents)
+    names = tuple(dict.fromkeys((finding.effect, *finding.equivalents, *log_odds)))
     logs = np.array([-(log_odds.get(name) or 0.0) for name in names])
     weights = np.exp(logs - logs.max())
     shares = finding.probability * weights / weights.sum()
@@ -271,13 +271,14 @@ class _Builder:
         )
 
     def add_findings(self, findings: Sequence[FindingDocument]) -> None:
-        """Add each finding and its equivalents as one class."""
+        """Add each finding, its equivalents and its rivals as one class."""
         for number, finding in enumerate(findings):
             specification = self._specification(finding, f"findings[{number}]")
             shares = _shares(finding)
+            names = tuple(shares)
             main = self._add(specification, shares[finding.effect])
             members = [] if main is None else [main]
-            for name in finding.equivalents:
+            for name in names[1:]:
                 rival = EffectSpecification(name, specification.joint, {})
                 index = self._add(rival, shares[name], main)
                 if index is not None and index not in members:

@@ -6,16 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from ..schemas.diagnosis import DiagnosisDocument
 from . import rival_evidence
 from .diagnosis import Diagnosis
-from .rival_evidence import ClassEvidence
-from .selection import EQUIVALENT_SHARE
+from .rival_evidence import DECIDED_LOG_ODDS, ClassEvidence
 
-DECIDED_LOG_ODDS = float(np.log(1.0 / EQUIVALENT_SHARE))
-"""Log odds from which a pair is decided [nat]: the rival is no equivalent any more."""
 Pair = tuple[str | None, str, str]
 """Joint, effect and rival."""
 
@@ -29,7 +24,7 @@ class Decision:
     Attributes:
         joint: Name of the joint; None for effects of no single joint.
         effect: Name of the effect that the earlier diagnosis reported.
-        rival: Name of its equivalent.
+        rival: Name of an equivalent or rival.
         before: By the earlier recordings; None where the earlier diagnosis does not state them.
         expected: What was expected after the discriminating recording, if the effect acts and if
             the rival does; None where no design is given.
@@ -115,7 +110,7 @@ class Decisions:
     """Decisions of all recordings on the classes of an earlier diagnosis.
 
     Attributes:
-        pairs: Each finding of the earlier diagnosis against each of its equivalents.
+        pairs: Each finding of the earlier diagnosis against each of its rivals.
         classes: Evidence of each class, by the name of its joint.
     """
 
@@ -172,11 +167,11 @@ def decide(
     joints = diagnosis.identified.model.robot.joints
     pairs, classes = [], []
     for finding in earlier.findings:
-        if not finding.equivalents:
-            continue
         before = {rival.effect: rival.log_odds for rival in finding.rivals}
+        names = tuple(dict.fromkeys((finding.effect, *finding.equivalents, *before)))
+        if len(names) < 2:
+            continue
         joint = None if finding.joint is None else joints.index(finding.joint)
-        names = tuple(dict.fromkeys((finding.effect, *finding.equivalents)))
         evidence = rival_evidence.compare(diagnosis, joint, names)
         classes.append((finding.joint, evidence))
         for rival in names[1:]:

@@ -233,7 +233,8 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Experiments that separate or confirm effects."""
     groups: dict[tuple[str, ...], list[str]] = {}
     for finding in document["findings"]:
-        key = tuple(sorted({finding["effect"], *finding["equivalents"]}))
+        rivals = (rival["effect"] for rival in finding.get("rivals", ()))
+        key = tuple(sorted({finding["effect"], *finding["equivalents"], *rivals}))
         if key[1:] or finding["probability"] < SURE_PROBABILITY:
             groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
     lines = []
@@ -247,6 +248,11 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
         f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
         for entry in document["unknown"]
     ]
+    if any(key[1:] for key in groups):
+        lines.append(
+            "One motion for all these questions: excite design ROBOT --discriminate diagnosis.json "
+            "-o DIR. What its recording decides: excite diagnose … --discriminating RECORDING."
+        )
     answer = "Nothing; other speeds, loads or temperatures may show more."
     if "doubts" in document:
         answer = "Resolve the doubts about the recordings named at the top of this page."

@@ -30,10 +30,10 @@ class RivalDocument(msgspec.Struct):
     log_odds: float | None = None
 
 
-class JointErrorDocument(msgspec.Struct):
-    """Torque error of a joint on the held-out recordings [N m]."""
+class JointNoiseDocument(msgspec.Struct):
+    """Torque noise of a joint below the cutoff frequency [N m]."""
 
-    rmse_after: Annotated[float, msgspec.Meta(ge=0.0)] | None = None
+    noise_floor: Annotated[float, msgspec.Meta(ge=0.0)] | None = None
 
 
 class FindingDocument(msgspec.Struct):
@@ -49,12 +49,12 @@ class FindingDocument(msgspec.Struct):
 
 
 class DiagnosisDocument(msgspec.Struct):
-    """The explanations of a diagnosis, and the torque errors of its model."""
+    """The explanations of a diagnosis, and the torque noise."""
 
     schema: str
     findings: list[FindingDocument]
     considered: list[FindingDocument] = []
-    joints: dict[Name, JointErrorDocument] = {}
+    joints: dict[Name, JointNoiseDocument] = {}
 
 
 def read_diagnosis(path: Path) -> DiagnosisDocument:

@@ -9,7 +9,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import msgspec
 from threadpoolctl import threadpool_limits
 
 from .. import _json
@@ -27,7 +26,7 @@ from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..schemas.diagnosis import DiagnosisDocument, read_diagnosis
+from ..schemas.diagnosis import DiagnosisDocument, diagnosis_file, read_diagnosis
 from ..trajectory import trajectory_file
 from .identification_result import (
     RecordingSource,
@@ -260,7 +259,8 @@ def _diagnosed(
 ) -> DiagnosisDocument:
     """Diagnose the earlier recordings alone."""
     result = diagnosis.diagnose(*setup, train, held_out, options, report)
-    return msgspec.convert(diagnosis_document(result), DiagnosisDocument)
+    file = diagnosis_file(Path("diagnosis.json"))
+    return file.converted(diagnosis_document(result), DiagnosisDocument)
 
 
 def _expected(trajectories: TrajectorySources) -> list[ExpectedEvidence]:

@@ -1,4 +1,4 @@
-"""Decisions between rivals: first diagnosis, discriminating motion, diagnosis of both recordings."""
+"""Decisions between rivals: diagnosis, discriminating motion, diagnosis of both recordings."""
 
 from __future__ import annotations
 

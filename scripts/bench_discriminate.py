@@ -29,7 +29,7 @@ os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import discrimination_cases
 import numpy as np
 from concealed_trial.score import rate
-from discrimination_cases import ARMS, DECIDED
+from discrimination_cases import ARMS, DECIDED, outcome
 
 from excite._types import FloatArray
 from excite.designer import initial_guess, optimize
@@ -232,7 +232,7 @@ def report_cases(given: argparse.Namespace) -> None:
     )
     print("|---|" + "---:|" * (len(DECIDED) + 2))
     for arm in ARMS:
-        outcomes = [entry["arms"][arm]["outcome"] for entry in cases]
+        outcomes = [outcome(entry["arms"][arm], entry["question"]["truth"]) for entry in cases]
         cells = [rate_words([o == kind for o in outcomes]) for kind in DECIDED]
         pairs = evidence_pairs(cases, arm)
         ranks = np.argsort(np.argsort(pairs, axis=0), axis=0)

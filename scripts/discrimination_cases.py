@@ -133,11 +133,36 @@ def open_classes(document: Mapping[str, Any], case: GeneratedCase) -> Iterator[O
             yield OpenClass(finding["joint"], names, true[0])
 
 
-def outcome(document: Mapping[str, Any], question: OpenClass) -> str:
-    """Return one of `DECIDED` for a diagnosis after the second recording.
+def outcome(arm: Mapping[str, Any], truth: str) -> str:
+    """Return one of `DECIDED` for the second recording of an arm, names and evidence together.
+
+    Right: the truth is reported alone, and the evidence excludes every rival. Wrong: another name
+    is reported alone, and the evidence excludes the truth in favour of it.
+
+    Args:
+        arm: Entry of the arm.
+        truth: The acting effect.
+    """
+    odds = {name: rival_evidence.log_odds(value) for name, value in arm["realised"].items()}
+    threshold = rival_evidence.DECIDED_LOG_ODDS
+    if arm["outcome"] == "right":
+        return "right" if min(odds.values(), default=0.0) >= threshold else "open"
+    named = {canonical(finding["effect"]) for finding in arm["findings"]} - {canonical(truth)}
+    if arm["outcome"] == "wrong":
+        excluded = any(canonical(n) in named and value <= -threshold for n, value in odds.items())
+        return "wrong" if excluded else "open"
+    return "open"
+
+
+def named_outcome(document: Mapping[str, Any], question: OpenClass) -> str:
+    """Return one of `DECIDED` for the names of a diagnosis after the second recording.
 
     Right: the acting effect is reported alone, and no other name of the class at the joint. Wrong:
     another name of the class is reported alone, and the acting effect nowhere at the joint.
+
+    Args:
+        document: Content of `diagnosis.json`.
+        question: The class.
     """
     truth = canonical(question.truth)
     members = {canonical(name) for name in question.names}
@@ -314,7 +339,7 @@ def _compared(trial: Trial, question: OpenClass) -> dict[str, Any]:
             for f in document["findings"]
         ]
         arms[arm] = {
-            "outcome": outcome(document, question),
+            "outcome": named_outcome(document, question),
             "findings": findings,
             "expected": expected_evidence(objective, motion, question),
             "realised": realised_evidence(result, question),

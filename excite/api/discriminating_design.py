@@ -20,7 +20,13 @@ from ..designer.discrimination_design import (
     sampled_motion,
 )
 from ..designer.discrimination_result import DiscriminationResult
-from ..designer.effect_columns import SYMBOLIC_EFFECTS, RobotConstants
+from ..designer.effect_columns import (
+    SYMBOLIC_EFFECTS,
+    UNKNOWN,
+    RobotConstants,
+    SymbolicEffect,
+    curve_values,
+)
 from ..designer.experiment_menu import compute_menu
 from ..designer.explanations import EffectSpecification, stated_factor, symbolic_effect
 from ..designer.options import DesignOptions
@@ -37,6 +43,8 @@ from ..robot.samples import Samples
 from ..schemas.diagnosis import (
     FindingDocument,
     JointNoiseDocument,
+    ResponseDocument,
+    UnknownDocument,
     diagnosis_file,
     read_diagnosis,
 )
@@ -48,6 +56,16 @@ MIN_PROBABILITY = 0.02
 """Probability that an explanation has at least, however small the diagnosis states it [1]."""
 MAX_CONSIDERED = 4
 """Considered effects of a joint that compete, the most probable ones [1]."""
+CURVE_REGIMES = {
+    "position": (False, False),
+    "place": (False, False),
+    "position and direction": (False, True),
+    "speed": (True, False),
+}
+"""Regimes of unknown torque that its curve determines: whether the curve is over the speed, and
+whether the torque changes its sign with the direction of motion."""
+MIN_CURVE_POINTS = 3
+"""Points of a curve from which it competes [1]."""
 MAX_GIVEN_ROWS = 2000
 """Rows of an earlier recording that count as one period [1]: 20 s, of which the ends are a small
 part."""
@@ -146,6 +164,7 @@ def read_questions(
     builder = _Builder(diagnosis_file(path), robot, _constants(path, robot, limits, options))
     builder.add_findings(document.findings)
     builder.add_considered(document.considered)
+    builder.add_unknown(document.unknown)
     comparisons = builder.comparisons()
     if not comparisons:
         raise UnusableInput(
@@ -197,6 +216,14 @@ def _shares(finding: FindingDocument) -> dict[str, float]:
     return dict(zip(names, shares.tolist(), strict=True))
 
 
+def _is_usable(response: ResponseDocument) -> bool:
+    """Tell whether a curve has enough points, in ascending order."""
+    x, y = np.array(response.x), np.array(response.y)
+    return len(x) == len(y) >= MIN_CURVE_POINTS and bool(
+        (np.diff(x) > 0.0).all() and np.isfinite([x, y]).all() and np.abs(y).max() > 0.0
+    )
+
+
 class _Builder:
     """Collect explanations and comparisons.
 
@@ -215,6 +242,7 @@ class _Builder:
         self.omitted: list[str] = []
         self._classes: list[list[int]] = []
         self._considered: list[int] = []
+        self._unknown: list[int] = []
 
     def _joint(self, name: str | None, where: str) -> int | None:
         """Return the index of a joint."""
@@ -301,6 +329,30 @@ class _Builder:
                 self._considered.append(index)
                 counts[finding.joint] = counts.get(finding.joint, 0) + 1
 
+    def add_unknown(self, unknown: Sequence[UnknownDocument]) -> None:
+        """Add the curve of each torque that no effect explains."""
+        for number, entry in enumerate(unknown):
+            joint = self._joint(entry.joint, f"unknown[{number}].joint")
+            response, regime = entry.where.response, entry.where.regime
+            is_curve = response is not None and not response.relative and regime in CURVE_REGIMES
+            if response is None or not is_curve or not _is_usable(response):
+                self.omitted.append(
+                    f"unknown torque at {entry.joint}: no curve over position or speed ({regime})"
+                )
+                continue
+            over_speed, directed = CURVE_REGIMES[regime]
+            values = curve_values(response.x, response.y, over_speed=over_speed, directed=directed)
+            name, colon, _ = response.over.rpartition(": ")
+            other = self._joint(name, f"unknown[{number}].where.response.over") if colon else None
+            self.candidates.append(
+                CandidateExplanation(
+                    SymbolicEffect(UNKNOWN, joint, values, other),
+                    np.ones((1, 1)),
+                    max(entry.probability, MIN_PROBABILITY),
+                )
+            )
+            self._unknown.append(len(self.candidates) - 1)
+
     def _nuisance(self, *pair: int | None) -> tuple[int, ...]:
         """Return the main explanation of every class that neither of a pair belongs to."""
         return tuple(
@@ -313,17 +365,20 @@ class _Builder:
         out: list[Comparison] = []
         for members in self._classes:
             out += competing_pairs(members, probabilities, self._nuisance)
-        for index in self._considered:
+        for index in (*self._considered, *self._unknown):
             joint = self.candidates[index].form.joint
             rivals = [
-                members[0]
-                for members in self._classes
-                if self.candidates[members[0]].form.joint == joint
+                rival
+                for rival in (
+                    *(members[0] for members in self._classes),
+                    *(self._considered if index in self._unknown else ()),
+                )
+                if self.candidates[rival].form.joint == joint
             ]
             for pair in ([index, rival] for rival in rivals):
                 out += competing_pairs(pair, probabilities, self._nuisance)
         alone = [members[0] for members in self._classes if len(members) == 1]
-        for index in itertools.chain(alone, self._considered):
+        for index in itertools.chain(alone, self._considered, self._unknown):
             p = probabilities[index]
             weight = max(p * (1.0 - p), MIN_PROBABILITY)
             out.append(Comparison(index, None, self._nuisance(index), weight))

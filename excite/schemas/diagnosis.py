@@ -48,6 +48,30 @@ class FindingDocument(msgspec.Struct):
     other: Name | None = msgspec.field(name="from", default=None)
 
 
+class ResponseDocument(msgspec.Struct):
+    """Torque that no effect explains over a quantity, by points."""
+
+    over: str
+    x: list[float]
+    y: list[float]
+    relative: bool = False
+
+
+class UnknownPlaceDocument(msgspec.Struct):
+    """Regime of a torque that no effect explains, with its curve."""
+
+    regime: str = ""
+    response: ResponseDocument | None = None
+
+
+class UnknownDocument(msgspec.Struct):
+    """Torque that no effect explains."""
+
+    joint: Name
+    probability: Probability
+    where: UnknownPlaceDocument = msgspec.field(default_factory=UnknownPlaceDocument)
+
+
 class DiagnosisDocument(msgspec.Struct):
     """The explanations of a diagnosis, and the torque noise."""
 
@@ -55,6 +79,7 @@ class DiagnosisDocument(msgspec.Struct):
     findings: list[FindingDocument]
     considered: list[FindingDocument] = []
     joints: dict[Name, JointNoiseDocument] = {}
+    unknown: list[UnknownDocument] = []
 
 
 def read_diagnosis(path: Path) -> DiagnosisDocument:

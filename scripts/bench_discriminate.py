@@ -181,7 +181,7 @@ def report_separation(given: argparse.Namespace) -> None:
     head.append("design [s]")
     print("| " + " | ".join(head) + " |\n|---|---|" + "---:|" * (len(head) - 2), flush=True)
     ratios, times = [], []
-    for name in given.robots:
+    for name in given.robots or ROBOTS:
         for title, d_optimal, random, best, seconds in compare(name, given):
             ratios.append((best / random, best / d_optimal))
             times.append(seconds)
@@ -220,7 +220,8 @@ def rate_words(flags: Sequence[bool]) -> str:
 
 def report_cases(given: argparse.Namespace) -> None:
     """Examine concealed cases, then print their outcomes and draw the evidence."""
-    discrimination_cases.run(given.folder, given.cases, given.seed, given.candidates)
+    robots = given.robots or discrimination_cases.ROBOTS
+    discrimination_cases.run(given.folder, given.cases, given.seed, given.candidates, robots)
     entries = discrimination_cases.results(given.folder)
     cases = [entry for entry in entries if entry["status"] == "class"]
     faults = sum(entry["status"] == "error" for entry in entries)
@@ -284,7 +285,12 @@ def main() -> int:
     parser.add_argument(
         "--candidates", type=int, default=400, help="robots that are tried for the cases at most"
     )
-    parser.add_argument("--robots", nargs="+", default=ROBOTS, metavar="ROBOT")
+    parser.add_argument(
+        "--robots",
+        nargs="+",
+        metavar="ROBOT",
+        help="built-in robots of the table, or of the cases in turn",
+    )
     parser.add_argument(
         "--nuisance",
         action="store_true",

@@ -13,7 +13,7 @@ import dataclasses
 import json
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,19 +75,20 @@ def canonical(name: str) -> str:
     return SYNONYMS.get(name, name)
 
 
-def plan(count: int, seed: int) -> list[CaseSpec]:
+def plan(count: int, seed: int, robots: Sequence[str] = ROBOTS) -> list[CaseSpec]:
     """Return the specifications of candidate cases: one training recording, no prior.
 
     Args:
         count: Number of candidates.
         seed: Seed of the plan.
+        robots: Built-in robots of the cases, in turn.
     """
     drawn = CasePlan(2 * count, seed, "scored", GROUPS).specs()
     usable = [spec for spec in drawn if not spec.trusted][:count]
     return [
         dataclasses.replace(
             spec,
-            robot=ROBOTS[k % len(ROBOTS)],
+            robot=robots[k % len(robots)],
             training=1,
             nuisance=FIRST_RECORDING,
             severities=tuple(SEVERITIES[spec.seed % len(SEVERITIES)] for _ in spec.names),
@@ -353,7 +354,9 @@ def _compared(trial: Trial, question: OpenClass) -> dict[str, Any]:
     }
 
 
-def run(folder: Path, wanted: int, seed: int, candidates: int) -> None:
+def run(
+    folder: Path, wanted: int, seed: int, candidates: int, robots: Sequence[str] = ROBOTS
+) -> None:
     """Examine candidates until enough of them have an open class; continue where it stopped.
 
     Args:
@@ -361,10 +364,11 @@ def run(folder: Path, wanted: int, seed: int, candidates: int) -> None:
         wanted: Number of cases with an open class.
         seed: Seed of the plan.
         candidates: Largest number of candidates.
+        robots: Built-in robots of the cases, in turn.
     """
     folder.mkdir(parents=True, exist_ok=True)
     cases = sum(entry["status"] == "class" for entry in results(folder))
-    for number, spec in enumerate(plan(candidates, seed)):
+    for number, spec in enumerate(plan(candidates, seed, robots)):
         path = folder / f"{number:04d}.json"
         if cases >= wanted:
             return

@@ -18,6 +18,8 @@ TEXT = {
     "given",
     "for_task",
     "discriminate",
+    "discriminating",
+    "before",
     "out",
     "srdf",
     "scene",

@@ -5,6 +5,11 @@
 designed to discriminate over those of a D-optimal and of random feasible motions of equal length
 under the same limits. Both effects have the same size along the D-optimal motion; the separation of
 a pair is the smaller one of both directions. The load effects act at the second joint.
+
+--cases N: concealed robots whose first diagnosis leaves several names open
+(`discrimination_cases`): how often one more run along a discriminating, a D-optimal, a random or
+the same motion gives the right single name, and how large the evidence is that was expected and
+that came.
 """
 
 from __future__ import annotations
@@ -16,10 +21,15 @@ import sys
 import time
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
+import discrimination_cases
 import numpy as np
+from concealed_trial.score import rate
+from discrimination_cases import ARMS, DECIDED, outcome
 
 from excite._types import FloatArray
 from excite.designer import initial_guess, optimize
@@ -37,6 +47,8 @@ from excite.designer.explanations import EffectSpecification, friction_of, symbo
 from excite.designer.optimize import DesignSetup
 from excite.designer.options import DesignOptions
 from excite.errors import ExciteError, ExciteWarning
+from excite.report.figures import svg
+from excite.report.figures.drawing import BLUE, GREY, ORANGE, axes_grid, render_svg
 from excite.robot import limits, robot
 from excite.robot.inertial_parameters import COULOMB_WIDTH
 from excite.trajectory.fourier import FourierSeries
@@ -169,7 +181,7 @@ def report_separation(given: argparse.Namespace) -> None:
     head.append("design [s]")
     print("| " + " | ".join(head) + " |\n|---|---|" + "---:|" * (len(head) - 2), flush=True)
     ratios, times = [], []
-    for name in given.robots:
+    for name in given.robots or ROBOTS:
         for title, d_optimal, random, best, seconds in compare(name, given):
             ratios.append((best / random, best / d_optimal))
             times.append(seconds)
@@ -188,11 +200,97 @@ def report_separation(given: argparse.Namespace) -> None:
     )
 
 
+def evidence_pairs(cases: Sequence[dict[str, Any]], arm: str) -> FloatArray:
+    """Return expected and realised log Bayes factors of the truth over its rivals, shape (k, 2)."""
+    pairs = [
+        (entry["arms"][arm]["expected"][rival], value)
+        for entry in cases
+        for rival, value in entry["arms"][arm]["realised"].items()
+        if rival in entry["arms"][arm]["expected"]
+    ]
+    return np.array(pairs).reshape(-1, 2)
+
+
+def rate_words(flags: Sequence[bool]) -> str:
+    """Return a rate with its 95 % interval by Wilson in percent."""
+    result = rate(flags)
+    low, high = result["interval"]
+    return f"{100 * result['value']:.0f} % ({100 * low:.0f}-{100 * high:.0f})"
+
+
+def report_cases(given: argparse.Namespace) -> None:
+    """Examine concealed cases, then print their outcomes and draw the evidence."""
+    robots = given.robots or discrimination_cases.ROBOTS
+    discrimination_cases.run(given.folder, given.cases, given.seed, given.candidates, robots)
+    entries = discrimination_cases.results(given.folder)
+    cases = [entry for entry in entries if entry["status"] == "class"]
+    faults = sum(entry["status"] == "error" for entry in entries)
+    print(f"{len(cases)} cases with an open class of {len(entries)} candidates ({faults} faults)\n")
+    if not cases:
+        return
+    print(
+        "| second motion | " + " | ".join(DECIDED) + " | rank correlation | realised / expected |"
+    )
+    print("|---|" + "---:|" * (len(DECIDED) + 2))
+    for arm in ARMS:
+        outcomes = [outcome(entry["arms"][arm], entry["question"]["truth"]) for entry in cases]
+        cells = [rate_words([o == kind for o in outcomes]) for kind in DECIDED]
+        pairs = evidence_pairs(cases, arm)
+        ranks = np.argsort(np.argsort(pairs, axis=0), axis=0)
+        correlation = float(np.corrcoef(ranks.T)[0, 1]) if len(pairs) > 2 else np.nan
+        ratios = pairs[:, 1] / np.maximum(pairs[:, 0], 1e-9)
+        low, middle, high = np.quantile(ratios, (0.25, 0.5, 0.75)) if len(pairs) else [np.nan] * 3
+        cells += [f"{correlation:.2f}", f"{middle:.2g} ({low:.2g} to {high:.2g})"]
+        print(f"| {arm} | " + " | ".join(cells) + " |")
+    picture = given.folder / "evidence.svg"
+    picture.write_text(evidence_picture(cases), encoding="utf-8")
+    print(f"\nwrote {picture}")
+
+
+def evidence_picture(cases: Sequence[dict[str, Any]]) -> str:
+    """Draw the realised over the expected evidence of all arms, as SVG."""
+
+    def draw(figure: Any) -> None:
+        axes = axes_grid(figure, 1, len(ARMS), margins=(0.75, 0.15, 0.35, 0.5), gaps=(0.3, 0.2))
+        for axis, arm in zip(axes[0], ARMS, strict=True):
+            pairs = evidence_pairs(cases, arm)
+            axis.set_xscale("symlog", linthresh=1.0)
+            axis.set_yscale("symlog", linthresh=1.0)
+            top = max(float(np.abs(pairs).max(initial=1.0)), 10.0)
+            axis.plot([0.0, top], [0.0, top], color=GREY, linewidth=0.8)
+            right = pairs[:, 1] > 0.0
+            axis.plot(*pairs[right].T, "o", color=BLUE, markersize=3.5)
+            axis.plot(*pairs[~right].T, "x", color=ORANGE, markersize=4.5)
+            axis.set_title(arm, loc="left", pad=3)
+            axis.set_xlabel("expected ln B")
+        axes[0, 0].set_ylabel("realised ln B")
+
+    title = "Evidence for the truth over its rivals after both recordings; orange: for the rival"
+    return svg.standalone(render_svg(title, 2.9, draw))
+
+
 def main() -> int:
     """Run the benchmark; return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--separation", action="store_true", help="the table of separations")
-    parser.add_argument("--robots", nargs="+", default=ROBOTS, metavar="ROBOT")
+    parser.add_argument(
+        "--cases", type=int, metavar="N", help="concealed cases with an open class to examine"
+    )
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=Path("out/discrimination"),
+        help="results of the cases; a run continues there (default %(default)s)",
+    )
+    parser.add_argument(
+        "--candidates", type=int, default=400, help="robots that are tried for the cases at most"
+    )
+    parser.add_argument(
+        "--robots",
+        nargs="+",
+        metavar="ROBOT",
+        help="built-in robots of the table, or of the cases in turn",
+    )
     parser.add_argument(
         "--nuisance",
         action="store_true",
@@ -208,11 +306,16 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=-1, help="processes (-1: one per core)")
     given = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)
-    if not given.separation:
-        print("bench_discriminate: nothing to measure; give --separation", file=sys.stderr)
+    if not given.separation and given.cases is None:
+        print(
+            "bench_discriminate: nothing to measure; give --separation or --cases", file=sys.stderr
+        )
         return 2
     try:
-        report_separation(given)
+        if given.separation:
+            report_separation(given)
+        if given.cases is not None:
+            report_cases(given)
     except ExciteError as error:
         print(f"bench_discriminate: {error}", file=sys.stderr)
         return 2

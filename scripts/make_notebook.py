@@ -525,8 +525,8 @@ DESIGN_FOR_A_TASK = [
 A robot repeats a task, and its torque along this task is what the model is for. This
 notebook designs the motion that predicts the task best, records a robot that follows
 it, identifies the robot, and repeats this with all recordings so far as `given`. It
-stops by a rule: the task's torque is known to 1 %, or one more run would gain less
-than 0.1 %.
+stops by the rule that the tool prints: the task's torque is known to 1 %, and one
+more run would gain less than 0.1 %.
 
 The robot is simulated (`.venv/bin/pip install -e '.[sim]'`).""",
     ),
@@ -545,7 +545,6 @@ from excite.robot.limits import resolve
 
 arm = excite.load_robot("ur10e")
 folder = Path(tempfile.mkdtemp())
-KNOWN, GAIN = 0.01, 0.001  # relative standard deviations of the stopping rule
 NOISE = 0.03  # torque noise over the torque limits, as of motor currents""",
     ),
     (
@@ -576,7 +575,7 @@ from all recordings. `design.task` predicts the torque band along the task befor
 motion, after it, and after one more run of the same motion.
 
 Look at how fast the standard deviation falls, and at the gain of one more run, which
-ends the loop.""",
+ends the loop; `prediction.advice` is the last line of each round.""",
     ),
     (
         "code",
@@ -592,8 +591,6 @@ for number in range(4):
         period=4.0,
     )
     prediction = design.task
-    bands = prediction.before, prediction.after, prediction.again
-    before, after, again = (prediction.relative(band) for band in bands)
     first = prediction.after if number == 0 else first
     print(f"run {number + 1}, certified: {design.ok}; {prediction.summary()}")
     design.save(folder / f"run{number}")
@@ -602,8 +599,7 @@ for number in range(4):
     )
     given += [path for path in recording.save(folder / f"run{number}.csv") if path.suffix == ".csv"]
     model = excite.identify(arm, given)
-    if after < KNOWN and after - again < GAIN:
-        print(f"stop: the torque is known to {100 * after:.2f} %, one more run gains too little")
+    if prediction.is_last:
         break""",
     ),
     (

@@ -132,7 +132,8 @@ def test_small_contributions_are_summed() -> None:
 
 def test_alternatives_come_with_the_experiment_that_separates_them() -> None:
     stated = document(diagnosis_of(2.0))
-    first = {**stated["findings"][0], "effect": "hysteresis", "equivalents": ["delay"]}
+    changes = {"effect": "hysteresis", "equivalents": ["delay"], "rivals": []}
+    first = {**stated["findings"][0], **changes}
     text = report_of(2.0, findings=[first])
     assert "or delay" in section(text, "what")
     experiments = section(text, "next")

@@ -13,6 +13,7 @@ import pytest
 
 from excite import api
 from excite.api.design_result import CellOptions
+from excite.api.discriminating_design import read_questions
 from excite.cli.main import main
 from excite.designer import optimize
 from excite.designer.criteria import Criterion
@@ -29,7 +30,14 @@ from excite.designer.discrimination_design import (
     competing_pairs,
     sampled_motion,
 )
-from excite.designer.effect_columns import SYMBOLIC_EFFECTS, RobotConstants, SymbolicEffect
+from excite.designer.effect_columns import (
+    SYMBOLIC_EFFECTS,
+    UNKNOWN,
+    EffectColumns,
+    RobotConstants,
+    SymbolicEffect,
+    curve_values,
+)
 from excite.designer.evaluator import Evaluator
 from excite.designer.explanations import EffectSpecification, stated_factor, symbolic_effect
 from excite.designer.options import DesignOptions
@@ -112,6 +120,41 @@ def test_gradient_equals_finite_differences(effect: str):
     direction = rng.normal(size=problem.size)
     _, gradient = evaluator.objective(x, 1.0)
     step = 2e-7
+    ends = [evaluator.objective(x + h * direction, 1.0)[0] for h in (step, -step)]
+    assert gradient @ direction == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-6)
+
+
+@pytest.mark.parametrize("over_speed", [False, True])
+@pytest.mark.parametrize("directed", [False, True])
+def test_the_column_of_an_unknown_torque_is_its_curve(over_speed: bool, directed: bool):
+    x, y = np.linspace(-2.0, 2.0, 9), np.sin(np.linspace(-2.0, 2.0, 9))
+    values = curve_values(x.tolist(), y.tolist(), over_speed=over_speed, directed=directed)
+    columns = EffectColumns(constants(), [SymbolicEffect(UNKNOWN, 0, values, 1)])
+    motion = sampled_motion(setup().problem.robot, setup().problem.parameters, reference())
+    torque = columns.evaluate(motion).columns[:, :, 0]
+    expected = np.interp((motion.dq if over_speed else motion.q)[:, 1], x, y)
+    if directed:
+        expected = expected * np.tanh(motion.dq[:, 0] / COULOMB_WIDTH)
+    np.testing.assert_allclose(torque[:, 0], expected, atol=0.05)
+    assert not torque[:, 1].any()
+
+
+@pytest.mark.parametrize("over_speed", [False, True])
+def test_gradient_of_an_unknown_torque(over_speed: bool):
+    problem, rng = setup().problem, np.random.default_rng(4)
+    values = curve_values([-2.0, 0.0, 1.0], [1.0, -2.0, 1.5], over_speed=over_speed, directed=True)
+    spring = question("spring")
+    candidates = (
+        CandidateExplanation(SymbolicEffect(UNKNOWN, 0, values), np.ones((1, 1)), 0.5),
+        dataclasses.replace(spring.candidates[0], probability=0.5),
+    )
+    pairs = tuple(competing_pairs([0, 1], [0.5, 0.5], lambda a, b: ()))
+    competing = ExplanationSet(spring.constants, candidates, pairs)
+    objective = competing.objective(problem, setup().base, reference())
+    evaluator = Evaluator(dataclasses.replace(problem, objective=objective))
+    x = problem.variables(reference()) + 0.05 * rng.normal(size=problem.size)
+    direction, step = rng.normal(size=problem.size), 2e-7
+    _, gradient = evaluator.objective(x, 1.0)
     ends = [evaluator.objective(x + h * direction, 1.0)[0] for h in (step, -step)]
     assert gradient @ direction == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-6)
 
@@ -243,6 +286,32 @@ def test_the_command_reports_comparisons_and_a_menu(
     trajectory = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
     assert trajectory["design"]["discriminate"] == str(path)
     assert main(["verify", str(out / "trajectory.json")]) == 0
+
+
+def test_the_curve_of_unknown_torque_competes(tmp_path: Path):
+    first, second = joints()
+    path = write(tmp_path, {**LOAD, "joint": first})
+    document = json.loads(path.read_text(encoding="utf-8"))
+    response = {"over": f"{second}: speed [rad/s]", "relative": False}
+    response |= {"x": [-1.0, 0.0, 1.0], "y": [0.5, 0.0, -0.5]}
+    lagging = {"over": "since a load [s]", "relative": True, "x": [0.0, 0.1], "y": [1.0, 0.5]}
+    document["unknown"] = [
+        {"joint": joint, "probability": 0.8, "where": {"regime": regime, "response": curve}}
+        for joint, regime, curve in (
+            (first, "speed", response),
+            (second, "past load", lagging),
+        )
+    ]
+    path.write_text(json.dumps(document), encoding="utf-8")
+    robot = load("two_link")
+    questions = read_questions(path, robot, resolve(robot), DesignOptions())
+    forms = [candidate.form for candidate in questions.explanations.candidates]
+    unknown = next(k for k, form in enumerate(forms) if form.effect == UNKNOWN)
+    assert forms[unknown].joint == 0 and forms[unknown].other == 1
+    pairs = {(c.true, c.rival) for c in questions.explanations.comparisons}
+    assert {(unknown, None), (unknown, 0), (0, unknown)} <= pairs
+    (omitted,) = questions.omitted
+    assert "no curve over position or speed (past load)" in omitted
 
 
 @pytest.mark.parametrize(

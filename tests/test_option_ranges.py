@@ -20,6 +20,8 @@ TEXT = {
     "given",
     "for_task",
     "discriminate",
+    "discriminating",
+    "before",
     "out",
     "srdf",
     "scene",

@@ -18,6 +18,7 @@ from excite.designer import identifiability, optimize, task_variance
 from excite.designer.criteria import Criterion
 from excite.designer.evaluator import Evaluator
 from excite.designer.options import DesignOptions
+from excite.designer.task_variance import TaskPrediction, TorqueBand
 from excite.robot import dynamics
 from excite.robot.limits import resolve
 from excite.robot.robot import load
@@ -160,6 +161,27 @@ def test_the_command_reports_the_band_before_and_after(
     assert again["before"] < 1.1 * std["after_one_more"]
     assert again["after"] < again["before"]
     assert main(["verify", str(out / "trajectory.json")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("bands", "words"),
+    [
+        ((0.5, 0.05, 0.03), "design again with --given"),
+        ((0.5, 0.005, 0.0035), "design again with --given"),
+        ((0.5, 0.005, 0.0045), "record this motion, then stop"),
+        ((0.005, 0.0045, 0.0042), "stop, what is given suffices"),
+    ],
+)
+def test_the_stopping_rule_needs_a_known_task_and_a_small_gain(
+    bands: tuple[float, ...], words: str
+):
+    unit = np.ones((1, 1))
+    prediction = TaskPrediction(
+        "task.csv", ("j",), unit, np.ones(1), *(TorqueBand(std * unit) for std in bands)
+    )
+    assert prediction.advice.startswith(words) or words in prediction.advice
+    assert prediction.summary().splitlines()[1] == f"next: {prediction.advice}"
+    assert prediction.document()["advice"] == prediction.advice
 
 
 @pytest.mark.parametrize(

@@ -142,8 +142,8 @@ class DesignResult(SavedResult):
         """Decisions expected of the recording; None without `--discriminate`."""
         if self.questions is None:
             return None
-        problem, motion = self.delivery.design.setup.problem, self.trajectory.motion.fourier
-        return self.questions.result(problem, self.trajectory.limits, motion)
+        problem, trajectory = self.delivery.design.setup.problem, self.delivery.trajectory
+        return self.questions.result(problem, trajectory.limits, trajectory.motion.fourier)
 
     @cached_property
     def isolability(self) -> tuple[PairForecast, ...]:
@@ -179,6 +179,9 @@ class DesignResult(SavedResult):
     def trajectory(self) -> Trajectory:
         """The content of `trajectory.json`."""
         first = self.delivery.trajectory
+        if self.discrimination is not None:
+            expected = self.discrimination.expected_evidence()
+            first = replace(first, design={**first.design, "discrimination": expected})
         return first if self.validation is None else self.validation.annotate(first)
 
     @property
@@ -361,18 +364,20 @@ def design(
     for box in chosen.boxes:
         loaded.frame(box.frame)
     pose = None if start is None else np.asarray(start, float)
-    earlier = _information(given, loaded, table, chosen)
-    information = None if earlier is None else earlier.T @ earlier
     if for_task is not None and discriminate is not None:
         raise UnusableInput("--for and --discriminate are two criteria; choose one")
     if chosen.payload_link is not None and (for_task is not None or discriminate is not None):
         name = "--for" if discriminate is None else "--discriminate"
         raise UnusableInput(f"{name} and --for-payload are two criteria; choose one")
+    recorded = [motion_samples(Path(path), loaded)[0] for path in given]
     questions = None
     if discriminate is not None:
-        questions = read_questions(Path(discriminate), loaded, table, chosen)
+        questions = read_questions(Path(discriminate), loaded, table, chosen).with_given(recorded)
         count = 2 * chosen.samples if samples is None else chosen.samples
-        chosen = replace(chosen, criterion=Criterion.D, samples=count)
+        noise = questions.noise if chosen.noise is None else chosen.noise
+        chosen = replace(chosen, criterion=Criterion.D, samples=count, noise=noise)
+    earlier = _information(recorded, loaded, table, chosen)
+    information = None if earlier is None else earlier.T @ earlier
     task = None if for_task is None else read_task(Path(for_task), loaded, table, chosen)
     if task is not None:
         weak = task_variance.prior_information(task.parameters)
@@ -385,6 +390,8 @@ def design(
         "speed": speed,
         "chosen": request.unspecified,
     }
+    if questions is not None and questions.noise is not None and chosen.noise is questions.noise:
+        facts["torque_noise_source"] = f"noise floor of {questions.source}"
     if chosen.noise is None:
         facts["torque_noise_source"] = "1 % of each torque limit (default)"
     workcell, unchecked = cell.cell(loaded, table)
@@ -529,22 +536,19 @@ def motion_samples(
 
 
 def _information(
-    paths: Sequence[str | Path], robot: Robot, limits: Limits, options: DesignOptions
+    recorded: Sequence[Samples], robot: Robot, limits: Limits, options: DesignOptions
 ) -> FloatArray | None:
     """Return a root of the information of earlier recordings in standard parameters.
 
     Returns:
         R with information matrix RᵀR, shape (m, P); None without recordings.
     """
-    if not paths:
+    if not recorded:
         return None
     standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     noise = torque_noise_levels(limits, options.noise)
     roots = [
-        identifiability.information_root(
-            robot, standard, motion_samples(Path(path), robot)[0], noise
-        )
-        for path in paths
+        identifiability.information_root(robot, standard, samples, noise) for samples in recorded
     ]
     return np.vstack(roots)
 

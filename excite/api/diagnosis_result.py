@@ -13,14 +13,21 @@ from threadpoolctl import threadpool_limits
 
 from .. import _json
 from .._system.progress import Progress, logger
-from ..diagnosis import diagnosis
+from ..diagnosis import decisions, diagnosis
+from ..diagnosis.decisions import Decisions, ExpectedEvidence
 from ..diagnosis.diagnosis_file import document as diagnosis_document
 from ..diagnosis.diagnosis_file import joint_entry
+from ..errors import UnusableInput
 from ..identification import identified_model
 from ..identification import prior as prior_module
 from ..recordings import Recording, recording_cost
 from ..robot import base_parameters, inertial_parameters
+from ..robot.base_parameters import Base
+from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
+from ..robot.robot import Robot
+from ..schemas.diagnosis import DiagnosisDocument, diagnosis_file, read_diagnosis
+from ..trajectory import trajectory_file
 from .identification_result import (
     RecordingSource,
     TrajectorySources,
@@ -44,6 +51,7 @@ class DiagnosisResult(SavedResult):
         recordings: Recordings that the model is fitted to.
         validation: Held-out recordings.
         with_report: True if a report is written.
+        decisions: What the discriminating recordings decided; None without any.
     """
 
     FILES = DIAGNOSIS_FILES
@@ -52,6 +60,7 @@ class DiagnosisResult(SavedResult):
     recordings: tuple[Recording, ...]
     validation: tuple[Recording, ...]
     with_report: bool = True
+    decisions: Decisions | None = None
 
     @property
     def doubts(self) -> list[dict[str, Any]]:
@@ -61,6 +70,8 @@ class DiagnosisResult(SavedResult):
     @cached_property
     def _document(self) -> dict[str, Any]:
         document = diagnosis_document(self.diagnosis)
+        if self.decisions is not None:
+            document = self.decisions.applied_to(document)
         return withhold_findings(document, self.doubts) if self.doubts else document
 
     def document(self) -> dict[str, Any]:
@@ -134,6 +145,7 @@ def withhold_findings(
         ],
         "unknown": [],
         "between_recordings": [],
+        **({"decisions": []} if "decisions" in document else {}),
         "joints": {
             joint: joint_entry(
                 entry["noise_floor"],
@@ -160,6 +172,8 @@ def diagnose(
     band: float | None = None,
     trajectory: TrajectorySources = (),
     columns: Mapping[str, str] = MappingProxyType({}),
+    discriminating: Sequence[RecordingSource] = (),
+    before: str | Path | None = None,
     with_report: bool = True,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
@@ -175,19 +189,32 @@ def diagnose(
         trajectory: The `trajectory.json` that was executed, or several: each recording takes
             period, window and commanded positions from the one that it holds.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+        discriminating: Further recordings that models are fitted to, made to tell apart what
+            `recordings` alone leave open.
+        before: `diagnosis.json` of `recordings` alone; None: computed where `discriminating` needs
+            it.
         with_report: Write a report.
         progress: Called with each line of progress; None: the logger "excite" at level INFO.
 
     Raises:
         UnusableInput: An argument or a file cannot be used.
     """
+    if before is not None and not discriminating:
+        raise UnusableInput(f"--before {before}: goes with --discriminating RECORDING")
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
     report = progress or logger.info
     train, held_out = read_both(
-        loaded, table, recordings, validate, trajectory=trajectory, columns=columns
+        loaded,
+        table,
+        [*recordings, *discriminating],
+        validate,
+        trajectory=trajectory,
+        columns=columns,
+        require_trajectory=not discriminating,
     )
     loaded = robot_of_torque(loaded, [*train, *held_out])
+    earlier = None if before is None else _earlier(Path(before), loaded)
     standard = inertial_parameters.standard_parameters(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
     trusted = (
@@ -195,6 +222,50 @@ def diagnose(
     )
     recording_cost.require_diagnosable([*train, *held_out], report)
     options = diagnosis.DiagnosisOptions(band, trusted)
+    setup = loaded, standard, base
     with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
-        result = diagnosis.diagnose(loaded, standard, base, train, held_out, options, report)
-    return DiagnosisResult(result, tuple(train), tuple(held_out), with_report)
+        result = diagnosis.diagnose(*setup, train, held_out, options, report)
+        decided = None
+        if discriminating:
+            if earlier is None:
+                report("diagnosis of the earlier recordings alone")
+                earlier = _diagnosed(setup, train[: len(recordings)], held_out, options, report)
+            decided = decisions.decide(earlier, result, _expected(trajectory))
+    return DiagnosisResult(result, tuple(train), tuple(held_out), with_report, decided)
+
+
+def _earlier(path: Path, robot: Robot) -> DiagnosisDocument:
+    """Read the diagnosis of the earlier recordings.
+
+    Raises:
+        UnusableInput: The file cannot be used, or names other joints.
+    """
+    document = read_diagnosis(path)
+    unknown = {f.joint for f in document.findings if f.joint is not None} - set(robot.joints)
+    if unknown:
+        raise UnusableInput(
+            f"--before {path}: no joint '{min(unknown)}'; the joints are "
+            f"{', '.join(robot.joints)}; give the diagnosis of this robot"
+        )
+    return document
+
+
+def _diagnosed(
+    setup: tuple[Robot, Parameters, Base],
+    train: Sequence[Recording],
+    held_out: Sequence[Recording],
+    options: diagnosis.DiagnosisOptions,
+    report: Progress,
+) -> DiagnosisDocument:
+    """Diagnose the earlier recordings alone."""
+    result = diagnosis.diagnose(*setup, train, held_out, options, report)
+    file = diagnosis_file(Path("diagnosis.json"))
+    return file.converted(diagnosis_document(result), DiagnosisDocument)
+
+
+def _expected(trajectories: TrajectorySources) -> list[ExpectedEvidence]:
+    """Return the evidence that the designs among the executed trajectories expected."""
+    paths = [trajectories] if isinstance(trajectories, str | Path) else list(trajectories)
+    designs = (trajectory_file.read_trajectory(Path(path)).design for path in paths)
+    expected = (ExpectedEvidence.of_design(design) for design in designs)
+    return [evidence for evidence in expected if evidence is not None]

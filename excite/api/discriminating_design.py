@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..designer.criteria import Criterion
+from ..designer.design_objective import SampledMotion
 from ..designer.discrimination import Comparison, SeparationObjective
 from ..designer.discrimination_design import (
     CandidateExplanation,
@@ -19,7 +20,13 @@ from ..designer.discrimination_design import (
     sampled_motion,
 )
 from ..designer.discrimination_result import DiscriminationResult
-from ..designer.effect_columns import SYMBOLIC_EFFECTS, RobotConstants
+from ..designer.effect_columns import (
+    SYMBOLIC_EFFECTS,
+    UNKNOWN,
+    RobotConstants,
+    SymbolicEffect,
+    curve_values,
+)
 from ..designer.experiment_menu import compute_menu
 from ..designer.explanations import EffectSpecification, stated_factor, symbolic_effect
 from ..designer.options import DesignOptions
@@ -28,17 +35,40 @@ from ..effects import EFFECTS_BY_NAME
 from ..errors import ExciteWarning, UnusableInput
 from ..identification.identified_model import read_model
 from ..robot import inertial_parameters
+from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import COULOMB_WIDTH
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..schemas.diagnosis import SCHEMA, DiagnosisDocument, FindingDocument
+from ..robot.samples import Samples
+from ..schemas.diagnosis import (
+    FindingDocument,
+    JointNoiseDocument,
+    ResponseDocument,
+    UnknownDocument,
+    diagnosis_file,
+    read_diagnosis,
+)
 from ..schemas.document_file import DocumentFile
 from ..trajectory.fourier import FourierSeries
+from .identification_result import REFERENCE_RATE
 
 MIN_PROBABILITY = 0.02
 """Probability that an explanation has at least, however small the diagnosis states it [1]."""
 MAX_CONSIDERED = 4
 """Considered effects of a joint that compete, the most probable ones [1]."""
+CURVE_REGIMES = {
+    "position": (False, False),
+    "place": (False, False),
+    "position and direction": (False, True),
+    "speed": (True, False),
+}
+"""Regimes of unknown torque that its curve determines: whether the curve is over the speed, and
+whether the torque changes its sign with the direction of motion."""
+MIN_CURVE_POINTS = 3
+"""Points of a curve from which it competes [1]."""
+MAX_GIVEN_ROWS = 2000
+"""Rows of an earlier recording that count as one period [1]: 20 s, of which the ends are a small
+part."""
 WITHOUT_JOINT = ("delay", "gravity_tilt")
 """Effects of `SYMBOLIC_EFFECTS` that need no joint."""
 
@@ -51,11 +81,30 @@ class DiagnosisQuestions:
         source: Path of the diagnosis.
         explanations: Competing explanations.
         omitted: Effects that take no part, and why.
+        noise: Torque noise that the diagnosis found, by joint [N m]; None where it is not stated.
     """
 
     source: str
     explanations: ExplanationSet
     omitted: tuple[str, ...]
+    noise: tuple[float, ...] | None = None
+
+    def with_given(self, given: Sequence[Samples]) -> DiagnosisQuestions:
+        """Return the questions with the motions of earlier recordings.
+
+        Args:
+            given: Their samples at `REFERENCE_RATE`.
+        """
+        constants = self.explanations.constants
+        motions = []
+        for samples in given:
+            for start in range(0, len(samples), MAX_GIVEN_ROWS):
+                part = samples.rows(slice(start, start + MAX_GIVEN_ROWS))
+                Y = regressor(constants.robot, constants.parameters, part)
+                motions.append(
+                    SampledMotion(part.q, part.dq, part.ddq, Y, len(part) / REFERENCE_RATE)
+                )
+        return replace(self, explanations=replace(self.explanations, given=tuple(motions)))
 
     def result(
         self, problem: DesignProblem, limits: Limits, designed: FourierSeries
@@ -83,6 +132,7 @@ class DiagnosisQuestions:
             odds[0],
             odds[1],
             compute_menu(problem, limits, objective, reference, designed),
+            objective.given is not None,
         )
 
 
@@ -91,9 +141,10 @@ def read_questions(
 ) -> DiagnosisQuestions:
     """Read the competing explanations of a diagnosis.
 
-    Each finding competes with its equivalents, and with the effects considered at its joint; what
-    stands alone competes with no effect at all. The findings elsewhere are fitted jointly. Load and
-    friction are those of the `model.json` next to the diagnosis where it fits the robot.
+    Each finding competes with its equivalents and rivals, and with the effects considered at its
+    joint; what stands alone competes with no effect at all. The findings elsewhere are fitted
+    jointly. Load and friction are those of the `model.json` next to the diagnosis where it fits the
+    robot.
 
     Args:
         path: The `diagnosis.json`.
@@ -109,15 +160,11 @@ def read_questions(
         raise UnusableInput(
             f"--discriminate {path}: replaces the criterion; leave out --criterion and --plain"
         )
-    file = DocumentFile(
-        path, "a diagnosis", "diagnose again", "the diagnosis.json of 'excite diagnose'"
-    )
-    content = file.json()
-    file.schema(content, (SCHEMA,))
-    document = file.converted(content, DiagnosisDocument)
-    builder = _Builder(file, robot, _constants(path, robot, limits, options))
+    document = read_diagnosis(path)
+    builder = _Builder(diagnosis_file(path), robot, _constants(path, robot, limits, options))
     builder.add_findings(document.findings)
     builder.add_considered(document.considered)
+    builder.add_unknown(document.unknown)
     comparisons = builder.comparisons()
     if not comparisons:
         raise UnusableInput(
@@ -126,7 +173,15 @@ def read_questions(
             + "; design with --for or --criterion"
         )
     explanations = ExplanationSet(builder.constants, tuple(builder.candidates), comparisons)
-    return DiagnosisQuestions(str(path), explanations, tuple(builder.omitted))
+    stated: dict[str, JointNoiseDocument] = {str(k): v for k, v in document.joints.items()}
+    floors = [stated.get(joint, JointNoiseDocument()).noise_floor for joint in robot.joints]
+    noise = tuple(floor for floor in floors if floor)
+    return DiagnosisQuestions(
+        str(path),
+        explanations,
+        tuple(builder.omitted),
+        noise if len(noise) == robot.n else None,
+    )
 
 
 def _constants(path: Path, robot: Robot, limits: Limits, options: DesignOptions) -> RobotConstants:
@@ -148,6 +203,27 @@ def _constants(path: Path, robot: Robot, limits: Limits, options: DesignOptions)
     return RobotConstants(robot, standard, psi, widths, limits)
 
 
+def _shares(finding: FindingDocument) -> dict[str, float]:
+    """Return the probability of a finding and of each rival, which sum to its probability.
+
+    The odds are those that the diagnosis states, or else even.
+    """
+    log_odds = {rival.effect: rival.log_odds for rival in finding.rivals}
+    names = tuple(dict.fromkeys((finding.effect, *finding.equivalents, *log_odds)))
+    logs = np.array([-(log_odds.get(name) or 0.0) for name in names])
+    weights = np.exp(logs - logs.max())
+    shares = finding.probability * weights / weights.sum()
+    return dict(zip(names, shares.tolist(), strict=True))
+
+
+def _is_usable(response: ResponseDocument) -> bool:
+    """Tell whether a curve has enough points, in ascending order."""
+    x, y = np.array(response.x), np.array(response.y)
+    return len(x) == len(y) >= MIN_CURVE_POINTS and bool(
+        (np.diff(x) > 0.0).all() and np.isfinite([x, y]).all() and np.abs(y).max() > 0.0
+    )
+
+
 class _Builder:
     """Collect explanations and comparisons.
 
@@ -166,6 +242,7 @@ class _Builder:
         self.omitted: list[str] = []
         self._classes: list[list[int]] = []
         self._considered: list[int] = []
+        self._unknown: list[int] = []
 
     def _joint(self, name: str | None, where: str) -> int | None:
         """Return the index of a joint."""
@@ -222,15 +299,16 @@ class _Builder:
         )
 
     def add_findings(self, findings: Sequence[FindingDocument]) -> None:
-        """Add each finding and its equivalents as one class."""
+        """Add each finding, its equivalents and its rivals as one class."""
         for number, finding in enumerate(findings):
             specification = self._specification(finding, f"findings[{number}]")
-            share = finding.probability / (1 + len(finding.equivalents))
-            main = self._add(specification, share)
+            shares = _shares(finding)
+            names = tuple(shares)
+            main = self._add(specification, shares[finding.effect])
             members = [] if main is None else [main]
-            for name in finding.equivalents:
+            for name in names[1:]:
                 rival = EffectSpecification(name, specification.joint, {})
-                index = self._add(rival, share, main)
+                index = self._add(rival, shares[name], main)
                 if index is not None and index not in members:
                     members.append(index)
             if members:
@@ -251,6 +329,30 @@ class _Builder:
                 self._considered.append(index)
                 counts[finding.joint] = counts.get(finding.joint, 0) + 1
 
+    def add_unknown(self, unknown: Sequence[UnknownDocument]) -> None:
+        """Add the curve of each torque that no effect explains."""
+        for number, entry in enumerate(unknown):
+            joint = self._joint(entry.joint, f"unknown[{number}].joint")
+            response, regime = entry.where.response, entry.where.regime
+            is_curve = response is not None and not response.relative and regime in CURVE_REGIMES
+            if response is None or not is_curve or not _is_usable(response):
+                self.omitted.append(
+                    f"unknown torque at {entry.joint}: no curve over position or speed ({regime})"
+                )
+                continue
+            over_speed, directed = CURVE_REGIMES[regime]
+            values = curve_values(response.x, response.y, over_speed=over_speed, directed=directed)
+            name, colon, _ = response.over.rpartition(": ")
+            other = self._joint(name, f"unknown[{number}].where.response.over") if colon else None
+            self.candidates.append(
+                CandidateExplanation(
+                    SymbolicEffect(UNKNOWN, joint, values, other),
+                    np.ones((1, 1)),
+                    max(entry.probability, MIN_PROBABILITY),
+                )
+            )
+            self._unknown.append(len(self.candidates) - 1)
+
     def _nuisance(self, *pair: int | None) -> tuple[int, ...]:
         """Return the main explanation of every class that neither of a pair belongs to."""
         return tuple(
@@ -263,17 +365,20 @@ class _Builder:
         out: list[Comparison] = []
         for members in self._classes:
             out += competing_pairs(members, probabilities, self._nuisance)
-        for index in self._considered:
+        for index in (*self._considered, *self._unknown):
             joint = self.candidates[index].form.joint
             rivals = [
-                members[0]
-                for members in self._classes
-                if self.candidates[members[0]].form.joint == joint
+                rival
+                for rival in (
+                    *(members[0] for members in self._classes),
+                    *(self._considered if index in self._unknown else ()),
+                )
+                if self.candidates[rival].form.joint == joint
             ]
             for pair in ([index, rival] for rival in rivals):
                 out += competing_pairs(pair, probabilities, self._nuisance)
         alone = [members[0] for members in self._classes if len(members) == 1]
-        for index in itertools.chain(alone, self._considered):
+        for index in itertools.chain(alone, self._considered, self._unknown):
             p = probabilities[index]
             weight = max(p * (1.0 - p), MIN_PROBABILITY)
             out.append(Comparison(index, None, self._nuisance(index), weight))

@@ -468,8 +468,11 @@ def read_both(
     window: tuple[float, float] | None = None,
     trajectory: TrajectorySources = (),
     columns: Mapping[str, str] = MappingProxyType({}),
+    require_trajectory: bool = True,
 ) -> tuple[list[Recording], list[Recording]]:
     """Read training and validation recordings.
+
+    With `require_trajectory` every training recording has to hold the motion of a trajectory.
 
     Raises:
         UnusableInput: A file cannot be used, or a recording is in both sets.
@@ -490,7 +493,7 @@ def read_both(
                 with_trajectory(recording, trajectory, required=is_fitted)
                 for recording in recordings_of_set
             ]
-            for recordings_of_set, is_fitted in zip(sets, (True, False), strict=True)
+            for recordings_of_set, is_fitted in zip(sets, (require_trajectory, False), strict=True)
         ]
     train_set, held_out_set = (
         [_checked(recording, robot, limits) for recording in recordings_of_set]

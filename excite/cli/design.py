@@ -143,7 +143,8 @@ def _box(frame: str, v: tuple[float, ...]) -> WorkspaceBox:
 def _noise(trajectory: Trajectory) -> str:
     """Describe the torque noise that the number of identifiable directions assumes."""
     default = np.allclose(trajectory.noise, torque_noise_levels(trajectory.limits, None))
-    return "1 % of the torque limits" if default else "as stated"
+    source = trajectory.design.get("torque_noise_source", "as stated")
+    return "1 % of the torque limits" if default else str(source)
 
 
 def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path]) -> str:

@@ -11,6 +11,7 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
+from ..report.decisions import HEAD, decision_rows, decisions_answer
 from ..report.formatting import significant
 from ..report.torque_budget import (
     change_words,
@@ -38,6 +39,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         band=arguments.band,
         trajectory=arguments.trajectory,
         columns=shared.columns(arguments),
+        discriminating=arguments.discriminating,
+        before=arguments.before,
         with_report=not arguments.no_report,
     )
     written = output.replace(result.contents())
@@ -59,6 +62,10 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
     if doubts:
         lines += ["", "the recordings are in doubt, so findings at single joints are withheld:"]
         lines += [f"  {Path(doubt['recording']).name}: {doubt['text']}" for doubt in doubts]
+    if "decisions" in document:
+        lines += ["", f"further recordings: {decisions_answer(document)[0]}"]
+        rows = decision_rows(document)
+        lines += _aligned([HEAD, *rows]) if rows else []
     budgets = joint_budgets(document, robot)
     lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])

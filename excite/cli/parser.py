@@ -934,6 +934,20 @@ def _diagnose(commands: Commands) -> None:
         help="held-out recordings for validation (required)",
     )
     sub.add_argument(
+        "--discriminating",
+        metavar="RECORDING",
+        nargs="+",
+        default=[],
+        help="recordings of a motion by 'design --discriminate', fitted like the others; the "
+        "report states the odds of each open pair of effects before, expected (with --trajectory) "
+        "and after",
+    )
+    sub.add_argument(
+        "--before",
+        metavar="DIAGNOSIS",
+        help="diagnosis.json of the recordings without the discriminating ones (default: computed)",
+    )
+    sub.add_argument(
         "--prior",
         metavar="FILE",
         help="trusted parameters: an excite.prior/1 document or a model.json",

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from .._types import FloatArray
 from .design_objective import ObjectiveGradient, SampledMotion
@@ -28,12 +29,12 @@ PRIOR_STD = 1.0
 """Prior standard deviation of the base parameters in the metric [1], as in `task_variance`."""
 RELATIVE_RANK = 1e-10
 """Eigenvalue of a Gram matrix over the largest one, below which a column adds nothing [1]."""
-SHARPNESS = 4.0
-"""ρ of the smooth minimum over comparisons, (Σ w T^−ρ)^(−1/ρ) [1]: within 20 % of the smallest of
-two equal separations."""
+EVIDENCE_SHARE = 0.2
+"""Share of the expected evidence that counts [1], because real effects have not exactly the form of
+their columns: the reciprocal of the temperature T′ of a diagnosis."""
 STOPPING_GAIN = 5e-3
-"""Decrease of the objective over ten iterations below which the search ends; the objective is the
-logarithm of a separation."""
+"""Decrease of the objective over ten iterations below which the search ends; the objective is about
+the logarithm of a separation."""
 INDISTINGUISHABLE_SHARE = 1e-8
 """Share of its squared torque that an explanation keeps at most when a rival reproduces it, for
 rounding [1]."""
@@ -91,6 +92,12 @@ class WeightedRows:
         return WeightedRows(
             np.vstack([self.base, other.base]), np.vstack([self.columns, other.columns])
         )
+
+    def compressed(self) -> WeightedRows:
+        """Return the fewest rows with the same inner products of all columns."""
+        p = self.base.shape[1]
+        triangle = np.asarray(np.linalg.qr(np.hstack([self.base, self.columns]), mode="r"))
+        return WeightedRows(triangle[:, :p], triangle[:, p:])
 
 
 @dataclass(frozen=True)
@@ -261,9 +268,15 @@ def run_rows(
 
 @dataclass(frozen=True)
 class SeparationObjective:
-    """Objective: minus the logarithm of the smallest separation, weighted by the probabilities.
+    """Objective: the expected share of wrong decisions, which the smallest separation dominates.
 
-    f = (1/ρ) log Σ w_ab T_ab^(−ρ), which tends to −log min T_ab as ρ grows.
+    The log-odds after the recording are distributed as N(T/2, T), so that the wrong explanation is
+    favoured with probability Φ(−√T/2). With ε = Σ w_ab Φ(−√(s T_ab)/2),
+
+        f = −log(−log ε) → −log min T_ab + const
+
+    for large separations. A comparison that hardly any motion decides costs its weight, whatever
+    the motion, and leaves the others alone; so does one that is decided already.
 
     Attributes:
         effects: Columns of all explanations.
@@ -271,6 +284,7 @@ class SeparationObjective:
         comparisons: The comparisons that a motion can decide.
         settings: How the motion is recorded.
         undecidable: Comparisons that no motion decides, as the rival reproduces the torque.
+        given: Rows of earlier recordings; None without.
     """
 
     effects: EffectColumns
@@ -279,6 +293,16 @@ class SeparationObjective:
     settings: RunSettings
     undecidable: tuple[Comparison, ...] = ()
     stopping_gain: float = STOPPING_GAIN
+    given: WeightedRows | None = None
+
+    def known_rows(self, std: float = PRIOR_STD) -> WeightedRows:
+        """Return the rows of the prior and of earlier recordings.
+
+        Args:
+            std: Prior standard deviation of the base parameters in the metric [1].
+        """
+        prior = prior_rows(self.settings, self.effects.count, std)
+        return prior if self.given is None else prior.stacked(self.given)
 
     def rows(self, motion: SampledMotion) -> WeightedRows:
         """Return the rows of a recording of a motion, without the prior's."""
@@ -286,8 +310,8 @@ class SeparationObjective:
         return run_rows(motion, values.columns, self.effects, self.settings).rows
 
     def separations(self, motion: SampledMotion) -> FloatArray:
-        """Return the separation of every comparison along a motion. Shape (c,)."""
-        rows = self.rows(motion).stacked(prior_rows(self.settings, self.effects.count))
+        """Return the separation of every comparison after a recording of a motion. Shape (c,)."""
+        rows = self.rows(motion).stacked(self.known_rows())
         return separations(rows, self.effects.slices, self.explanations, self.comparisons).values
 
     def evaluate(self, motion: SampledMotion) -> ObjectiveGradient:
@@ -295,16 +319,16 @@ class SeparationObjective:
         values = self.effects.evaluate(motion)
         recorded = run_rows(motion, values.columns, self.effects, self.settings)
         m = len(recorded.rows.base)
-        rows = recorded.rows.stacked(prior_rows(self.settings, self.effects.count))
+        rows = recorded.rows.stacked(self.known_rows())
         result = separations(rows, self.effects.slices, self.explanations, self.comparisons)
         weights = np.array([c.weight for c in self.comparisons])
-        logs = np.log(np.maximum(result.values, 1e-300))
-        terms = np.log(weights) - SHARPNESS * logs
-        top = float(terms.max())
-        shares = np.exp(terms - top)
-        total = float(shares.sum())
-        objective = (top + np.log(total)) / SHARPNESS
-        slopes = -(shares / total) / np.maximum(result.values, 1e-300)
+        values_of = np.maximum(result.values, 1e-12)
+        z = -0.5 * np.sqrt(EVIDENCE_SHARE * values_of)
+        terms = np.log(weights) + special.log_ndtr(z)
+        log_error = float(special.logsumexp(terms))
+        hazard = np.exp(-0.5 * z**2 - special.log_ndtr(z)) / np.sqrt(2.0 * np.pi)
+        slopes = np.exp(terms - log_error) * hazard * 0.5 * z / values_of / -log_error
+        objective = -float(np.log(-log_error))
         weighted = 2.0 * result.residuals[:m] * slopes[result.owner]
         by_columns, by_base = self._by_sample(
             motion, recorded, weighted @ result.coefficients.T, weighted, result.base_coefficients

@@ -87,11 +87,13 @@ class ExplanationSet:
         constants: Robot with the parameters by which columns are computed.
         candidates: The explanations.
         comparisons: Which of them compete.
+        given: Motions that are recorded already, each counted as one period.
     """
 
     constants: RobotConstants
     candidates: tuple[CandidateExplanation, ...]
     comparisons: tuple[Comparison, ...]
+    given: tuple[SampledMotion, ...] = ()
 
     def sized(
         self,
@@ -174,9 +176,15 @@ class ExplanationSet:
         effects = EffectColumns(self.constants, [c.form for c in self.candidates])
         motion = sampled_motion(problem.robot, problem.parameters, reference)
         explanations = self.sized(effects, motion, settings)
-        objective = SeparationObjective(effects, explanations, self.comparisons, settings)
+        objective = SeparationObjective(
+            effects,
+            explanations,
+            self.comparisons,
+            settings,
+            given=self._given_rows(effects, settings),
+        )
         # without the prior, against which large parameters of the base model would stand out
-        rows = objective.rows(motion).stacked(prior_rows(settings, effects.count, VAGUE_STD))
+        rows = objective.rows(motion).stacked(objective.known_rows(VAGUE_STD))
         result = separations(rows, effects.slices, explanations, self.comparisons)
         lost = indistinguishable(
             result.values, _raw_sizes(rows, effects, explanations, self.comparisons)
@@ -196,6 +204,16 @@ class ExplanationSet:
             comparisons=tuple(dataclasses.replace(c, weight=c.weight / total) for c in kept),
             undecidable=tuple(undecidable),
         )
+
+    def _given_rows(self, effects: EffectColumns, settings: RunSettings) -> WeightedRows | None:
+        """Return the rows of the motions that are recorded already; None without any."""
+        once = dataclasses.replace(settings, periods=1)
+        out: WeightedRows | None = None
+        for motion in self.given:
+            columns = effects.evaluate(motion).columns
+            rows = run_rows(motion, columns, effects, once).rows
+            out = (rows if out is None else out.stacked(rows)).compressed()
+        return out
 
 
 def _unit_factor(place: slice, rows: WeightedRows, factor: FloatArray | None) -> FloatArray:

@@ -27,6 +27,7 @@ class DiscriminationResult:
         reference: Expected log-odds of each comparison after a D-optimal motion. Shape (c,) [nat].
         designed: The same after the designed motion. Shape (c,) [nat].
         menu: Experiments and what they would decide.
+        with_given: True if all log-odds contain the recordings that were given.
     """
 
     source: str
@@ -38,6 +39,7 @@ class DiscriminationResult:
     reference: FloatArray
     designed: FloatArray
     menu: tuple[Experiment, ...]
+    with_given: bool = False
 
     @property
     def recommendation(self) -> Experiment:
@@ -70,18 +72,31 @@ class DiscriminationResult:
             f"{self.reference[least]:.1f}); recommended: {self.recommendation.name}"
         )
 
+    def _names_of(self, comparison: Comparison) -> dict[str, Any]:
+        """Return a comparison by effect, joint and rival."""
+        true = self.explanations[comparison.true].form
+        rival = None if comparison.rival is None else self.explanations[comparison.rival].form
+        return {
+            "effect": true.effect,
+            "joint": None if true.joint is None else self.joints[true.joint],
+            "rival": None if rival is None else rival.effect,
+        }
+
+    def expected_evidence(self) -> dict[str, Any]:
+        """Return the `discrimination` entry in the `design` of `trajectory.json`."""
+        return {
+            "with_given": self.with_given,
+            "comparisons": [
+                {**self._names_of(comparison), "log_bayes_factor": value}
+                for comparison, value in zip(self.comparisons, self.designed.tolist(), strict=True)
+            ],
+        }
+
     def document(self) -> dict[str, Any]:
         """Return the `discrimination` entry of `excite design --json`."""
 
         def pair(comparison: Comparison) -> dict[str, Any]:
-            true = self.explanations[comparison.true].form
-            rival = None if comparison.rival is None else self.explanations[comparison.rival].form
-            return {
-                "effect": true.effect,
-                "joint": None if true.joint is None else self.joints[true.joint],
-                "rival": None if rival is None else rival.effect,
-                "weight": comparison.weight,
-            }
+            return {**self._names_of(comparison), "weight": comparison.weight}
 
         odds = zip(self.comparisons, self.reference.tolist(), self.designed.tolist(), strict=True)
         return {

@@ -54,8 +54,15 @@ LINEARISED = {
     "thermal_drift": "fixed time constant and mean friction",
     "load_friction": "fixed power of the load",
     "coupling": "fixed ratio",
+    "unknown": "fixed curve, smooth between its points and constant beyond them",
 }
 """How the nonlinear form of each effect becomes columns."""
+
+
+UNKNOWN = "unknown"
+"""Name of a torque that no effect explains, given by its curve over position or speed."""
+CURVE_ROUNDING = 0.25
+"""Width of the rounded corners of such a curve over the mean distance of its points [1]."""
 
 
 @dataclass(frozen=True)
@@ -356,6 +363,42 @@ def _encoder_error(b: _Builder, effect: SymbolicEffect) -> list[Column]:
     return out
 
 
+def curve_values(
+    x: Sequence[float], y: Sequence[float], *, over_speed: bool, directed: bool
+) -> dict[str, float]:
+    """Return the values of an unknown torque that is known by its curve.
+
+    Args:
+        x: Position [rad or m] or speed, ascending.
+        y: Torque [N m or N].
+        over_speed: True if x is a speed.
+        directed: True if the torque changes its sign with the direction of motion.
+    """
+    flags = {"over_speed": float(over_speed), "directed": float(directed)}
+    points = {f"x{k}": float(value) for k, value in enumerate(x)}
+    return {**flags, **points, **{f"y{k}": float(value) for k, value in enumerate(y)}}
+
+
+def _unknown(b: _Builder, effect: SymbolicEffect) -> list[Column]:
+    """Return the curve y₀ + Σ Δm_k h(x − x_k) with the slopes m_k between its points.
+
+    h(d) = (d + √(d² + w²))/2 is a rounded ramp. The joint of the abscissa is `other`, or else that
+    of the effect.
+    """
+    assert effect.joint is not None
+    values, place = effect.values, effect.joint if effect.other is None else effect.other
+    count = sum(key.startswith("x") for key in values)
+    x, y = (np.array([values[f"{axis}{k}"] for k in range(count)]) for axis in "xy")
+    slopes = np.concatenate([[0.0], np.diff(y) / np.diff(x), [0.0]])
+    width = CURVE_ROUNDING * float(np.mean(np.diff(x)))
+    signal = (b.signals.dq if values["over_speed"] else b.signals.q)[place]
+    torque = ca.SX(float(y[0]))
+    for knot, change in zip(x.tolist(), np.diff(slopes).tolist(), strict=True):
+        distance = signal - knot
+        torque += change * 0.5 * (distance + ca.sqrt(distance**2 + width**2))
+    return [(effect.joint, torque * b.sign(effect.joint) if values["directed"] else torque)]
+
+
 def _gravity_tilt(b: _Builder, effect: SymbolicEffect) -> list[Column]:
     """Torque per rotation of the base about x and y: δg = g × φ."""
     s, constants = b.signals, b.constants
@@ -427,7 +470,7 @@ class EffectColumns:
 
         Args:
             constants: Robot with its parameters.
-            effects: Effects, all of `SYMBOLIC_EFFECTS`.
+            effects: Effects, all of `SYMBOLIC_EFFECTS` or `UNKNOWN`.
         """
         self.constants, self.effects = constants, tuple(effects)
         n = constants.robot.n
@@ -442,7 +485,8 @@ class EffectColumns:
                     self._payload[begin + k] = 10 * link + k
                     torques.append(ca.SX.zeros(n))
             else:
-                for joint, torque in _COLUMNS[effect.effect](builder, effect):
+                columns_of = _unknown if effect.effect == UNKNOWN else _COLUMNS[effect.effect]
+                for joint, torque in columns_of(builder, effect):
                     full = torque
                     if joint is not None:
                         full = ca.SX.zeros(n)

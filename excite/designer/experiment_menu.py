@@ -1,8 +1,9 @@
 """Menu of further experiments, with expected log-odds of every comparison.
 
-Each experiment is added to a recording of the reference motion: a repeat, a slower or faster one,
-one with a load at the flange, in another pose of joint 1, after a warm-up, a longer one, and the
-designed motion. The expected log-odds are half the separation along both recordings together.
+Each experiment is added to the earlier recordings, or else to one of the reference motion: a
+repeat, a slower or faster one, one with a load at the flange, in another pose of joint 1, after a
+warm-up, a longer one, and the designed motion. The expected log-odds are half the separation along
+all recordings together.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from .discrimination import (
     RunSettings,
     SeparationObjective,
     WeightedRows,
-    prior_rows,
     run_rows,
     separations,
 )
@@ -118,13 +118,13 @@ class _Bench:
         return sampled_motion(self.problem.robot, self.problem.parameters, motion)
 
     def log_odds(self, added: WeightedRows) -> FloatArray:
-        """Return the expected log-odds of the reference recording and added rows together."""
+        """Return the expected log-odds of earlier recordings and added rows together."""
         objective = self.objective
-        known = self.rows(self.reference).stacked(
-            prior_rows(objective.settings, objective.effects.count)
-        )
+        known = objective.known_rows()
+        if objective.given is None:
+            known = self.rows(self.reference).stacked(known)
         extra = added.base.shape[1] - known.base.shape[1]
-        if extra:  # parameters of a load, which the reference recording does not have
+        if extra:  # parameters of a load, which the earlier recordings do not have
             base = np.hstack([known.base, np.zeros((len(known.base), extra))])
             prior = np.hstack([np.zeros((extra, known.base.shape[1])), np.eye(extra)])
             columns = np.vstack([known.columns, np.zeros((extra, known.columns.shape[1]))])
@@ -229,7 +229,7 @@ def compute_menu(
         problem: The design problem of the discriminating motion.
         limits: Limits of the robot.
         objective: Explanations and comparisons.
-        reference: Motion whose recording exists, or comes first anyway.
+        reference: D-optimal motion, whose recording comes first where none is given.
         designed: The discriminating motion.
 
     Returns:

@@ -47,6 +47,9 @@ CONFUSABLE_PAIRS = (
     ("torque_gain", "torque_saturation"),
     ("elasticity", "delay"),
     ("torque_ripple", "encoder_error"),
+    ("stribeck", "nonlinear_viscous"),
+    ("load_friction", "torque_saturation"),
+    ("thermal_drift", "asymmetric_viscous"),
 )
 """Effects that one recording often cannot tell apart."""
 

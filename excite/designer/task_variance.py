@@ -20,6 +20,11 @@ from ..robot.inertial_parameters import Parameters
 from .criteria import Weighting, spectrum
 from .design_objective import ObjectiveGradient, SampledMotion
 
+KNOWN_SHARE = 0.01
+"""Standard deviation of the torque along a task over the torque itself, from which it counts as
+known [1]."""
+WORTHWHILE_GAIN = 0.001
+"""Decrease of that share below which a further run is not worth it [1]."""
 PRIOR_STD = 1.0
 """Prior standard deviation of every direction of the parameters in the metric [1]: 100 %, ten times
 what URDFs are usually off by."""
@@ -153,14 +158,43 @@ class TaskPrediction:
         scaled = self.torque / self.noise
         return float(np.linalg.norm(band.std / self.noise) / np.linalg.norm(scaled))
 
+    @property
+    def is_known(self) -> bool:
+        """True if what is given suffices: the torque is known, and this motion gains too little."""
+        return self._suffices(self.before, self.after)
+
+    @property
+    def is_last(self) -> bool:
+        """True if this motion suffices: the torque is known after it, and a further run gains too
+        little."""
+        return self._suffices(self.after, self.again)
+
+    def _suffices(self, present: TorqueBand, later: TorqueBand) -> bool:
+        known = self.relative(present)
+        return known <= KNOWN_SHARE and known - self.relative(later) <= WORTHWHILE_GAIN
+
+    @property
+    def advice(self) -> str:
+        """Next step by the stopping rule."""
+        rule = (
+            f"rule: known to {100.0 * KNOWN_SHARE:g} %, and a further run would gain less than "
+            f"{100.0 * WORTHWHILE_GAIN:g} %"
+        )
+        if self.is_known:
+            return f"stop, what is given suffices ({rule})"
+        if self.is_last:
+            return f"record this motion, then stop ({rule})"
+        return f"record this motion, then design again with --given RECORDING ({rule})"
+
     def summary(self) -> str:
-        """Return one line: how well the torque is known, and what another run would gain."""
+        """Return two lines: how well the torque is known, what another run gains, what to do."""
         before, after, again = (
             100.0 * self.relative(band) for band in (self.before, self.after, self.again)
         )
         return (
             f"along {self.source}: torque known to {after:.2g} % after this motion "
-            f"({before:.2g} % before); one more run would gain {after - again:.1g} %"
+            f"({before:.2g} % before); one more run would gain {after - again:.1g} %\n"
+            f"next: {self.advice}"
         )
 
     def document(self) -> dict[str, object]:
@@ -170,6 +204,7 @@ class TaskPrediction:
         return {
             "source": self.source,
             "relative_std": {name: self.relative(band) for name, band in bands.items()},
+            "advice": self.advice,
             "joints": {
                 joint: {
                     "torque_rms": float(torque[j]),

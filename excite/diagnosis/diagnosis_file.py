@@ -10,7 +10,7 @@ from scipy import special
 
 from ..effects import EFFECTS_BY_NAME
 from ..robot.parameter_names import percent
-from . import effect_curves, motion_rows, session_changes, unmodelled
+from . import effect_curves, motion_rows, rival_evidence, session_changes, unmodelled
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .gear_encoders import GearEstimate
@@ -146,7 +146,24 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
         out["from"] = _joint(diagnosis, shape.other)
     if hidden := sorted(set(estimate.parameters) - set(shown)):
         out["not_shown"] = hidden
+    if estimate.asserted and (rivals := _rivals(diagnosis, estimate)):
+        out["rivals"] = rivals
     return out
+
+
+def _rivals(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[str, Any]]:
+    """Evidence for a finding against its equivalents and all else that is not excluded."""
+    names = rival_evidence.rivals_of(diagnosis, estimate)
+    if not names:
+        return []
+    evidence = rival_evidence.compare(diagnosis, estimate.joint, (estimate.effect, *names))
+    factors = {name: evidence.log_bayes_factor(estimate.effect, name) for name in names}
+    return [
+        {"effect": name, "log_bayes_factor": factor, "log_odds": rival_evidence.log_odds(factor)}
+        for name, factor in factors.items()
+        if name in estimate.equivalents
+        or rival_evidence.log_odds(factor) < rival_evidence.DECIDED_LOG_ODDS
+    ]
 
 
 def _curve(

@@ -15,6 +15,7 @@ from ..recordings import Remark
 from ..robot.parameter_names import listed, some
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
+from .decisions import decisions_section
 from .diagnosis_evidence import (
     encoders_section,
     prediction_section,
@@ -80,6 +81,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
         banners=_banners(document, budgets),
         cards=(),
         sections=[
+            *decisions_section(document),
             _budget_section(diagnosis, document, budgets),
             _findings_section(document, units),
             *unknown_section(document, units),
@@ -231,7 +233,8 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Experiments that separate or confirm effects."""
     groups: dict[tuple[str, ...], list[str]] = {}
     for finding in document["findings"]:
-        key = tuple(sorted({finding["effect"], *finding["equivalents"]}))
+        rivals = (rival["effect"] for rival in finding.get("rivals", ()))
+        key = tuple(sorted({finding["effect"], *finding["equivalents"], *rivals}))
         if key[1:] or finding["probability"] < SURE_PROBABILITY:
             groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
     lines = []
@@ -245,6 +248,11 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
         f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
         for entry in document["unknown"]
     ]
+    if any(key[1:] for key in groups):
+        lines.append(
+            "One motion for all these questions: excite design ROBOT --discriminate diagnosis.json "
+            "-o DIR. What its recording decides: excite diagnose … --discriminating RECORDING."
+        )
     answer = "Nothing; other speeds, loads or temperatures may show more."
     if "doubts" in document:
         answer = "Resolve the doubts about the recordings named at the top of this page."

@@ -10,16 +10,7 @@ from ..designer.discrimination_result import DiscriminationResult
 from ..designer.experiment_menu import DECISIVE_LOG_ODDS, Experiment
 from ..designer.isolability_forecast import SMALLEST_SEVERITY, PairForecast
 from .content import Section, Table, TableCell
-
-MAX_SHOWN_LOG_ODDS = 20.0
-"""Expected log-odds above which odds are not written out [nat]."""
-
-
-def odds(log_odds: float) -> str:
-    """Return odds as text, such as "150 : 1"."""
-    if log_odds > MAX_SHOWN_LOG_ODDS:
-        return "certain"
-    return f"{np.exp(log_odds):.2g} : 1"
+from .formatting import odds_words
 
 
 def _cell(log_odds: float) -> TableCell:
@@ -109,7 +100,7 @@ def isolability_section(pairs: Sequence[PairForecast]) -> Section:
         if open_pairs
         else f"None of {len(pairs)} often confused pairs would stay open."
     )
-    rows = [(pair.joint, pair.first, pair.second, odds(pair.log_odds)) for pair in open_pairs]
+    rows = [(pair.joint, pair.first, pair.second, odds_words(pair.log_odds)) for pair in open_pairs]
     data = {
         "table": Table(("joint", "effect", "rival", "expected odds"), rows, (3,)),
         "severity": f"{SMALLEST_SEVERITY:g}",

@@ -4,6 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
+MAX_SHOWN_ODDS = 1000.0
+"""Odds beyond which they are not written out [1]."""
+
+
+def odds_words(log_odds: float | None) -> str:
+    """Format odds: '150 : 1', '1 : 4', '> 1000 : 1'; '–' for None.
+
+    Args:
+        log_odds: Logarithm of the odds [nat].
+    """
+    if log_odds is None:
+        return "–"
+    shown = min(float(np.exp(min(abs(log_odds), 700.0))), MAX_SHOWN_ODDS)
+    larger = f"{float(f'{shown:.2g}'):g}"
+    is_clipped = shown == MAX_SHOWN_ODDS
+    if log_odds >= 0.0:
+        return f"{'> ' if is_clipped else ''}{larger} : 1"
+    return f"{'< ' if is_clipped else ''}1 : {larger}"
+
 
 def number(value: float | None, digits: int = 4) -> str:
     """Format a number: '1.234', '−0.05', '3.1·10⁻⁷'; '–' for None and NaN."""

@@ -20,7 +20,7 @@ def task_section(task: TaskPrediction) -> Section:
     )
     answer = (
         f"To {after:.2g} % of the torque along {task.source} ({before:.2g} % before). One more run "
-        f"of this motion would gain {after - again:.1g} %."
+        f"of this motion would gain {after - again:.1g} %. Next: {task.advice}."
     )
     torque = np.sqrt(np.mean(task.torque**2, axis=0))
     rows = [

@@ -1,0 +1,171 @@
+"""Evidence between effects that may stand in each other's place.
+
+The members of a class are compared one at a time, each without the others and jointly with all
+other effects of the model, which are refitted:
+
+    ln B_ab = ln p(τ | a, not b) − ln p(τ | b, not a)
+
+in the Laplace approximation of `posterior`. The log odds are ln B_ab/T′ with the temperature T′ of
+`probability`, by which all equivalents are weighed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..designer.isolability_forecast import CONFUSABLE_PAIRS
+from ..effects import EFFECTS_BY_NAME
+from ..effects.effect import CandidateModel
+from ..effects.form_error import with_form_error, without_form_error
+from . import posterior, probability, selection
+from .diagnosis import Diagnosis
+from .estimates import EffectEstimate
+from .joint_model import JointModel
+from .regression import Columns, JointRegression
+from .selection import Candidate
+
+
+@dataclass(frozen=True)
+class ClassEvidence:
+    """Evidence of each member of a class of effects at a joint.
+
+    Attributes:
+        joint: Index of the joint; None for effects of no single joint.
+        log_evidence: Of the model with this member alone, by name; up to a common constant.
+    """
+
+    joint: int | None
+    log_evidence: Mapping[str, float]
+
+    def log_bayes_factor(self, effect: str, rival: str) -> float:
+        """Return the log Bayes factor of one member over another."""
+        return self.log_evidence[effect] - self.log_evidence[rival]
+
+
+DECIDED_LOG_ODDS = float(np.log(1.0 / selection.EQUIVALENT_SHARE))
+"""Log odds from which a pair is decided [nat]: the rival is no equivalent any more."""
+
+
+def log_odds(log_bayes_factor: float) -> float:
+    """Return calibrated log odds between two effects [nat].
+
+    Args:
+        log_bayes_factor: Log Bayes factor of one over the other.
+    """
+    return log_bayes_factor / probability.RARE_TEMPERATURE
+
+
+def rivals_of(diagnosis: Diagnosis, estimate: EffectEstimate) -> tuple[str, ...]:
+    """Return the effects that may stand in the place of a finding.
+
+    They are its equivalents, and those with which it is often confused and which the model does not
+    have at the joint anyway.
+
+    Args:
+        diagnosis: The diagnosis.
+        estimate: A finding of it.
+    """
+    present = {e.effect for e in diagnosis.effects if e.needed and e.joint == estimate.joint}
+    confusable = (
+        name
+        for pair in CONFUSABLE_PAIRS
+        if estimate.effect in pair
+        for name in pair
+        if name not in present
+        and (diagnosis.options.trusted or not EFFECTS_BY_NAME[name].prior_only)
+    )
+    return tuple(dict.fromkeys((*estimate.equivalents, *confusable)))
+
+
+def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> ClassEvidence:
+    """Compare the members of a class.
+
+    An effect that the joint model lacks enters with its best plausible form; one that has none
+    counts like no effect.
+
+    Args:
+        diagnosis: The diagnosis whose joint model is compared.
+        joint: Index of the joint; None for effects of no single joint.
+        names: Names of the effects.
+    """
+    model = diagnosis.model
+    needed = {(e.effect, e.joint) for e in diagnosis.effects if e.needed}
+    members = {
+        name: [m for m in model.models if m.effect == name and _is_at(m, joint)] for name in names
+    }
+    excluded = {id(m) for group in members.values() for m in group}
+    others = [m for m in model.models if (m.effect, m.joint) in needed and id(m) not in excluded]
+    regression = model.regression.base_only()
+    for other in others:
+        columns = model.columns(other)
+        if columns is not None:
+            regression.add(columns)
+    reduced = dataclasses.replace(model, models=tuple(others), regression=regression)
+    columns_of = {
+        name: _varied(reduced, _present(reduced, group) or _best_form(reduced, name, joint))
+        for name, group in members.items()
+    }
+    numbers = {
+        name: [regression.add(columns) for columns in group] for name, group in columns_of.items()
+    }
+    return ClassEvidence(
+        joint,
+        {
+            name: _log_evidence(regression, [n for k in names if k != name for n in numbers[k]])
+            for name in names
+        },
+    )
+
+
+def _is_at(shape: CandidateModel, joint: int | None) -> bool:
+    """Tell whether a model belongs to a joint, or to the whole robot."""
+    return joint is None or shape.joint in (None, joint)
+
+
+def _log_evidence(regression: JointRegression, left_out: Sequence[int]) -> float:
+    return posterior.log_evidence(regression, regression.without(left_out))
+
+
+def _present(reduced: JointModel, group: Sequence[CandidateModel]) -> list[Candidate]:
+    """Return the models of an effect that the joint model has, fitted to what the others leave."""
+    plain = (without_form_error(shape) for shape in group)
+    fitted = ((shape, reduced.columns(shape)) for shape in plain)
+    return [Candidate.of(reduced, shape, c) for shape, c in fitted if c is not None]
+
+
+def _best_form(reduced: JointModel, name: str, joint: int | None) -> list[Candidate]:
+    """Return the best form of an effect, none where no form is plausible."""
+    fitted = []
+    for shape in EFFECTS_BY_NAME[name].candidates(reduced.motions):
+        columns = reduced.columns(shape) if _is_at(shape, joint) else None
+        if columns is not None:
+            fitted.append(Candidate.of(reduced, shape, columns))
+    plausible = [candidate for candidate in fitted if candidate.is_plausible]
+    if not plausible:
+        return []
+    return [selection.optimised(reduced, max(plausible, key=lambda c: c.evidence))]
+
+
+def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[Columns]:
+    """Return the columns of an effect with the discrepancy of its form.
+
+    All members have it, so that none is preferred because it is more flexible.
+    """
+    out = []
+    for candidate in group:
+        columns: Columns | None = candidate.columns
+        if not EFFECTS_BY_NAME[candidate.model.effect].prior_only:
+            coefficients = np.where(
+                candidate.columns.nonnegative,
+                np.maximum(candidate.fit.coefficients, 0.0),
+                candidate.fit.coefficients,
+            )
+            varied = with_form_error(candidate.model, reduced.motions, coefficients)
+            columns = reduced.columns(varied) or columns
+        assert columns is not None
+        out.append(columns)
+    return out

@@ -1,0 +1,85 @@
+"""Decisions of discriminating recordings in words: odds before, expected and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ..robot.parameter_names import some
+from .content import Section, Table, TableCell
+from .formatting import odds_words, plural
+from .torque_budget import effect_words
+
+HEAD = ("joint", "question", "odds before", "expected", "odds after", "decision")
+"""Titles of the table."""
+
+
+def decision_rows(document: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return joint, question, odds before, expected and after, and decision of each pair.
+
+    All odds are those of the first effect of the question.
+
+    Args:
+        document: Content of a `diagnosis.json`.
+    """
+    rows: list[tuple[str, ...]] = []
+    for entry in document.get("decisions", ()):
+        odds = entry["log_odds"]
+        names = effect_words(entry["effect"]), effect_words(entry["rival"])
+        decided = entry["decided_for"]
+        rows.append(
+            (
+                entry["joint"] or "whole robot",
+                " or ".join(names) + "?",
+                odds_words(odds["before"]),
+                _expected_words(odds["expected"], odds["after"]),
+                odds_words(odds["after"]),
+                "open" if decided is None else effect_words(decided),
+            )
+        )
+    return rows
+
+
+def _expected_words(expected: Mapping[str, float] | None, after: float) -> str:
+    """Return the odds that were expected if that effect acts which the recordings favour."""
+    if expected is None:
+        return "–"
+    return odds_words(expected["effect" if after >= 0.0 else "rival"])
+
+
+def decisions_answer(document: Mapping[str, Any]) -> tuple[str, str]:
+    """Return in a sentence what was decided, and its tone.
+
+    Args:
+        document: Content of a `diagnosis.json` with decisions.
+    """
+    entries = document["decisions"]
+    if not entries:
+        return "Nothing had to be decided: the earlier recordings left no two effects open.", "good"
+    decided = [entry for entry in entries if entry["decided_for"] is not None]
+    names = dict.fromkeys(
+        f"{effect_words(entry['decided_for'])} at {entry['joint'] or 'the whole robot'}"
+        for entry in decided
+    )
+    text = f"{len(decided)} of {plural(len(entries), 'open pair')} decided"
+    text += f": {some(list(names))}." if names else "."
+    if len(decided) < len(entries):
+        text += " The others stay open: one more recording of that kind, or another experiment."
+    return text, "good" if len(decided) == len(entries) else "warn"
+
+
+def decisions_section(document: Mapping[str, Any]) -> Iterator[Section]:
+    """Build the section on the discriminating recordings, if there are any.
+
+    Args:
+        document: Content of a `diagnosis.json`.
+    """
+    if "decisions" not in document:
+        return
+    rows: list[list[str | TableCell]] = [
+        [*row[:-1], TableCell(row[-1], "warn" if row[-1] == "open" else "good")]
+        for row in decision_rows(document)
+    ]
+    answer, tone = decisions_answer(document)
+    data = {"table": Table(HEAD, rows, (2, 3, 4))}
+    yield Section("decisions", "What did the further recording decide?", answer, data, tone)

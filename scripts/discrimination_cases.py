@@ -1,0 +1,386 @@
+"""Concealed cases for motions that discriminate: one more run of a robot of unknown physics.
+
+A case is a simulated robot with hidden effects whose diagnosis from one recording leaves a class of
+two or more names of which exactly one acts at the joint. The robot then moves once more: along a
+motion designed to discriminate, a D-optimal one, a random one and a repeat, each of two periods of
+8 s between ramps. Each recording is diagnosed together with the first one. One JSON file per case,
+so that an interrupted run continues.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from concealed_trial.case_plan import CasePlan, CaseSpec
+from concealed_trial.generate_cases import (
+    GeneratedCase,
+    analyst_files,
+    case_settings,
+    generate_case,
+)
+from concealed_trial.random_excitation import PERIOD, draw_excitation
+
+from excite import api
+from excite.api.design_result import CellOptions
+from excite.designer.criteria import Criterion
+from excite.designer.design_objective import SampledMotion
+from excite.designer.discrimination import SeparationObjective
+from excite.diagnosis import rival_evidence
+from excite.errors import ExciteError
+from excite.robot.dynamics import regressor
+from excite.robot.robot import locate
+from excite.robot.samples import Samples
+from excite.simulator.effect_instance import with_effects
+from excite.simulator.experiment import run_session
+from excite.simulator.recording_file import json_text
+from excite.simulator.reference_trajectory import ReferenceTrajectory, read_reference
+
+ARMS = ("discriminating", "D-optimal", "random", "repeat")
+"""Motions of the second recording."""
+GROUPS = ("sparse", "dense", "half_dense")
+"""Groups of the concealed trial from which cases are drawn, in its proportions."""
+ROBOTS = (*("two_link",) * 5, "ur5e")
+"""Robots of the cases, in turn."""
+FIRST_RECORDING = "poor_excitation"
+"""Nuisance condition of all cases: the first motion has one harmonic at a tenth of the speed, which
+leaves most open."""
+SEVERITIES = (1.0, 3.0)
+"""Severities of the named effects [1]: larger ones are rarely confused."""
+PERIODS = 2
+"""Periods of the second recording."""
+MARGIN = 0.15
+"""Share of the limits that designed motions leave to the controller [1]."""
+HARMONICS = 5
+"""Harmonics of the designed motions, as of the random ones."""
+STARTS = 3
+"""Starts of each design."""
+SAMPLE_RATE = 100.0
+"""Samples per second of the motions whose separation is predicted [Hz]."""
+SYNONYMS = {"drag": "nonlinear_viscous"}
+"""Names that count as one: convex nonlinear viscous friction and drag are equivalents."""
+DECIDED = ("right", "wrong", "open")
+"""Outcomes of a second recording."""
+
+
+def canonical(name: str) -> str:
+    """Return the name under which an effect counts."""
+    return SYNONYMS.get(name, name)
+
+
+def plan(count: int, seed: int, robots: Sequence[str] = ROBOTS) -> list[CaseSpec]:
+    """Return the specifications of candidate cases: one training recording, no prior.
+
+    Args:
+        count: Number of candidates.
+        seed: Seed of the plan.
+        robots: Built-in robots of the cases, in turn.
+    """
+    drawn = CasePlan(2 * count, seed, "scored", GROUPS).specs()
+    usable = [spec for spec in drawn if not spec.trusted][:count]
+    return [
+        dataclasses.replace(
+            spec,
+            robot=robots[k % len(robots)],
+            training=1,
+            nuisance=FIRST_RECORDING,
+            severities=tuple(SEVERITIES[spec.seed % len(SEVERITIES)] for _ in spec.names),
+        )
+        for k, spec in enumerate(usable)
+    ]
+
+
+@dataclass(frozen=True)
+class OpenClass:
+    """A class of names that a diagnosis leaves open.
+
+    Attributes:
+        joint: Name of the joint; None for effects of no single joint.
+        names: The finding, its equivalents and its rivals.
+        truth: The one of them that acts at the joint.
+    """
+
+    joint: str | None
+    names: tuple[str, ...]
+    truth: str
+
+
+def open_classes(document: Mapping[str, Any], case: GeneratedCase) -> Iterator[OpenClass]:
+    """Yield the classes of a diagnosis that contain exactly one acting effect.
+
+    Args:
+        document: Content of `diagnosis.json`.
+        case: The case.
+    """
+    acting = {(canonical(e.name), e.joint) for e in case.effects_of_session(0)}
+    for finding in document["findings"]:
+        rivals = (rival["effect"] for rival in finding.get("rivals", ()))
+        names = tuple(dict.fromkeys((finding["effect"], *finding["equivalents"], *rivals)))
+        if len({canonical(name) for name in names}) < 2:
+            continue
+        true = [
+            name
+            for name in names
+            if {(canonical(name), finding["joint"]), (canonical(name), None)} & acting
+        ]
+        if len({canonical(name) for name in true}) == 1:
+            yield OpenClass(finding["joint"], names, true[0])
+
+
+def outcome(arm: Mapping[str, Any], truth: str) -> str:
+    """Return one of `DECIDED` for the second recording of an arm, names and evidence together.
+
+    Right: the truth is reported alone, and the evidence excludes every rival. Wrong: another name
+    is reported alone, and the evidence excludes the truth in favour of it.
+
+    Args:
+        arm: Entry of the arm.
+        truth: The acting effect.
+    """
+    odds = {name: rival_evidence.log_odds(value) for name, value in arm["realised"].items()}
+    threshold = rival_evidence.DECIDED_LOG_ODDS
+    if arm["outcome"] == "right":
+        return "right" if min(odds.values(), default=0.0) >= threshold else "open"
+    named = {canonical(finding["effect"]) for finding in arm["findings"]} - {canonical(truth)}
+    if arm["outcome"] == "wrong":
+        excluded = any(canonical(n) in named and value <= -threshold for n, value in odds.items())
+        return "wrong" if excluded else "open"
+    return "open"
+
+
+def named_outcome(document: Mapping[str, Any], question: OpenClass) -> str:
+    """Return one of `DECIDED` for the names of a diagnosis after the second recording.
+
+    Right: the acting effect is reported alone, and no other name of the class at the joint. Wrong:
+    another name of the class is reported alone, and the acting effect nowhere at the joint.
+
+    Args:
+        document: Content of `diagnosis.json`.
+        question: The class.
+    """
+    truth = canonical(question.truth)
+    members = {canonical(name) for name in question.names}
+    reported = [
+        {canonical(name) for name in (finding["effect"], *finding["equivalents"])}
+        for finding in document["findings"]
+        if finding["joint"] in (question.joint, None) or question.joint is None
+    ]
+    named = [names for names in reported if names & members]
+    if named == [{truth}]:
+        return "right"
+    if not any(truth in names for names in named) and any(
+        len(names) == 1 and truth not in names for names in named
+    ):
+        return "wrong"
+    return "open"
+
+
+class Trial:
+    """Second recordings of a case and their diagnoses.
+
+    Attributes:
+        case: The case.
+        folder: Folder with the files of the analyst.
+        robot: Path of the URDF.
+    """
+
+    def __init__(self, case: GeneratedCase, folder: Path) -> None:
+        """Write the files of the analyst, and diagnose the first recording."""
+        self.case, self.folder = case, folder
+        for name, text in analyst_files(case).items():
+            (folder / name).write_text(text, encoding="utf-8")
+        self.robot = folder / "robot.urdf"
+        first = api.diagnose(
+            self.robot, [folder / "train.csv"], [folder / "validate.csv"], with_report=False
+        )
+        first.save(folder / "before")
+        self.before = first.document()
+
+    def design(self, **criterion: Any) -> api.DesignResult:
+        """Design a motion of the second recording."""
+        return api.design(
+            self.robot,
+            margin=MARGIN,
+            cell=CellOptions(check=False),
+            period=PERIOD,
+            harmonics=HARMONICS,
+            periods=PERIODS,
+            starts=STARTS,
+            jobs=1,
+            **criterion,
+        )
+
+    def motions(self) -> tuple[dict[str, ReferenceTrajectory], SeparationObjective, float]:
+        """Return the motion of each arm, the objective, and the time of the design [s]."""
+        given = [self.folder / "train.csv"]
+        begun = time.process_time()
+        best = self.design(discriminate=self.folder / "before" / "diagnosis.json", given=given)
+        seconds = time.process_time() - begun
+        best.save(self.folder / "discriminating")
+        self.design(criterion=Criterion.D).save(self.folder / "d_optimal")
+        objective = best.delivery.design.setup.problem.objective
+        assert isinstance(objective, SeparationObjective)
+        rng = np.random.default_rng([self.case.spec.seed, 7])
+        motions = (
+            read_reference(self.folder / "discriminating" / "trajectory.json"),
+            read_reference(self.folder / "d_optimal" / "trajectory.json"),
+            draw_excitation(self.case.robot, PERIODS, rng),
+            self.case.motions[0],
+        )
+        return dict(zip(ARMS, motions, strict=True)), objective, seconds
+
+    def record(self, arm: str, motion: ReferenceTrajectory) -> Path:
+        """Record the robot along a motion; return the file."""
+        settings = case_settings(self.case.spec)
+        number = 10 + ARMS.index(arm)
+        session = run_session(
+            with_effects(self.case.robot, self.case.effects_of_session(1)),
+            motion,
+            dataclasses.replace(settings, seed=settings.seed + number),
+        )
+        path = self.folder / f"{arm}.csv"
+        path.write_text(session.recording.to_csv(), encoding="utf-8")
+        sidecar = {**session.recording.to_sidecar(), "notes": ""}
+        path.with_suffix(".json").write_text(json_text(sidecar), encoding="utf-8")
+        return path
+
+    def diagnose(self, recording: Path) -> api.DiagnosisResult:
+        """Diagnose a second recording together with the first."""
+        return api.diagnose(
+            self.robot,
+            [self.folder / "train.csv"],
+            [self.folder / "validate.csv"],
+            discriminating=[recording],
+            before=self.folder / "before" / "diagnosis.json",
+            with_report=False,
+        )
+
+
+def expected_evidence(
+    objective: SeparationObjective, motion: ReferenceTrajectory, question: OpenClass
+) -> dict[str, float]:
+    """Return the expected log Bayes factor of the truth over each rival of its class.
+
+    Args:
+        objective: Objective of the discriminating motion, with what is given.
+        motion: The motion of the second recording.
+        question: The class.
+    """
+    robot, parameters = objective.effects.constants.robot, objective.effects.constants.parameters
+    times = motion.periodic[0] + np.arange(round(motion.period * SAMPLE_RATE)) / SAMPLE_RATE
+    q, dq, ddq = motion.at(times)
+    Y = regressor(robot, parameters, Samples(q, dq, ddq))
+    values = 0.5 * objective.separations(SampledMotion(q, dq, ddq, Y, motion.period))
+    out = {}
+    for comparison, value in zip(objective.comparisons, values.tolist(), strict=True):
+        true = objective.explanations[comparison.true].form
+        if comparison.rival is None or true.effect != question.truth:
+            continue
+        joint = None if true.joint is None else robot.joints[true.joint]
+        rival = objective.explanations[comparison.rival].form
+        if joint == question.joint and rival.effect in question.names:
+            out[rival.effect] = value
+    return out
+
+
+def realised_evidence(result: api.DiagnosisResult, question: OpenClass) -> dict[str, float]:
+    """Return the log Bayes factor of the truth over each rival of its class.
+
+    Args:
+        result: Diagnosis of both recordings.
+        question: The class.
+    """
+    joints = result.diagnosis.identified.model.robot.joints
+    joint = None if question.joint is None else joints.index(question.joint)
+    evidence = rival_evidence.compare(result.diagnosis, joint, question.names)
+    return {
+        name: evidence.log_bayes_factor(question.truth, name)
+        for name in question.names
+        if canonical(name) != canonical(question.truth)
+    }
+
+
+def examine(spec: CaseSpec) -> dict[str, Any]:
+    """Return the result of a case.
+
+    Args:
+        spec: Specification of the case.
+    """
+    begun = time.process_time()
+    out: dict[str, Any] = {"spec": dataclasses.asdict(spec), "status": "no class"}
+    try:
+        case = generate_case(spec, locate("two_link").parent)
+        with tempfile.TemporaryDirectory(prefix="case") as work:
+            trial = Trial(case, Path(work))
+            questions = list(open_classes(trial.before, case))
+            if questions:
+                out |= _compared(trial, questions[0])
+    except ExciteError as error:
+        out |= {"status": "error", "error": str(error).splitlines()[0]}
+    out["seconds"] = time.process_time() - begun
+    return out
+
+
+def _compared(trial: Trial, question: OpenClass) -> dict[str, Any]:
+    """Return what the second recording of each arm decides."""
+    motions, objective, seconds = trial.motions()
+    arms = {}
+    for arm, motion in motions.items():
+        result = trial.diagnose(trial.record(arm, motion))
+        document = result.document()
+        findings = [
+            {key: f[key] for key in ("effect", "joint", "probability", "equivalents")}
+            for f in document["findings"]
+        ]
+        arms[arm] = {
+            "outcome": named_outcome(document, question),
+            "findings": findings,
+            "expected": expected_evidence(objective, motion, question),
+            "realised": realised_evidence(result, question),
+            "duration": motion.duration,
+        }
+    return {
+        "status": "class",
+        "question": dataclasses.asdict(question),
+        "design_seconds": seconds,
+        "arms": arms,
+    }
+
+
+def run(
+    folder: Path, wanted: int, seed: int, candidates: int, robots: Sequence[str] = ROBOTS
+) -> None:
+    """Examine candidates until enough of them have an open class; continue where it stopped.
+
+    Args:
+        folder: Folder of the results, one JSON file per candidate.
+        wanted: Number of cases with an open class.
+        seed: Seed of the plan.
+        candidates: Largest number of candidates.
+        robots: Built-in robots of the cases, in turn.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    cases = sum(entry["status"] == "class" for entry in results(folder))
+    for number, spec in enumerate(plan(candidates, seed, robots)):
+        path = folder / f"{number:04d}.json"
+        if cases >= wanted:
+            return
+        if path.exists():
+            continue
+        entry = examine(spec)
+        cases += entry["status"] == "class"
+        staged = path.with_suffix(".part")
+        staged.write_text(json.dumps(entry), encoding="utf-8")
+        staged.rename(path)
+
+
+def results(folder: Path) -> list[dict[str, Any]]:
+    """Read the results of all candidates so far."""
+    return [json.loads(p.read_text(encoding="utf-8")) for p in sorted(folder.glob("*.json"))]

@@ -9,6 +9,7 @@ from pathlib import Path
 from .._system.output_files import output_folder
 from ..api.support_design_result import SUPPORT_FILES, SupportDesignResult, design_support
 from ..designer.criteria import Criterion
+from ..designer.options import DesignOptions
 from ..designer.support_design import SupportOptions
 from ..designer.support_stance import ContactLimits, SoleSize
 from ..errors import UnusableInput
@@ -68,6 +69,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
             raise UnusableInput(f"{option}: is not available with --floating; leave it out")
     if arguments.speed != 1.0:
         raise UnusableInput("--speed: is not available with --floating; leave it out")
+    if arguments.uncertainty not in (0.0, DesignOptions().uncertainty):
+        raise UnusableInput(
+            "--uncertainty: torque limits in support hold for the nominal robot; leave it out, or "
+            "lower the limits with --limits"
+        )
     options = _options(arguments)
     robot = floating_identify.load(arguments)
     options = replace(options, torque_noise=shared.noise(arguments, robot.joint_robot))

@@ -313,6 +313,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
             "statement": f"joint '{name}': torque that no effect of the catalogue explains; "
             f"{by} predicts {percent(entry.share)} of the residual",
             "regime": entry.regime,
+            "frequency_hz": entry.frequency,
             "foreseen": entry.share,
             "response": {
                 "over": over,

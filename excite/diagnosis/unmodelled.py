@@ -9,7 +9,7 @@ another is caused by the motion.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -168,6 +168,10 @@ def _response(
         return ResidualResponse(f"{shape.signature}: time [s]", time, y, relative=True)
     quantity = "dq" if shape.signature.startswith("speed") else "q"
     over = joint if shape.other is None else shape.other
+    if shape.signature == "position and direction":
+        direction = rows.direction(joint)
+        curve = _curve(rows, moving & (direction != 0.0), torque * direction, joint, "q", over)
+        return replace(curve, over=curve.over.replace("position", "position, along the motion"))
     return _curve(rows, moving, torque, joint, quantity, over)
 
 

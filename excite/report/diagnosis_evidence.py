@@ -147,9 +147,8 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
     if not unknown:
         return
     lines = [
-        f"{entry['joint']}: {percent(entry['share'])} of the remaining squared error follows from "
-        f"{entry['where']['regime'].replace('place', 'position')}, predicted in recordings that "
-        f"this was not fitted to (probability {probability_words(entry['probability'])})."
+        f"{entry['joint']}: {percent(entry['share'])} of the remaining squared error "
+        f"{_dependence(entry['where'])} (probability {probability_words(entry['probability'])})."
         for entry in unknown
     ]
     figure = Markup(unmodelled_figure.draw_responses(unknown[:DRAWN_UNKNOWN], units))
@@ -157,3 +156,14 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
     answer = f"Torque at {joints} that repeats with the motion and that no known effect explains."
     data = {"lines": lines, "figure": figure, "drawn": DRAWN_UNKNOWN}
     yield Section("unknown", "What remains unknown?", answer, data, "warn")
+
+
+def _dependence(where: Mapping[str, Any]) -> str:
+    """Say what torque depends on that no effect explains."""
+    if where["regime"] == "repetition":
+        return "repeats from period to period"
+    if where["frequency_hz"] is not None:
+        drive = where["regime"].removeprefix("past ")
+        return f"is a resonance of {number(where['frequency_hz'], 2)} Hz that the {drive} drives"
+    regime = where["regime"].replace("place", "position")
+    return f"follows from {regime}, predicted in recordings that this was not fitted to"

@@ -15,6 +15,7 @@ TEXT = {
     "joints",
     "limits",
     "without",
+    "support",
     "symmetric",
     "contact",
     "given",

@@ -126,7 +126,7 @@ def _run_without_torque(
         trajectory=arguments.trajectory,
         columns=shared.columns(arguments),
         distance=Distance(arguments.distance),
-        gamma=None if isinstance(gamma, str) else (gamma[0], gamma[-1]),
+        gamma=None if gamma is None or isinstance(gamma, str) else (gamma[0], gamma[-1]),
     )
     document, written = result.document(), output.replace(result.contents())
     identification = result.identification

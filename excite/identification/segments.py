@@ -316,7 +316,7 @@ def split_into_chunks(
     segment: RecordingSegment | Recording,
     overlap: int,
     multiple: int,
-    chunk_samples: int = CHUNK_SAMPLES,
+    chunk_samples: int | None = None,
 ) -> Iterator[tuple[slice, slice]]:
     """Split a long aperiodic segment into overlapping chunks that are processed one by one.
 
@@ -324,11 +324,12 @@ def split_into_chunks(
         segment: The segment.
         overlap: Minimum number of samples that a chunk shares with its neighbour at either end.
         multiple: Chunks start at multiples of this number of samples.
-        chunk_samples: Number of samples of a chunk without its overlap.
+        chunk_samples: Number of samples of a chunk without its overlap; None: `CHUNK_SAMPLES`.
 
     Yields:
         The rows of a chunk, and those of its rows (relative to its start) that are not overlap.
     """
+    chunk_samples = chunk_samples or CHUNK_SAMPLES
     is_periodic = isinstance(segment, RecordingSegment) and segment.periodic
     if is_periodic or len(segment) <= chunk_samples + 2 * overlap:
         yield slice(0, len(segment)), slice(0, len(segment))

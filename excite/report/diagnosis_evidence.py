@@ -162,7 +162,7 @@ def _dependence(where: Mapping[str, Any]) -> str:
     """Say what torque depends on that no effect explains."""
     if where["regime"] == "repetition":
         return "repeats from period to period"
-    if where["frequency_hz"] is not None:
+    if where.get("frequency_hz") is not None:
         drive = where["regime"].removeprefix("past ")
         return f"is a resonance of {number(where['frequency_hz'], 2)} Hz that the {drive} drives"
     regime = where["regime"].replace("place", "position")

@@ -182,18 +182,37 @@ class JointRegression:
 
     def base_only(self) -> JointRegression:
         """Return a regression on the base model alone, with the same rows and weights."""
-        p = self.base_count
-        out = JointRegression(self.torque, self.moving, p, self.sigma, self.independent_share)
-        out.prior_matrix, out._prior_score = self.prior_matrix[:p, :p].copy(), self._prior_score[:p]
-        out._prior_power, out.nonnegative = self._prior_power, np.zeros(p, bool)
+        return self.keeping(())
+
+    def keeping(self, effects: Sequence[int]) -> JointRegression:
+        """Return a regression with some of the effects, and the same rows and weights.
+
+        Args:
+            effects: Numbers of the effects, in rising order.
+        """
+        kept = np.concatenate(
+            [np.arange(self.base_count)]
+            + [np.arange(self.slices[e].start, self.slices[e].stop) for e in effects]
+        )
+        place = np.full(len(self.nonnegative), -1)
+        place[kept] = np.arange(len(kept))
+        out = JointRegression(
+            self.torque, self.moving, self.base_count, self.sigma, self.independent_share
+        )
+        out.prior_matrix = self.prior_matrix[np.ix_(kept, kept)]
+        out._prior_score, out._prior_power = self._prior_score[kept], self._prior_power
+        out.nonnegative = self.nonnegative[kept]
+        for e in effects:
+            start = int(place[self.slices[e].start])
+            out.slices.append(slice(start, start + self.slices[e].stop - self.slices[e].start))
         for gram in self._grams:
-            base = gram.places < p
+            on = place[gram.places] >= 0
             out._grams.append(
                 _JointGram(
-                    gram.columns[:, base],
-                    gram.places[base],
-                    gram.matrix[np.ix_(base, base)],
-                    gram.score[base],
+                    gram.columns[:, on],
+                    place[gram.places[on]],
+                    gram.matrix[np.ix_(on, on)],
+                    gram.score[on],
                     gram.power,
                 )
             )

@@ -46,6 +46,8 @@ class ClassEvidence:
         return self.log_evidence[effect] - self.log_evidence[rival]
 
 
+MIN_OPTIMISED_SHARE = 0.3
+"""Evidence on the grid over that of the strongest member from which a rival is optimised."""
 DECIDED_LOG_ODDS = float(np.log(1.0 / selection.EQUIVALENT_SHARE))
 """Log odds from which a pair is decided [nat]: the rival is no equivalent any more."""
 
@@ -98,16 +100,18 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> Cl
         name: [m for m in model.models if m.effect == name and _is_at(m, joint)] for name in names
     }
     excluded = {id(m) for group in members.values() for m in group}
-    others = [m for m in model.models if (m.effect, m.joint) in needed and id(m) not in excluded]
-    regression = model.regression.base_only()
-    for other in others:
-        columns = model.columns(other)
-        if columns is not None:
-            regression.add(columns)
+    kept = [
+        i
+        for i, m in enumerate(model.models)
+        if (m.effect, m.joint) in needed and id(m) not in excluded
+    ]
+    others, regression = [model.models[i] for i in kept], model.regression.keeping(kept)
     reduced = dataclasses.replace(model, models=tuple(others), regression=regression)
+    present = {name: _present(reduced, group) for name, group in members.items()}
+    strongest = max((c.evidence for group in present.values() for c in group), default=0.0)
     columns_of = {
-        name: _varied(reduced, _present(reduced, group) or _best_form(reduced, name, joint))
-        for name, group in members.items()
+        name: _varied(reduced, group or _best_form(reduced, name, joint, strongest))
+        for name, group in present.items()
     }
     numbers = {
         name: [regression.add(columns) for columns in group] for name, group in columns_of.items()
@@ -137,8 +141,14 @@ def _present(reduced: JointModel, group: Sequence[CandidateModel]) -> list[Candi
     return [Candidate.of(reduced, shape, c) for shape, c in fitted if c is not None]
 
 
-def _best_form(reduced: JointModel, name: str, joint: int | None) -> list[Candidate]:
-    """Return the best form of an effect, none where no form is plausible."""
+def _best_form(
+    reduced: JointModel, name: str, joint: int | None, strongest: float
+) -> list[Candidate]:
+    """Return the best form of an effect, none where no form is plausible.
+
+    Its nonlinear parameters are optimised where that may bring it near the evidence of the
+    strongest member that the model has.
+    """
     fitted = []
     for shape in EFFECTS_BY_NAME[name].candidates(reduced.motions):
         columns = reduced.columns(shape) if _is_at(shape, joint) else None
@@ -147,7 +157,10 @@ def _best_form(reduced: JointModel, name: str, joint: int | None) -> list[Candid
     plausible = [candidate for candidate in fitted if candidate.is_plausible]
     if not plausible:
         return []
-    return [selection.optimised(reduced, max(plausible, key=lambda c: c.evidence))]
+    best = max(plausible, key=lambda c: c.evidence)
+    if best.evidence < MIN_OPTIMISED_SHARE * strongest:
+        return [best]
+    return [selection.optimised(reduced, best)]
 
 
 def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[Columns]:

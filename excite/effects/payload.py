@@ -25,10 +25,9 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return motion.lowpass(Y[:, :, 10 * link : 10 * link + count], Grid.COARSE)
 
 
-def _is_physically_consistent(c: FloatArray, robot_mass: float) -> bool:
-    """Check that the mass is positive and no robot's, its centre within reach, and its inertia
-    nearly feasible."""
-    if not 0.0 < c[0] <= robot_mass or np.linalg.norm(c[1:4]) > MAX_CENTRE_DISTANCE * c[0]:
+def _is_physically_consistent(c: FloatArray) -> bool:
+    """Check that the mass is positive, its centre within reach, and its inertia nearly feasible."""
+    if c[0] <= 0.0 or np.linalg.norm(c[1:4]) > MAX_CENTRE_DISTANCE * c[0]:
         return False
     if len(c) == 4:
         return True
@@ -48,12 +47,6 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             "com_z": float(centre[2]),
         }
 
-    model = motions[0].fitted_robot.robot.model
-    robot_mass = float(sum(inertia.mass for inertia in model.inertias))
-
-    def is_plausible(c: FloatArray) -> bool:
-        return _is_physically_consistent(c, robot_mass)
-
     for link in range(len(motions[0].fitted_robot.parameters.links)):
         for count in (4, 10):
             yield CandidateModel(
@@ -62,7 +55,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 _columns,
                 {"link": float(link), "count": float(count)},
                 parameters=parameters,
-                is_plausible=is_plausible,
+                is_plausible=_is_physically_consistent,
             )
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from .. import _json, recordings
-from .._system.output_files import output_files
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..errors import UnusableInput
@@ -27,6 +24,7 @@ from ..recordings import Recording, require_distinct
 from ..robot import floating_base
 from ..robot.floating_base import FloatingRobot, Rows
 from .identification_result import IDENTIFICATION_FILES, RecordingSource, read_bounds
+from .predicted_table import PredictedTable, csv_text
 from .robots import RobotSource
 from .saved_result import SavedResult
 
@@ -178,7 +176,7 @@ def identify_floating(
 
 
 @dataclass(frozen=True)
-class PredictedWrench:
+class PredictedWrench(PredictedTable):
     """Wrench and joint torque that the model of a floating-base robot predicts.
 
     Attributes:
@@ -193,19 +191,7 @@ class PredictedWrench:
 
     def csv(self) -> str:
         """Return the table as CSV."""
-        stream = io.StringIO()
-        csv.writer(stream, lineterminator="\n").writerow(["t", *self.columns])
-        np.savetxt(stream, np.column_stack([self.time, self.values]), fmt="%.9g", delimiter=",")
-        return stream.getvalue()
-
-    def save(self, path: str | Path) -> Path:
-        """Write the table as CSV; return its path.
-
-        Raises:
-            UnusableInput: The file cannot be written.
-        """
-        path = Path(path)
-        return output_files(path).replace({path.name: self.csv()})[0]
+        return csv_text(self.columns, self.time, self.values)
 
     def __repr__(self) -> str:
         return f"<PredictedWrench of {len(self.columns)} columns at {len(self.time)} times>"

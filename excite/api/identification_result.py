@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _json, recordings
-from .._system.output_files import output_files
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..designer import identifiability
@@ -45,6 +42,7 @@ from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..trajectory import trajectory_file
+from .predicted_table import PredictedTable, csv_text
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
 
@@ -172,7 +170,7 @@ def reference_samples(recording: Recording) -> Samples:
 
 
 @dataclass(frozen=True)
-class PredictedTorque:
+class PredictedTorque(PredictedTable):
     """Torque that a model predicts along a recording.
 
     Attributes:
@@ -187,20 +185,7 @@ class PredictedTorque:
 
     def csv(self) -> str:
         """Return the table `t,tau.<joint>…` as CSV."""
-        stream = io.StringIO()
-        header = ["t", *(f"tau.{joint}" for joint in self.joints)]
-        csv.writer(stream, lineterminator="\n").writerow(header)
-        np.savetxt(stream, np.column_stack([self.time, self.torque]), fmt="%.9g", delimiter=",")
-        return stream.getvalue()
-
-    def save(self, path: str | Path) -> Path:
-        """Write the table as CSV; return its path.
-
-        Raises:
-            UnusableInput: The file cannot be written.
-        """
-        path = Path(path)
-        return output_files(path).replace({path.name: self.csv()})[0]
+        return csv_text([f"tau.{joint}" for joint in self.joints], self.time, self.torque)
 
     def __repr__(self) -> str:
         return f"<PredictedTorque of {len(self.joints)} joints at {len(self.time)} times>"

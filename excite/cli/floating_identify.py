@@ -37,17 +37,6 @@ FLOATING_ONLY = {
 """Options that only a floating base has."""
 
 
-def require_floating(arguments: argparse.Namespace) -> None:
-    """Check that no option of a floating base is given without `--floating`.
-
-    Raises:
-        UnusableInput: One is.
-    """
-    for option, name in FLOATING_ONLY.items():
-        if getattr(arguments, name):
-            raise UnusableInput(f"{option}: is for a robot with --floating; add it")
-
-
 def load(arguments: argparse.Namespace) -> FloatingRobot:
     """Load the robot that the options describe, with a free flyer.
 
@@ -65,9 +54,7 @@ def load(arguments: argparse.Namespace) -> FloatingRobot:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite identify --floating`."""
-    for option, name in UNSUPPORTED.items():
-        if getattr(arguments, name):
-            raise UnusableInput(f"{option}: is not available with --floating; leave it out")
+    shared.refuse_with_floating(arguments, UNSUPPORTED)
     if arguments.estimator != "wls":
         raise UnusableInput(f"--estimator {arguments.estimator}: --floating has wls only")
     output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)

@@ -8,8 +8,8 @@ from pathlib import Path
 from .._system.output_files import output_files
 from ..api.floating_simulation import simulate_floating
 from ..api.simulated_recording import checked_path
-from ..errors import UnusableInput
 from ..recordings.floating_signals import WORLD
+from . import options as shared
 from .outcome import Outcome, written_lines
 
 UNSUPPORTED = {
@@ -34,22 +34,9 @@ FLOATING_ONLY = {
 """Options that only a floating base has."""
 
 
-def require_floating(arguments: argparse.Namespace) -> None:
-    """Check that no option of a floating base is given without `--floating`.
-
-    Raises:
-        UnusableInput: One is.
-    """
-    for option, name in FLOATING_ONLY.items():
-        if getattr(arguments, name):
-            raise UnusableInput(f"{option}: is for a robot with --floating; add it")
-
-
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite simulate --floating`: write the recording and its true parameters."""
-    for option, name in UNSUPPORTED.items():
-        if getattr(arguments, name):
-            raise UnusableInput(f"{option}: is not available with --floating; leave it out")
+    shared.refuse_with_floating(arguments, UNSUPPORTED)
     path = checked_path(arguments.out)
     inputs = [Path(arguments.robot), Path(arguments.trajectory)]
     output = output_files(path, [f"{path.stem}.truth.json"], inputs)

@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite identify`."""
     if arguments.floating:
         return floating_identify.run(arguments)
-    floating_identify.require_floating(arguments)
+    shared.require_floating(arguments, floating_identify.FLOATING_ONLY)
     output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)

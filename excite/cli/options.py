@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from typing import Any
 
 from ..api.robots import load_robot, resolve_limits
@@ -30,6 +31,36 @@ def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
         "mass": mass[0] if (mass := getattr(arguments, "mass", None)) else None,
         "packages": getattr(arguments, "packages", ()),
     }
+
+
+def require_floating(arguments: argparse.Namespace, options: Mapping[str, str]) -> None:
+    """Check that no option of a floating base is given without `--floating`.
+
+    Args:
+        arguments: The arguments.
+        options: Names of the attributes by option.
+
+    Raises:
+        UnusableInput: One is.
+    """
+    for option, name in options.items():
+        if getattr(arguments, name):
+            raise UnusableInput(f"{option}: is for a robot with --floating; add it")
+
+
+def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, str]) -> None:
+    """Check that no option is given that a floating base does not have.
+
+    Args:
+        arguments: The arguments.
+        options: Names of the attributes by option.
+
+    Raises:
+        UnusableInput: One is.
+    """
+    for option, name in options.items():
+        if getattr(arguments, name):
+            raise UnusableInput(f"{option}: is not available with --floating; leave it out")
 
 
 def robot(arguments: argparse.Namespace) -> Robot:

@@ -9,6 +9,7 @@ from typing import Any
 from .. import api
 from ..api.simulated_recording import checked_path, recording_files
 from . import floating_simulate
+from . import options as shared
 from .outcome import Outcome, written_lines
 
 SETTINGS = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error")
@@ -19,7 +20,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite simulate`: write the recording, its sidecar, its ground truth and a plot."""
     if arguments.floating:
         return floating_simulate.run(arguments)
-    floating_simulate.require_floating(arguments)
+    shared.require_floating(arguments, floating_simulate.FLOATING_ONLY)
     path = checked_path(arguments.out)
     inputs = (arguments.robot, arguments.trajectory, arguments.like)
     output = recording_files(path, [Path(name) for name in inputs if name is not None])

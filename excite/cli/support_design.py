@@ -64,9 +64,7 @@ def require_floating(arguments: argparse.Namespace) -> None:
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite design --floating --support`."""
-    for option, name in UNSUPPORTED.items():
-        if getattr(arguments, name):
-            raise UnusableInput(f"{option}: is not available with --floating; leave it out")
+    shared.refuse_with_floating(arguments, UNSUPPORTED)
     if arguments.speed != 1.0:
         raise UnusableInput("--speed: is not available with --floating; leave it out")
     if arguments.uncertainty not in (0.0, DesignOptions().uncertainty):

@@ -114,3 +114,34 @@ def test_rows_at_standstill_have_no_influence():
         other.add(Columns.of(columns[:, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
         fits.append(other.solution.coefficients)
     np.testing.assert_allclose(fits[0], fits[1])
+
+
+@pytest.mark.parametrize("nonnegative", [False, True])
+def test_residual_rms_is_that_of_the_residual(nonnegative):
+    regression, _ = random_regression(5, nonnegative)
+    solution = regression.without([0])
+    expected = np.sqrt(np.mean(regression.residual(solution) ** 2, axis=0))
+    np.testing.assert_allclose(regression.residual_rms(solution), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("nonnegative", [False, True])
+def test_cross_validation_is_a_refit_without_the_fold(nonnegative):
+    regression, columns = random_regression(6, nonnegative)
+    folds = [np.arange(60) % 3 == k for k in range(3)]
+    errors = regression.cross_validated(folds, [(), (0,)], np.zeros(7, bool))
+    expected = np.zeros((2, 2))
+    for fold in folds:
+        other = JointRegression.of_base(
+            regression.torque[~fold],
+            np.ones((40, 2), bool),
+            columns[~fold, :, :3],
+            (np.zeros(3), 0.1 * np.eye(3)),
+            regression.sigma,
+            0.7,
+        )
+        other.add(Columns.of(columns[~fold, :, 3:], np.full(4, nonnegative), np.full(4, 3.0)))
+        for variant, left_out in enumerate([(), (0,)]):
+            x = other.without(left_out).coefficients
+            residual = regression.torque[fold] - columns[fold] @ x
+            expected[variant] += np.sum(residual**2, axis=0) * regression.weights
+    np.testing.assert_allclose(errors, expected, rtol=1e-6)

@@ -16,6 +16,7 @@ from diagnosis_cases import (
     force_along_x,
     motions,
     noise_ratios,
+    pushed,
     recording_of,
 )
 from synthetic_recordings import PERIOD
@@ -41,6 +42,17 @@ def test_a_contact_is_located_in_time():
     low, high = min(low for low, _ in intervals), max(high for _, high in intervals)
     assert abs(low - 4.0) < 0.6 and abs(high - 6.0) < 0.6
     assert {model.source for model in finding.models} == {"2.csv"}
+
+
+def test_a_lasting_contact_in_the_only_recording_is_found():
+    """A refit of the base model takes much of its torque: the residual hardly stands out."""
+    start, end = 2.0, 8.0
+    touched = recording_of(pushed(start, end, 1.0, np.ones_like), 2)
+    result = diagnose([touched, recording_of(None, HELD_OUT)])
+    (finding,) = result.findings
+    assert (finding.effect, finding.joint) == ("contact", 1)
+    (model,) = finding.models
+    assert model.interval == pytest.approx((start, end), abs=0.6)
 
 
 def test_a_contact_is_one_finding_of_one_model():

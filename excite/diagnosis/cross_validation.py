@@ -66,21 +66,49 @@ def without_unpredictive(
     everything = set(range(len(model.models)))
     while True:
         base, present = _errors(model, [everything, out])
-        worse = np.flatnonzero(present > WORSE * base)
-        if not len(worse):
+        ratio = present / base
+        for joint in sorted(np.flatnonzero(ratio > WORSE).tolist(), key=lambda j: -ratio[j]):
+            group = _spoiling_group(model, joint, out, present, evidence)
+            if group:
+                out |= group
+                break
+        else:
             return frozenset(out)
-        joint = int(worse[np.argmax((present / base)[worse])])
-        groups = [
-            entry.effects
-            for entry in evidence
-            if not set(entry.effects) <= out
-            and joint in [j for e in entry.effects for j in model.regression.joints_of(e)]
-            and all(model.models[e].interval is None for e in entry.effects)
-        ]
-        if not groups:
-            return frozenset(out)
-        errors = _errors(model, [out | set(group) for group in groups])
-        out |= set(groups[int(np.argmin(errors[:, joint]))])
+
+
+def _spoiling_group(
+    model: JointModel,
+    joint: int,
+    left_out: Collection[int],
+    present: FloatArray,
+    evidence: Sequence[EffectEvidence],
+) -> frozenset[int]:
+    """Return the effect without which a joint and the whole robot are predicted better.
+
+    All effects of the joint together are an alternative. Empty if there is none: an effect may
+    explain more at other joints than it spoils at this one.
+
+    Args:
+        model: The joint model.
+        joint: Index of the joint.
+        left_out: Effects that are left out already.
+        present: Cross-validated errors of all joints with all others, shape (n,).
+        evidence: Evidence of all effects.
+    """
+    groups = [
+        frozenset(entry.effects)
+        for entry in evidence
+        if not set(entry.effects) <= set(left_out)
+        and joint in [j for e in entry.effects for j in model.regression.joints_of(e)]
+        and all(model.models[e].interval is None for e in entry.effects)
+    ]
+    if not groups:
+        return frozenset()
+    groups.append(frozenset().union(*groups))
+    errors = _errors(model, [{*left_out, *group} for group in groups])
+    total = np.where(errors[:, joint] < present[joint], errors.sum(axis=1), np.inf)
+    best = int(np.argmin(total))
+    return groups[best] if total[best] < present.sum() else frozenset()
 
 
 def _errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:

@@ -14,6 +14,8 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
 from ..effects.effect import CandidateModel
+from ..effects.recorded_motion import position_range
+from ..effects.spring import CURVE_WAVES
 from . import joint_model, posterior, probability
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
@@ -129,7 +131,7 @@ def estimate_effects(
             present *= share
             equivalents = tuple(dict.fromkeys((*equivalents, *names)))
         equivalents = tuple(
-            dict.fromkeys((*equivalents, *_same_by_definition(entry.name, parameters)))
+            dict.fromkeys((*equivalents, *_same_by_definition(model, entry, parameters)))
         )
         models = tuple(model.models[i] for i in entry.effects)
         coefficients = tuple(
@@ -183,13 +185,24 @@ def without_doubtful(
 
 
 def _same_by_definition(
-    name: str, parameters: Mapping[str, tuple[float, float]]
+    model: JointModel, entry: EffectEvidence, parameters: Mapping[str, tuple[float, float]]
 ) -> tuple[str, ...]:
-    """Convex nonlinear viscous friction and drag are one thing at a joint (the contract)."""
-    if name == "drag":
+    """Names of effects whose torque has the same form.
+
+    Convex nonlinear viscous friction and drag are one thing at a joint (the contract). So are a
+    wave of few periods over the range of a joint and a curve of its position.
+    """
+    if entry.name == "drag":
         return ("nonlinear_viscous",)
-    if name == "nonlinear_viscous" and parameters.get("exponent", (0.0, 0.0))[0] > 1.0:
+    if entry.name == "nonlinear_viscous" and parameters.get("exponent", (0.0, 0.0))[0] > 1.0:
         return ("drag",)
+    shapes = [model.models[i] for i in entry.effects]
+    if entry.name == "spring" and any({"waves", "order"} & set(s.values) for s in shapes):
+        return ("torque_ripple",)
+    if entry.name == "torque_ripple" and entry.joint is not None:
+        low, high = position_range(model.motions, entry.joint)
+        if all(s.values["order"] * (high - low) < np.pi * CURVE_WAVES[-1] for s in shapes):
+            return ("spring",)
     return ()
 
 

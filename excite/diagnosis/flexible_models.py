@@ -57,16 +57,17 @@ EXPERIMENTS: Mapping[str, str] = {
 
 
 def flexible_models(
-    motions: Sequence[RecordedMotion], sigma: FloatArray
+    motions: Sequence[RecordedMotion], sigma: FloatArray, joints: Sequence[int] | None = None
 ) -> Iterator[CandidateModel]:
     """Yield the flexible models of every joint.
 
     Args:
         motions: The motions to fit.
         sigma: RMS residual of each joint without them, shape (n,) [N m].
+        joints: Indices of the joints; all when None.
     """
     rows = motion_rows(motions)
-    for j in range(rows.n):
+    for j in range(rows.n) if joints is None else joints:
         columns = _Columns(motions, rows, j, float(sigma[j]))
         yield from _functions_of_state(columns, rows, j)
         for state, drive in (("ddq", "past acceleration"), ("load", "past load")):

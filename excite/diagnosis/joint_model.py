@@ -506,6 +506,8 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             if evidence < MIN_RIPPLE_EVIDENCE or any(abs(order - k) < 0.5 * width for k in known):
                 break
             order = _refined_order(fitted, j, order, width)
+            if order < low:  # of so few periods, a spring
+                break
             wave = torque_ripple.wave_model(fitted.motions, j, order)
             columns = model_columns(wave, fitted.motions, fitted.level)
             known.append(order)

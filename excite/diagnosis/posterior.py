@@ -11,15 +11,17 @@ of the m coefficients that cannot be negative has twice the prior density.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .._types import FloatArray
+from ..effects.form_error import with_form_error
 from . import probability
 from .joint_model import FRICTIONS, JointModel
-from .regression import JointRegression, Solution, rms
+from .regression import JointRegression, Solution
 
 DENSE_NAMES = (*FRICTIONS, "torque_ripple")
 """Effects that the joint model has from the start."""
@@ -136,8 +138,7 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
             key: evidence_of(model, key, groups[key], left_out, current) for key in evidence
         }
     while evidence:
-        present = probabilities(model.n, [*evidence.values(), *out])
-        unneeded = [k for k, e in evidence.items() if present[k] < 0.5 or e.size < MIN_SEVERITY]
+        unneeded = _unneeded(model, evidence, out)
         if not unneeded:
             break
         key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
@@ -148,7 +149,61 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         for other in evidence:
             if touched & set(_joints(regression, groups[other])):
                 evidence[other] = evidence_of(model, other, groups[other], left_out, current)
+    for joint in range(model.n):
+        evidence |= _next_to_form_errors(model, joint, left_out, evidence)
+    for key in _unneeded(model, evidence, out):
+        out.append(evidence.pop(key))
+        left_out |= set(groups[key])
     return frozenset(left_out), [*evidence.values(), *out]
+
+
+def _unneeded(
+    model: JointModel, evidence: Mapping[Key, EffectEvidence], out: Sequence[EffectEvidence]
+) -> list[Key]:
+    """Return the effects that are less probable than not, or too small."""
+    present = probabilities(model.n, [*evidence.values(), *out])
+    return [k for k, e in evidence.items() if present[k] < 0.5 or e.size < MIN_SEVERITY]
+
+
+def _next_to_form_errors(
+    model: JointModel, joint: int, left_out: Collection[int], evidence: Mapping[Key, EffectEvidence]
+) -> dict[Key, EffectEvidence]:
+    """Return the evidence of the frictions of a joint, each next to the form errors of larger ones.
+
+    Otherwise what one friction curve has no form for, which grows with it, would be another one.
+
+    Args:
+        model: The joint model.
+        joint: Index of the joint.
+        left_out: Numbers of effects that are left out.
+        evidence: Evidence of the effects of the model.
+    """
+    present = sorted(
+        (e for key, e in evidence.items() if key[0] in FRICTIONS and key[1] == joint),
+        key=lambda e: -e.log_bayes_factor,
+    )
+    regression = model.regression.keeping(range(len(model.models)))
+    extended = replace(model, regression=regression)
+    out: dict[Key, EffectEvidence] = {}
+    gone = set(left_out)
+    for larger, smaller in itertools.pairwise(present):
+        alone = regression.without({*gone, *smaller.effects})
+        for number in larger.effects:
+            columns = model.columns(
+                with_form_error(
+                    model.models[number],
+                    model.motions,
+                    alone.coefficients[regression.slices[number]],
+                )
+            )
+            if columns is not None:
+                regression.add(columns.last(columns.count - model.regression.count_of(number)))
+        current = regression.without(gone)
+        judged = evidence_of(extended, smaller.key, smaller.effects, gone, current)
+        out[smaller.key] = judged
+        if not judged.is_needed:
+            gone |= set(smaller.effects)
+    return out
 
 
 def judge(
@@ -157,8 +212,9 @@ def judge(
     """Return the evidence of an effect without the frictions that hide it.
 
     The joint model has all frictions from the start, and one that nearly has the form of the effect
-    has taken its torque. Of two such explanations the one with less evidence leaves, the friction
-    without which the effect grows most first, until the effect is needed or none is left.
+    has taken its torque, or one kind of friction has at several joints. Of two such explanations
+    the one with less evidence leaves, the friction without which the effect grows most first, until
+    the effect is needed or none is left. Frictions that are needed next to the effect come back.
 
     Args:
         model: A joint model with the effect.
@@ -175,6 +231,10 @@ def judge(
         for k, g in groups.items()
         if k[0] in FRICTIONS and k[1] in joints and not set(g) <= set(left_out)
     }
+    for kind in FRICTIONS:
+        members = [g for k, g in frictions.items() if k[0] == kind]
+        if len(members) > 1:
+            frictions[kind, None] = tuple(itertools.chain(*members))
     out = frozenset(left_out)
     first = result = evidence_of(model, key, groups[key], out, regression.without(out))
     while not result.is_needed:
@@ -190,7 +250,15 @@ def judge(
         if not rivals:
             return first, frozenset(left_out)
         chosen = max(rivals, key=lambda k: rivals[k].size)
-        out, result = out | set(groups[chosen]), rivals[chosen]
+        out, result = out | set(frictions[chosen]), rivals[chosen]
+    for k in [k for k, g in frictions.items() if k[1] is not None and set(g) <= out]:
+        more = out - set(groups[k])
+        current = regression.without(more)
+        if not evidence_of(model, k, groups[k], more, current).is_needed:
+            continue
+        again = evidence_of(model, key, groups[key], more, current)
+        if again.is_needed:
+            out, result = more, again
     return result, out
 
 
@@ -212,7 +280,7 @@ def evidence_of(
         return EffectEvidence(members, *key, -np.inf, np.zeros(model.n), 0.0)
     reduced = regression.without([*left_out, *members])
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
-    before, after = (rms(regression.residual(s), regression.moving) for s in (reduced, current))
+    before, after = (regression.residual_rms(s) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
     size = float((severity / regression.sigma).max())
     return EffectEvidence(members, *key, factor, severity, size)

@@ -29,6 +29,8 @@ FIXED_STD = 1e-12
 """Prior standard deviation of a coefficient that is held at zero."""
 RIDGE = 1e-10
 """Share of the diagonal that is added to a matrix before it is factored."""
+_Products = tuple[FloatArray, FloatArray, float]
+"""XᵀX, Xᵀτ and τᵀτ of the columns X of one joint, without weights."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,15 @@ class Columns:
     def count(self) -> int:
         """Number of columns k."""
         return len(self.nonnegative)
+
+    def last(self, count: int) -> Columns:
+        """Return the last columns alone.
+
+        Args:
+            count: Their number.
+        """
+        values = tuple(x[:, -count:] for x in self.values)
+        return Columns(self.joints, values, self.nonnegative[-count:], self.prior_std[-count:])
 
     @classmethod
     def of(
@@ -128,7 +139,8 @@ class JointRegression:
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
     _solution: Solution | None = None
-    _assembly: tuple[FloatArray, FloatArray, float] | None = None
+    _system: _System | None = None
+    _eliminations: dict[bytes, _Elimination] = field(default_factory=dict)
 
     @classmethod
     def of_base(
@@ -222,7 +234,7 @@ class JointRegression:
         """Hold some coefficients at zero, by a prior without uncertainty."""
         for place in places:
             self.prior_matrix[place, place] = 1.0 / FIXED_STD**2
-        self._solution, self._assembly = None, None
+        self._changed()
 
     def add(self, columns: Columns) -> int:
         """Append the columns of an effect; return its number."""
@@ -238,13 +250,13 @@ class JointRegression:
         )
         self._prior_score = np.concatenate([self._prior_score, np.zeros(columns.count)])
         self.slices.append(slice(start, start + columns.count))
-        self._solution, self._assembly = None, None
+        self._changed()
         return len(self.slices) - 1
 
     def reweighted(self, sigma: FloatArray, independent_share: float) -> None:
         """Replace the weights of the rows."""
         self.sigma, self.independent_share = sigma, independent_share
-        self._solution, self._assembly = None, None
+        self._changed()
 
     @property
     def solution(self) -> Solution:
@@ -266,48 +278,53 @@ class JointRegression:
         used[list(unused)] = False
         return self._solve(used)
 
-    def _assembled(self) -> tuple[FloatArray, FloatArray, float]:
-        """Information matrix A, score b and power of the weighted rows and the priors."""
-        if self._assembly is not None:
-            return self._assembly
-        matrix, score, power = (
-            self.prior_matrix.copy(),
-            self._prior_score.copy(),
-            self._prior_power,
-        )
-        for gram, weight in zip(self._grams, self.weights.tolist(), strict=True):
-            matrix[np.ix_(gram.places, gram.places)] += weight * gram.matrix
-            score[gram.places] += weight * gram.score
-            power += weight * gram.power
-        self._assembly = matrix, score, power
-        return self._assembly
+    def _assembled(self) -> _System:
+        """Normal equations of the weighted rows and the priors."""
+        if self._system is not None:
+            return self._system
+        products = [(gram.matrix, gram.score, gram.power) for gram in self._grams]
+        self._system = self._system_of([products])
+        return self._system
+
+    def _products(self, rows: BoolArray, torque: FloatArray) -> list[_Products]:
+        """Products XᵀX, Xᵀτ and τᵀτ of some rows, for each joint.
+
+        Args:
+            rows: The rows, shape (N,).
+            torque: Torque τ, zero where a joint does not count, shape (N, n) [N m].
+        """
+        out = []
+        for gram, tau in zip(self._grams, torque[rows].T, strict=True):
+            x = gram.columns[rows]
+            out.append((x.T @ x, x.T @ tau, float(tau @ tau)))
+        return out
+
+    def _system_of(self, parts: Sequence[Sequence[_Products]]) -> _System:
+        """Normal equations of the weighted rows of some parts and of the priors."""
+        matrix, score = self.prior_matrix.copy(), self._prior_score.copy()
+        power = self._prior_power
+        for part in parts:
+            for gram, products, weight in zip(
+                self._grams, part, self.weights.tolist(), strict=True
+            ):
+                matrix[np.ix_(gram.places, gram.places)] += weight * products[0]
+                score[gram.places] += weight * products[1]
+                power += weight * products[2]
+        return _System(matrix, score, power)
+
+    def _changed(self) -> None:
+        """Forget all that was computed with other columns, weights or priors."""
+        self._solution, self._system = None, None
+        self._eliminations.clear()
 
     def _solve(self, used: BoolArray) -> Solution:
-        return self._minimum(used, *self._assembled())
-
-    def _minimum(
-        self, used: BoolArray, matrix: FloatArray, score: FloatArray, power: float
-    ) -> Solution:
-        """Minimum of the objective over the used coefficients."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        a, b = matrix * scale[:, None] * scale, score * scale
-        free = np.flatnonzero(used & ~self.nonnegative)
-        bounded = np.flatnonzero(used & self.nonnegative)
-        factor = linalg.cho_factor(a[np.ix_(free, free)] + RIDGE * np.eye(len(free)), lower=True)
-        cross = linalg.cho_solve(factor, np.column_stack([a[np.ix_(free, bounded)], b[free]]))
-        x = np.zeros(len(a))
-        if len(bounded):
-            eliminated = a[np.ix_(bounded, free)] @ cross
-            root = linalg.cholesky(
-                a[np.ix_(bounded, bounded)] - eliminated[:, :-1] + RIDGE * np.eye(len(bounded))
-            )
-            target = linalg.solve_triangular(root, b[bounded] - eliminated[:, -1], trans=1)
-            x[bounded] = nnls(root, target, maxiter=30 * len(bounded))[0]
-        x[free] = cross[:, -1] - cross[:, :-1] @ x[bounded]
-        x *= scale
-        active = used & (~self.nonnegative | (x > 0.0))
-        objective = 0.5 * (power + x @ matrix @ x) - score @ x
-        return Solution(x, active, float(objective), matrix)
+        """Minimum of the objective over the used coefficients, with the present weights."""
+        system = self._assembled()
+        free = used & ~self.nonnegative
+        key = free.tobytes()
+        if key not in self._eliminations:
+            self._eliminations[key] = _Elimination.of(system, free, self.nonnegative)
+        return self._eliminations[key].minimum(system, used)
 
     def cross_validated(
         self, folds: Sequence[BoolArray], variants: Sequence[Collection[int]], unused: BoolArray
@@ -327,26 +344,39 @@ class JointRegression:
             for e in left_out:
                 mask[self.slices[e]] = False
         out = np.zeros((len(variants), self.n))
-        matrix, score, power = self._assembled()
         measured = np.where(self.moving, self.torque, 0.0)
-        for fold in folds:
-            remaining, right = matrix.copy(), score.copy()
-            held_out = [gram.columns[fold] for gram in self._grams]
-            for j, (gram, x) in enumerate(zip(self._grams, held_out, strict=True)):
-                weight = float(self.weights[j])
-                remaining[np.ix_(gram.places, gram.places)] -= weight * (x.T @ x)
-                right[gram.places] -= weight * (x.T @ measured[fold, j])
+        parts = [self._products(fold, measured) for fold in folds]
+        for held_out in parts:
+            # a sum over the other folds: a difference would leave the rounding errors of the whole
+            system = self._system_of([part for part in parts if part is not held_out])
             for v, mask in enumerate(used):
-                c = self._minimum(mask, remaining, right, power).coefficients
-                for j, (gram, x) in enumerate(zip(self._grams, held_out, strict=True)):
-                    error = measured[fold, j] - x @ c[gram.places]
-                    out[v, j] += float(self.weights[j] * (error @ error))
+                elimination = _Elimination.of(system, mask & ~self.nonnegative, self.nonnegative)
+                c = elimination.minimum(system, mask).coefficients
+                for j, (gram, (matrix, score, power)) in enumerate(
+                    zip(self._grams, held_out, strict=True)
+                ):
+                    x = c[gram.places]
+                    error = max(power - float(x @ (2.0 * score - matrix @ x)), 0.0)
+                    out[v, j] += float(self.weights[j]) * error
         return out
 
     def residual(self, solution: Solution | None = None) -> FloatArray:
         """Return the torque residual, shape (N, n) [N m]; rows at standstill have the torque."""
         x = (solution or self.solution).coefficients
         return self.torque - np.column_stack([g.columns @ x[g.places] for g in self._grams])
+
+    def residual_rms(self, solution: Solution) -> FloatArray:
+        """Return the RMS residual of each joint over its rows in motion, shape (n,) [N m].
+
+        Args:
+            solution: A solution of the regression.
+        """
+        x = solution.coefficients
+        square = [
+            g.power - x[g.places] @ (2.0 * g.score - g.matrix @ x[g.places]) for g in self._grams
+        ]
+        rows = np.maximum(self.moving.sum(axis=0), 1)
+        return np.asarray(np.sqrt(np.maximum(square, 0.0) / rows))
 
     def fitted_per_joint(self) -> FloatArray:
         """Return the number of coefficients that are fitted to the rows of each joint, shape (n,).
@@ -393,6 +423,10 @@ class JointRegression:
             square += weight * float(np.sum(x * x))
         change = -solution.solve(cross)
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
+
+    def count_of(self, effect: int) -> int:
+        """Return the number of coefficients of an effect."""
+        return self.slices[effect].stop - self.slices[effect].start
 
     def joints_of(self, effect: int) -> list[int]:
         """Return the joints on which an effect acts."""
@@ -446,6 +480,74 @@ class CandidateFit:
     coefficients: FloatArray
     gain: float
     information: FloatArray
+
+
+@dataclass(frozen=True)
+class _System:
+    """Normal equations: the objective is ½ xᵀ A x − bᵀ x + ½ power.
+
+    Attributes:
+        matrix: A, shape (K, K).
+        score: b, shape (K,).
+        power: Twice the objective of x = 0.
+    """
+
+    matrix: FloatArray
+    score: FloatArray
+    power: float
+
+
+@dataclass(frozen=True)
+class _Elimination:
+    """Normal equations of the coefficients with a sign constraint, all others eliminated.
+
+    Attributes:
+        scale: Units of all coefficients, in which A has a unit diagonal, shape (K,).
+        free: Coefficients without a sign constraint that are used, shape (f,).
+        bounded: Coefficients that cannot be negative, shape (m,).
+        cross: Change of the free coefficients per unit of the bounded ones, and their values
+            without these, shape (f, m + 1).
+        schur: Information of the bounded coefficients, shape (m, m).
+        target: Their score, shape (m,).
+    """
+
+    scale: FloatArray
+    free: IntArray
+    bounded: IntArray
+    cross: FloatArray
+    schur: FloatArray
+    target: FloatArray
+
+    @classmethod
+    def of(cls, system: _System, free: BoolArray, nonnegative: BoolArray) -> _Elimination:
+        """Eliminate the free coefficients by a Schur complement."""
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(system.matrix), 1e-300))
+        a, b = system.matrix * scale[:, None] * scale, system.score * scale
+        f, m = np.flatnonzero(free), np.flatnonzero(nonnegative)
+        factor = linalg.cho_factor(a[np.ix_(f, f)] + RIDGE * np.eye(len(f)), lower=True)
+        mixed = a[np.ix_(f, m)]
+        cross = linalg.cho_solve(factor, np.column_stack([mixed, b[f]]))
+        eliminated = mixed.T @ cross
+        schur = a[np.ix_(m, m)] - eliminated[:, :-1]
+        schur[np.diag_indices(len(m))] += RIDGE
+        return cls(scale, f, m, cross, schur, b[m] - eliminated[:, -1])
+
+    def minimum(self, system: _System, used: BoolArray) -> Solution:
+        """Return the minimum over the used coefficients, by nonnegative least squares."""
+        x = np.zeros(len(used))
+        on = used[self.bounded]
+        values = np.zeros(len(on))
+        if on.any():
+            root = linalg.cholesky(self.schur[np.ix_(on, on)])
+            target = linalg.solve_triangular(root, self.target[on], trans=1)
+            values[on] = nnls(root, target, maxiter=30 * int(on.sum()))[0]
+            x[self.bounded] = values
+        x[self.free] = self.cross[:, -1] - self.cross[:, :-1] @ values
+        x *= self.scale
+        active = used.copy()
+        active[self.bounded] &= values > 0.0
+        objective = 0.5 * (system.power + x @ system.matrix @ x) - system.score @ x
+        return Solution(x, active, float(objective), system.matrix)
 
 
 @dataclass

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..effects import EFFECTS
+from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
 from .flexible_models import UNMODELLED, flexible_models
-from .joint_model import JointModel
+from .joint_model import FRICTIONS, JointModel
 from .posterior import DENSE_NAMES, EffectEvidence, Key
 from .regression import CandidateFit, Columns
 
@@ -32,10 +32,13 @@ MIN_CANDIDATE_EVIDENCE = 5.0
 MAX_MODELS = {"base_compliance": 2, "spring": 2, "position_friction": 2, "encoder_error": 2}
 """Models of one effect at one joint, where several describe it: modes of a base, waves of a curve;
 1 of all others."""
+LAST_RESORTS = (UNMODELLED, "contact")
+"""Explanations that are tried when no other is left: a flexible model fits what remains, and the
+time of a contact is chosen where most remains."""
 RANKING_SHARE = 0.25
 """Share of independent rows in the residual of a complete model, at least."""
 MAX_REJECTIONS = 3
-"""Candidates that are tried in vain before the search ends."""
+"""Candidates of the catalogue, contacts and flexible models that are tried in vain, of each."""
 EQUIVALENT_SHARE = 0.05
 """Probability over that of the chosen effect from which another one is its equivalent."""
 TIE = -probability.RARE_TEMPERATURE * float(np.log(EQUIVALENT_SHARE))
@@ -111,11 +114,21 @@ class Candidate:
     share: float
 
     @property
-    def evidence(self) -> float:
+    def log_bayes_factor(self) -> float:
         """Log Bayes factor for the candidate, before the choice among its shapes."""
+        return self.fit.gain - self._occam
+
+    @property
+    def evidence(self) -> float:
+        """The same with the share of independent rows that a complete model would have."""
+        return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - self._occam
+
+    @property
+    def _occam(self) -> float:
+        """Logarithm of the share of the prior volume that the data leave."""
         precision = 1.0 / self.columns.prior_std**2
-        occam = np.linalg.slogdet(self.fit.information / np.sqrt(np.outer(precision, precision)))[1]
-        return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - 0.5 * float(occam)
+        scaled = self.fit.information / np.sqrt(np.outer(precision, precision))
+        return 0.5 * float(np.linalg.slogdet(scaled)[1])
 
     @property
     def is_plausible(self) -> bool:
@@ -178,6 +191,38 @@ class CandidateColumns:
         mean = best.evidence + float(np.log(np.mean(np.exp(others - best.evidence))))
         mean += float(np.log(len(scored) / len(self.shapes[key])))
         return mean, best
+
+    def better_than_load_friction(
+        self, model: JointModel, best: Mapping[Key, tuple[float, Candidate]]
+    ) -> dict[Key, tuple[float, Candidate]]:
+        """Return effects that have more evidence in the place of all load friction than next to it.
+
+        Where the base model is trusted, load friction of several joints fits a part of what is
+        wrong with it. Those that cannot be told from load friction are tried as well.
+
+        Args:
+            model: The joint model.
+            best: Evidence and best candidate of each effect next to load friction.
+        """
+        kept = [i for i, shape in enumerate(model.models) if shape.effect != "load_friction"]
+        regression = model.regression.keeping(kept)
+        reduced = replace(model, models=tuple(model.models[i] for i in kept), regression=regression)
+        lost = posterior.log_evidence(model.regression, model.solution)
+        lost -= posterior.log_evidence(regression, regression.solution)
+        out = {}
+        for key in self.shapes:
+            instead = (
+                self.best(reduced, key)
+                if key[0] != UNMODELLED and EFFECTS_BY_NAME[key[0]].prior_only
+                else None
+            )
+            if instead is not None:
+                evidence = instead[0] - lost
+                if evidence > -TIE:
+                    evidence = max(evidence, np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf))
+                if key not in best or evidence > best[key][0]:
+                    out[key] = evidence, instead[1]
+        return out
 
     def tuned(self, model: JointModel, key: Key, best: Candidate) -> Candidate:
         """Return the best candidate of an effect at a joint, nonlinear parameters optimised.
@@ -252,6 +297,8 @@ def find_rare_effects(
             for key in candidates.shapes
             if (entry := candidates.best(model, key)) is not None
         }
+        if trusted:
+            best |= candidates.better_than_load_friction(model, best)
         scores = {key: evidence for key, (evidence, _) in best.items()}
         if effects:
             effects[-1] = replace(effects[-1], after=scores)
@@ -262,13 +309,14 @@ def find_rare_effects(
                 if key not in rejected
                 and evidence > MIN_CANDIDATE_EVIDENCE
                 and [f.key for f in effects].count(key) < MAX_MODELS.get(key[0], 1)
+                and not any(_is_same_event(best[key][1].model, shape) for shape in rare)
             ),
             key=lambda key: -scores[key],
         )
         chosen: tuple[Key, JointModel, CandidateModel, EffectEvidence] | None = None
-        # flexible models last: they could stand for the sum of effects that are still to be found
-        for flexible in (False, True):
-            group = [key for key in promising if (key[0] == UNMODELLED) is flexible]
+        # these last: they could stand for the sum of effects that are still to be found
+        for last in (False, True):
+            group = [key for key in promising if (key[0] in LAST_RESORTS) is last]
             if chosen is not None:
                 break
             # a shape between two grid points may explain more than another effect's best grid point
@@ -279,8 +327,8 @@ def find_rare_effects(
             for key, candidate in tuned.items():
                 scores[key] += max(candidate.evidence - best[key][1].evidence, 0.0)
             for key in sorted(tuned, key=lambda key: -scores[key]):
-                if sum((k[0] == UNMODELLED) is flexible for k in rejected) >= MAX_REJECTIONS:
-                    break
+                if sum(_kind(k) == _kind(key) for k in rejected) >= MAX_REJECTIONS:
+                    continue
                 if chosen is not None and scores[key] < scores[chosen[0]] - TIE:
                     break
                 shape = tuned[key].model
@@ -297,10 +345,90 @@ def find_rare_effects(
         others = {
             k: score
             for k, score in scores.items()
-            if k != key and (k[0] == UNMODELLED) is (key[0] == UNMODELLED)
+            if k != key and (k[0] in LAST_RESORTS) is (key[0] in LAST_RESORTS)
         }
         effects.append(RareEffect(key, scores[key], others, {}, evidence.log_bayes_factor))
+    return _with_better_flexible_models(identified, motions, model, rare, effects, progress)
+
+
+def _with_better_flexible_models(
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    model: JointModel,
+    rare: tuple[CandidateModel, ...],
+    effects: Sequence[RareEffect],
+    progress: Callable[[str], None],
+) -> tuple[JointModel, tuple[RareEffect, ...]]:
+    """Put flexible models in the place of effects of a joint that they explain better.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+        model: The joint model with all rare effects.
+        rare: Their models.
+        effects: The rare effects.
+        progress: Called with a line of text for each flexible model.
+    """
+    for joint in range(model.n):
+        flexible = _better_flexible_model(model, joint)
+        if flexible is None:
+            continue
+        kept = [i for i, shape in enumerate(rare) if shape.joint != joint]
+        shapes = (*(rare[i] for i in kept), flexible.model)
+        extended = joint_model.fit(identified, motions, shapes)
+        key = UNMODELLED, joint
+        evidence = _accepted(extended, key, progress)
+        if evidence is not None:
+            model, rare = extended, shapes
+            unnamed = RareEffect(key, flexible.evidence, {}, {}, evidence.log_bayes_factor)
+            effects = [*(effects[i] for i in kept), unnamed]
     return model, tuple(effects)
+
+
+def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
+    """Return the flexible model that explains a joint better than all its rare effects and ripple.
+
+    Torque of another form may have been taken apart by several effects, each of which explains a
+    part of it, so that no flexible model has enough evidence jointly with them.
+
+    Args:
+        model: The joint model.
+        joint: Index of the joint.
+    """
+    replaced = [
+        i for i, m in enumerate(model.models) if m.joint == joint and m.effect not in FRICTIONS
+    ]
+    if len(replaced) < 2 or all(model.models[i].effect == UNMODELLED for i in replaced):
+        return None
+    kept = [i for i in range(len(model.models)) if i not in replaced]
+    regression = model.regression.keeping(kept)
+    named = posterior.log_evidence(model.regression, model.solution)
+    named -= posterior.log_evidence(regression, regression.solution)
+    reduced = replace(model, models=tuple(model.models[i] for i in kept), regression=regression)
+    sigma = regression.residual_rms(regression.solution)
+    best: Candidate | None = None
+    for shape in flexible_models(model.motions, sigma, [joint]):
+        columns = reduced.columns(shape)
+        if columns is not None:
+            candidate = Candidate.of(reduced, shape, columns)
+            if best is None or candidate.log_bayes_factor > best.log_bayes_factor:
+                best = candidate
+    # each of them is as improbable beforehand as the flexible model
+    improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
+    needed = named - improbability * (len(replaced) - 1) + TIE
+    return best if best is not None and best.log_bayes_factor > needed else None
+
+
+def _is_same_event(first: CandidateModel, second: CandidateModel) -> bool:
+    """Tell whether two effects act at the same time of a recording: a contact has one link."""
+    if first.interval is None or second.interval is None or first.source != second.source:
+        return False
+    return first.interval[0] < second.interval[1] and second.interval[0] < first.interval[1]
+
+
+def _kind(key: Key) -> str:
+    """Return the last resort that an effect is, or "named"."""
+    return key[0] if key[0] in LAST_RESORTS else "named"
 
 
 def _accepted(

@@ -253,14 +253,19 @@ def _gravity_doubts(
     comparison: NominalComparison,
 ) -> list[Remark]:
     """Doubt that the torque contains gravity, and that gravity points where the robot says."""
-    gravity, judged = _measured_gravity(robot, torque, motion)
     stated = robot.model.gravity.linear
+    gravity, judged, unexplained = _measured_gravity(robot, torque, motion, stated)
     size = float(np.linalg.norm(stated))
     cosine = float(gravity @ stated) / max(float(np.linalg.norm(gravity)) * size, 1e-9)
     angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
     ratio = float(np.linalg.norm(gravity)) / size
     is_present = MAX_GRAVITY_SLOPE < ratio < 1.0 / MAX_GRAVITY_SLOPE
-    if judged.sum() >= MIN_GRAVITY_JOINTS and is_present and angle > MAX_GRAVITY_ANGLE:
+    if (
+        judged.sum() >= MIN_GRAVITY_JOINTS
+        and is_present
+        and angle > MAX_GRAVITY_ANGLE
+        and unexplained < MAX_UNEXPLAINED_RATIO
+    ):
         direction = ", ".join(f"{value:.1f}" for value in gravity)
         text = (
             f"gravity as the torque shows it is ({direction}) m/s² in the base frame, {angle:.0f}° "
@@ -283,12 +288,14 @@ def _gravity_doubts(
 
 
 def _measured_gravity(
-    robot: Robot, torque: FloatArray, motion: Samples
-) -> tuple[FloatArray, BoolArray]:
+    robot: Robot, torque: FloatArray, motion: Samples, stated: FloatArray
+) -> tuple[FloatArray, BoolArray, float]:
     """Estimate the vector of gravity by least squares over the joints that show it.
 
     Returns:
-        Gravity, shape (3,) [m/s²], and True for the joints that it is estimated from, shape (n,).
+        Gravity, shape (3,) [m/s²], True for the joints that it is estimated from, shape (n,), and
+        its unexplained torque there over that of the stated gravity: a motion that hardly changes
+        the pose does not determine the direction.
     """
     model, spread = robot.model.copy(), robot.spread
     data, columns = model.createData(), list[FloatArray]()
@@ -298,6 +305,7 @@ def _measured_gravity(
         columns.append(np.array([pin.computeGeneralizedGravity(model, data, row) for row in q]))
     dynamic = nominal_torque(robot, motion)[1]
     normal, right, judged = np.zeros((3, 3)), np.zeros(3), np.zeros(robot.n, bool)
+    shown: list[tuple[float, FloatArray, FloatArray]] = []
     for j in range(robot.n):
         orthogonal = np.linalg.qr(np.column_stack([_friction(motion.dq[:, j]), dynamic[:, j]]))[0]
         X = np.column_stack([column @ spread[:, j] for column in columns])
@@ -310,8 +318,20 @@ def _measured_gravity(
             weight = 1.0 / max(float(np.mean((y - fitted) ** 2)), 1e-300)
             normal += weight * X.T @ X
             right += weight * X.T @ y
+            shown.append((weight, X, y))
     # a direction that no joint shows, such as across the plane of a planar arm, keeps 0
-    return np.asarray(np.linalg.pinv(normal, rcond=1e-6) @ right), judged
+    gravity = np.asarray(np.linalg.pinv(normal, rcond=1e-6) @ right)
+
+    def unexplained(direction: FloatArray) -> float:
+        """Weighted squares that gravity of this direction leaves, its size free at each joint."""
+        total = 0.0
+        for weight, X, y in shown:
+            x = X @ direction
+            explained = max(float(x @ y), 0.0) ** 2 / max(float(x @ x), 1e-300)
+            total += weight * (float(y @ y) - explained)
+        return total
+
+    return gravity, judged, unexplained(gravity) / max(unexplained(stated), 1e-300)
 
 
 def _friction(speed: FloatArray) -> FloatArray:

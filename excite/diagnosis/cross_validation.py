@@ -66,14 +66,14 @@ def without_unpredictive(
     everything = set(range(len(model.models)))
     while True:
         base, present = _errors(model, [everything, out])
-        ratio = present / base
-        for joint in sorted(np.flatnonzero(ratio > WORSE).tolist(), key=lambda j: -ratio[j]):
-            group = _spoiling_group(model, joint, out, present, evidence)
-            if group:
-                out |= group
-                break
-        else:
+        joint = int(np.argmax(present / base))
+        if present[joint] <= WORSE * base[joint]:
             return frozenset(out)
+        # a joint without effects is predicted worse where the folds do not determine the base model
+        group = _spoiling_group(model, joint, out, present, evidence)
+        if not group:
+            return frozenset(out)
+        out |= group
 
 
 def _spoiling_group(

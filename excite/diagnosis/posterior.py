@@ -149,11 +149,9 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         for other in evidence:
             if touched & set(_joints(regression, groups[other])):
                 evidence[other] = evidence_of(model, other, groups[other], left_out, current)
+    # one that is doubtful only next to a form error stays: it is a part of the friction curve
     for joint in range(model.n):
         evidence |= _next_to_form_errors(model, joint, left_out, evidence)
-    for key in _unneeded(model, evidence, out):
-        out.append(evidence.pop(key))
-        left_out |= set(groups[key])
     return frozenset(left_out), [*evidence.values(), *out]
 
 
@@ -200,6 +198,8 @@ def _next_to_form_errors(
                 regression.add(columns.last(columns.count - model.regression.count_of(number)))
         current = regression.without(gone)
         judged = evidence_of(extended, smaller.key, smaller.effects, gone, current)
+        if judged.size < MIN_SEVERITY:  # too small to be evidence; the robot's other joints decide
+            judged = replace(judged, log_bayes_factor=min(judged.log_bayes_factor, 0.0))
         out[smaller.key] = judged
         if not judged.is_needed:
             gone |= set(smaller.effects)

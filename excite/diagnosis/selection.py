@@ -316,7 +316,11 @@ def find_rare_effects(
         chosen: tuple[Key, JointModel, CandidateModel, EffectEvidence] | None = None
         # these last: they could stand for the sum of effects that are still to be found
         for last in (False, True):
-            group = [key for key in promising if (key[0] in LAST_RESORTS) is last]
+            group = [
+                key
+                for key in promising
+                if (key[0] in LAST_RESORTS) is last and _tries(rejected, key) < MAX_REJECTIONS
+            ]
             if chosen is not None:
                 break
             # a shape between two grid points may explain more than another effect's best grid point
@@ -327,7 +331,7 @@ def find_rare_effects(
             for key, candidate in tuned.items():
                 scores[key] += max(candidate.evidence - best[key][1].evidence, 0.0)
             for key in sorted(tuned, key=lambda key: -scores[key]):
-                if sum(_kind(k) == _kind(key) for k in rejected) >= MAX_REJECTIONS:
+                if _tries(rejected, key) >= MAX_REJECTIONS:
                     continue
                 if chosen is not None and scores[key] < scores[chosen[0]] - TIE:
                     break
@@ -373,7 +377,8 @@ def _with_better_flexible_models(
         flexible = _better_flexible_model(model, joint)
         if flexible is None:
             continue
-        kept = [i for i, shape in enumerate(rare) if shape.joint != joint]
+        columns = [model.columns(shape) for shape in rare]
+        kept = [i for i, c in enumerate(columns) if c is None or c.joints != (joint,)]
         shapes = (*(rare[i] for i in kept), flexible.model)
         extended = joint_model.fit(identified, motions, shapes)
         key = UNMODELLED, joint
@@ -386,19 +391,25 @@ def _with_better_flexible_models(
 
 
 def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
-    """Return the flexible model that explains a joint better than all its rare effects and ripple.
+    """Return the flexible model that explains a joint better than its rare effects and ripple.
 
-    Torque of another form may have been taken apart by several effects, each of which explains a
-    part of it, so that no flexible model has enough evidence jointly with them.
+    Torque of another form may have been taken apart by several effects of the joint alone, each of
+    which explains a part of it, so that no flexible model has enough evidence jointly with them.
 
     Args:
         model: The joint model.
         joint: Index of the joint.
     """
     replaced = [
-        i for i, m in enumerate(model.models) if m.joint == joint and m.effect not in FRICTIONS
+        i
+        for i, m in enumerate(model.models)
+        if m.effect not in FRICTIONS and model.regression.joints_of(i) == [joint]
     ]
-    if len(replaced) < 2 or all(model.models[i].effect == UNMODELLED for i in replaced):
+    shapes = [model.models[i] for i in replaced]
+    # several models of a spring are one spring, each wave has an order of its own
+    named_effects = {m.effect for m in shapes} - {"torque_ripple"}
+    count = len(named_effects) + sum(m.effect == "torque_ripple" for m in shapes)
+    if count < 2:
         return None
     kept = [i for i in range(len(model.models)) if i not in replaced]
     regression = model.regression.keeping(kept)
@@ -408,14 +419,15 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     sigma = regression.residual_rms(regression.solution)
     best: Candidate | None = None
     for shape in flexible_models(model.motions, sigma, [joint]):
-        columns = reduced.columns(shape)
+        # a smooth curve of the position is a spring
+        columns = None if shape.signature == "position" else reduced.columns(shape)
         if columns is not None:
             candidate = Candidate.of(reduced, shape, columns)
             if best is None or candidate.log_bayes_factor > best.log_bayes_factor:
                 best = candidate
     # each of them is as improbable beforehand as the flexible model
     improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
-    needed = named - improbability * (len(replaced) - 1) + TIE
+    needed = named - improbability * (count - 1) + TIE
     return best if best is not None and best.log_bayes_factor > needed else None
 
 
@@ -426,9 +438,18 @@ def _is_same_event(first: CandidateModel, second: CandidateModel) -> bool:
     return first.interval[0] < second.interval[1] and second.interval[0] < first.interval[1]
 
 
-def _kind(key: Key) -> str:
-    """Return the last resort that an effect is, or "named"."""
-    return key[0] if key[0] in LAST_RESORTS else "named"
+def _tries(rejected: Collection[Key], key: Key) -> int:
+    """Return how many candidates were tried in vain of the kind of one: its last resort, or none.
+
+    Args:
+        rejected: Candidates that were tried in vain.
+        key: The candidate.
+    """
+
+    def kind(k: Key) -> str:
+        return k[0] if k[0] in LAST_RESORTS else ""
+
+    return sum(kind(k) == kind(key) for k in rejected)
 
 
 def _accepted(

@@ -29,7 +29,7 @@ FLOOR_TIME_CONSTANT = 0.005
 """Time constant in which a penetration of the floor is removed [s]: ten steps, MuJoCo asks for two
 at least. A foot that carries 50 kg sinks in by less than a millimetre."""
 FRICTION_TIME_CONSTANT = 0.001
-"""Time constant in which friction stops a joint [s]: two steps, the least that MuJoCo asks for; with
+"""Time constant in which friction stops a joint [s]: two steps, MuJoCo asks for no less. With
 twenty times that, joints creep at 0.1 rad/s where friction should hold them."""
 IMPEDANCE_RATIO = 10.0
 """Stiffness of friction over that of the normal force [1], so that feet creep less under load."""

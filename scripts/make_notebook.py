@@ -706,8 +706,8 @@ for side, sign in (("left", 1.0), ("right", -1.0)):
     parent = "pelvis"
     for name, axis, span, place, mass in LEG:
         child = f"{side}_{name}_link"
-        place = f"0 {0.09 * sign} -0.08" if parent == "pelvis" else place
-        parts += [joint(f"{side}_{name}", parent, child, place, axis, span), link(child, mass)]
+        origin = f"0 {0.09 * sign} -0.08" if parent == "pelvis" else place
+        parts += [joint(f"{side}_{name}", parent, child, origin, axis, span), link(child, mass)]
         parent = child
     parts.append(
         f'<link name="{side}_sole"/><joint name="{side}_sole_joint" type="fixed">'

@@ -239,7 +239,7 @@ def parse_urdf(text: str | bytes, source: str) -> UrdfTree:
             root.remove(element)
     tree = UrdfTree(source, root)
     for joint in root.findall("joint"):
-        if joint.find("mimic") is not None:
+        if joint.get("type") in MOVABLE_TYPES and joint.find("mimic") is not None:
             raise UnusableInput(
                 f"{source}: joint '{joint.get('name')}' is a mimic joint, "
                 "which cannot be simulated; make it fixed in the URDF"

@@ -9,19 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
-from .._types import FloatArray
-from ..designer.floating_identifiability import assumed_noise
+from .._system.progress import logger
+from .._types import FloatArray, IntArray
+from ..designer.floating_identifiability import RowNoise, assumed_noise
 from ..errors import UnusableInput
+from ..identification.floating_regression import pose_of
 from ..identification.urdf_export import identified_urdf
+from ..recordings import Recording
 from ..recordings.floating_signals import COMPONENTS, POSE, WORLD
 from ..robot import floating_base
 from ..robot.floating_base import FloatingMotion, FloatingRobot
-from ..robot.inertial_parameters import DRIVE
+from ..robot.inertial_parameters import DRIVE, Parameters
 from ..schemas.document_file import DocumentFile
 from ..schemas.support_trajectory import (
     SCHEMA,
@@ -32,6 +35,9 @@ from ..trajectory.trajectory_file import load_designed_robot
 from .floating_result import read_floating_recording
 from .floating_simulation import SimulatedFloatingRecording, drawn_parameters, truth_document
 from .mujoco_extra import require_mujoco
+
+if TYPE_CHECKING:
+    from ..simulator.standing_robot import StandingRecord, StandingRobot
 
 DEFAULT_RATE = 200.0
 """Rows of the recording per second [Hz]."""
@@ -68,8 +74,7 @@ def simulate_standing(
         UnusableInput: MuJoCo is not installed, or an argument or a file cannot be used.
     """
     require_mujoco()
-    from ..simulator.standing_robot import PlannedMotion, Sole, build_standing_robot
-    from ..simulator.urdf_tree import parse_urdf
+    from ..simulator.standing_robot import PlannedMotion
 
     path = Path(trajectory)
     design, loaded = _read_design(path, robot)
@@ -81,56 +86,28 @@ def simulate_standing(
             f"them, or '{WORLD}' for their sum"
         )
     motion = read_floating_recording(path.with_suffix(".csv"), loaded)
-    if motion.base is None:
-        raise UnusableInput(f"{motion.source}: has no pose of the base; design it again")
     limits = floating_base.limits(loaded)
     if torque_noise is not None and len(torque_noise) == 1:
         torque_noise = torque_noise * loaded.n
     noise = assumed_noise(loaded, limits, wrench_noise, torque_noise)
     rng = np.random.default_rng(seed)
     parameters, true = drawn_parameters(loaded, limits, model_error, rng)
-    joint_robot = loaded.joint_robot
-    urdf = identified_urdf(joint_robot, parameters, true, np.ones(loaded.n), model=loaded.model)
-    centres = _sole_centres(loaded, design.support, motion.base[0], motion.q[0])
-    table = zip(limits.velocity.tolist(), limits.torque.tolist(), strict=True)
-    standing = build_standing_robot(
-        parse_urdf(urdf, loaded.source),
-        loaded.base_link,
-        [
-            Sole(str(foot.frame), centre, float(foot.half_length), float(foot.half_width))
-            for foot, centre in zip(design.support, centres, strict=True)
-        ],
-        float(design.contact.friction),
-        dict(zip(loaded.joints, table, strict=True)),
-        np.asarray(loaded.model.gravity.linear).tolist(),
-        rng,
-    )
+    standing = _true_robot(loaded, design, motion, parameters, true, rng)
     order = [loaded.joints.index(joint) for joint in standing.joints]
     back = np.argsort(order)
+    logger.info(
+        f"simulating {motion.t[-1] - motion.t[0]:.3g} s of {loaded.name} on {' and '.join(feet)}"
+    )
     record = standing.follow(
         PlannedMotion(
-            motion.t - motion.t[0], motion.base, motion.q[:, order], motion.torque[:, order]
+            motion.t - motion.t[0], pose_of(motion), motion.q[:, order], motion.torque[:, order]
         ),
         rate,
     )
     for kind, name in zip(DRIVE, ("inertia", "viscous", "coulomb", "offset"), strict=True):
         true[parameters.block(kind)] = getattr(standing.actuators, name)[back]
-    is_total = contacts == (WORLD,)
-    wrenches = record.total_wrench if is_total else np.hstack(list(record.wrenches.swapaxes(0, 1)))
-    deviations = np.tile([noise.force] * 3 + [noise.moment] * 3, len(contacts))
-    frames = contacts if is_total else feet
-    names = ["t", *POSE, *(f"q.{joint}" for joint in loaded.joints)]
-    names += [f"wrench.{frame}.{component}" for frame in frames for component in COMPONENTS]
-    columns = [
-        record.t[:, None],
-        record.pose,
-        record.q[:, back],
-        wrenches + deviations * rng.normal(size=wrenches.shape),
-    ]
-    if not is_total:
-        names += [f"tau.{joint}" for joint in loaded.joints]
-        torque = record.torque[:, back]
-        columns.append(torque + noise.torque * rng.normal(size=torque.shape))
+    frames = contacts if contacts == (WORLD,) else feet
+    names, table = _recorded(loaded, record, frames, back, noise, rng)
     truth = truth_document(loaded, str(path), frames, seed, model_error, parameters, true, noise)
     truth["standing"] = {
         "friction": float(design.contact.friction),
@@ -139,7 +116,83 @@ def simulate_standing(
         ),
         "slip": record.slip,
     }
-    return SimulatedFloatingRecording(tuple(names), np.hstack(columns), truth)
+    return SimulatedFloatingRecording(names, table, truth)
+
+
+def _true_robot(
+    robot: FloatingRobot,
+    design: SupportTrajectoryDocument,
+    motion: Recording,
+    parameters: Parameters,
+    true: FloatArray,
+    rng: np.random.Generator,
+) -> StandingRobot:
+    """Build the robot with true bodies, which stands as at the start of the motion.
+
+    Args:
+        robot: The nominal robot.
+        design: The design.
+        motion: Its motion.
+        parameters: Standard parameters.
+        true: Their true values. Shape (P,).
+        rng: Source of randomness of the actuators.
+    """
+    from ..simulator.standing_robot import Sole, build_standing_robot
+    from ..simulator.urdf_tree import parse_urdf
+
+    urdf = identified_urdf(robot.joint_robot, parameters, true, np.ones(robot.n), model=robot.model)
+    limits = floating_base.limits(robot)
+    table = zip(limits.velocity.tolist(), limits.torque.tolist(), strict=True)
+    return build_standing_robot(
+        parse_urdf(urdf, robot.source),
+        robot.base_link,
+        [
+            Sole(str(foot.frame), centre, float(foot.half_length), float(foot.half_width))
+            for foot, centre in zip(
+                design.support, _sole_centres(robot, design.support, motion), strict=True
+            )
+        ],
+        float(design.contact.friction),
+        dict(zip(robot.joints, table, strict=True)),
+        np.asarray(robot.model.gravity.linear).tolist(),
+        rng,
+    )
+
+
+def _recorded(
+    robot: FloatingRobot,
+    record: StandingRecord,
+    frames: tuple[str, ...],
+    order: IntArray,
+    noise: RowNoise,
+    rng: np.random.Generator,
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return columns and rows of the recording, with noise.
+
+    Args:
+        robot: The robot.
+        record: The simulated motion.
+        frames: Frames of the feet, or "world" for the total wrench without joint torques.
+        order: Places in the record of the robot's joints. Shape (n,).
+        noise: Noise of wrenches and torques.
+        rng: Source of randomness.
+    """
+    is_total = frames == (WORLD,)
+    wrenches = record.total_wrench if is_total else np.hstack(list(record.wrenches.swapaxes(0, 1)))
+    deviations = np.tile([noise.force] * 3 + [noise.moment] * 3, len(frames))
+    names = ["t", *POSE, *(f"q.{joint}" for joint in robot.joints)]
+    names += [f"wrench.{frame}.{component}" for frame in frames for component in COMPONENTS]
+    columns = [
+        record.t[:, None],
+        record.pose,
+        record.q[:, order],
+        wrenches + deviations * rng.normal(size=wrenches.shape),
+    ]
+    if not is_total:
+        names += [f"tau.{joint}" for joint in robot.joints]
+        torque = record.torque[:, order]
+        columns.append(torque + noise.torque * rng.normal(size=torque.shape))
+    return tuple(names), np.hstack(columns)
 
 
 def _read_design(
@@ -179,23 +232,19 @@ def _read_design(
 
 
 def _sole_centres(
-    robot: FloatingRobot,
-    feet: Sequence[SupportFootDocument],
-    pose: FloatArray,
-    q: FloatArray,
+    robot: FloatingRobot, feet: Sequence[SupportFootDocument], motion: Recording
 ) -> list[FloatArray]:
     """Return the centre of each sole in the frame of its foot.
 
     Args:
         robot: The robot.
-        feet: The feet with the centres of their soles in the world.
-        pose: Pose of the base when it stands. Shape (7,).
-        q: Joint positions when it stands. Shape (n,).
+        feet: The feet with the centres of their soles in the world, where they stand at the start.
+        motion: The motion.
     """
     no_motion = np.zeros((1, 6 + robot.n))
-    motion = FloatingMotion(pose[None], q[None], no_motion, no_motion)
+    start = FloatingMotion(pose_of(motion)[:1], motion.q[:1], no_motion, no_motion)
     data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.configurations(motion)[0])
+    pin.framesForwardKinematics(robot.model, data, robot.configurations(start)[0])
     return [
         np.asarray(data.oMf[robot.frame(str(foot.frame))].actInv(np.array(foot.centre, float)))
         for foot in feet

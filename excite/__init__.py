@@ -54,6 +54,7 @@ __all__ = [
     "replay",
     "simulate",
     "simulate_floating",
+    "simulate_standing",
     "verify",
 ]
 

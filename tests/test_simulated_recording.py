@@ -81,6 +81,8 @@ def test_unusable_urdf_is_refused(tmp_path):
     mimic.write_text(document(*parts))
     with pytest.raises(UnusableInput, match="'k' is a mimic"):
         urdf_tree.read_urdf(mimic)
+    fixed = document(*parts).replace('name="k" type="revolute"', 'name="k" type="fixed"')
+    assert urdf_tree.parse_urdf(fixed, "fixed.urdf").joints == ("j",)
     (tmp_path / "no.urdf").write_text("<sdf/>")
     with pytest.raises(UnusableInput, match="not <robot>"):
         urdf_tree.read_urdf(tmp_path / "no.urdf")

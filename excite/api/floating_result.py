@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import _json, recordings
+from .. import recordings
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..errors import UnusableInput
@@ -23,33 +23,21 @@ from ..identification.inertia_distance import Distance
 from ..recordings import Recording, require_distinct
 from ..robot import floating_base
 from ..robot.floating_base import FloatingRobot, Rows
-from .identification_result import IDENTIFICATION_FILES, RecordingSource, read_bounds
+from .identification_result import RecordingSource, read_bounds
 from .predicted_table import PredictedTable, csv_text
 from .robots import RobotSource
-from .saved_result import SavedResult
+from .saved_identification import SavedIdentification
 
 
 @dataclass(frozen=True)
-class FloatingIdentificationResult(SavedResult):
+class FloatingIdentificationResult(SavedIdentification):
     """An identified floating-base robot.
 
     Attributes:
         identification: Parameters, weights and predictions.
-        recordings: Recordings that the model is fitted to.
-        validation: Held-out recordings.
     """
 
-    FILES = IDENTIFICATION_FILES
-
     identification: FloatingIdentification
-    recordings: tuple[Recording, ...]
-    validation: tuple[Recording, ...]
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Identified standard parameters by name, in SI units."""
-        result = self.identification
-        return dict(zip(result.model.parameters.names, result.psi.tolist(), strict=True))
 
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""
@@ -59,23 +47,7 @@ class FloatingIdentificationResult(SavedResult):
         """Return the report as HTML."""
         from ..report.floating_identification import floating_identification_page
 
-        remarks = [
-            r for recording in (*self.recordings, *self.validation) for r in recording.remarks
-        ]
-        return floating_identification_page(self.identification, remarks)
-
-    def contents(self, document: Mapping[str, Any] | None = None) -> dict[str, str]:
-        """Return the files of the identification by name.
-
-        Args:
-            document: Content of `model.json`; None: it is computed.
-        """
-        document = self.document() if document is None else document
-        return {
-            "model.json": _json.dumps(document),
-            "identified.urdf": str(document["urdf"]),
-            "report.html": self.html(),
-        }
+        return floating_identification_page(self.identification, self.remarks)
 
     def __repr__(self) -> str:
         result = self.identification

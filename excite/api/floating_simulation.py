@@ -27,7 +27,14 @@ from ..identification.lowpass import Grid, LowPassFilter
 from ..recordings.floating_signals import COMPONENTS, POSE, WORLD
 from ..robot import floating_base
 from ..robot.floating_base import FloatingMotion, FloatingRobot, Rows
-from ..robot.inertial_parameters import DRIVE, of_pseudo_inertia, proper_body, pseudo_inertia
+from ..robot.inertial_parameters import (
+    DRIVE,
+    Parameters,
+    of_pseudo_inertia,
+    proper_body,
+    pseudo_inertia,
+)
+from ..robot.limits import Limits
 from .floating_result import load_floating_robot, read_floating_recording
 from .identification_result import RecordingSource
 from .robots import RobotSource
@@ -126,11 +133,7 @@ def simulate_floating(
     recording = read_floating_recording(motion, loaded, columns)
     rng = np.random.default_rng(seed)
     limits = floating_base.limits(loaded)
-    parameters = floating_base.standard_parameters(loaded, limits, DRIVE)
-    true = parameters.nominal.copy()
-    for i in range(0, 10 * parameters.bodies, 10):
-        body = proper_body(true[i : i + 10], loaded.mass)[0]
-        true[i : i + 10] = random_body(body, model_error, rng)
+    parameters, true = drawn_parameters(loaded, limits, model_error, rng)
     if torque_noise is not None and len(torque_noise) == 1:
         torque_noise = torque_noise * loaded.n
     noise = assumed_noise(loaded, limits, wrench_noise, torque_noise)
@@ -151,14 +154,65 @@ def simulate_floating(
     torque = [] if WORLD in contacts else [f"tau.{joint}" for joint in loaded.joints]
     names = ("t", *POSE, *(f"q.{joint}" for joint in loaded.joints), *wrench, *torque)
     table = np.column_stack([np.concatenate(x) for x in (times, poses, joints, measured)])
-    truth = {
+    truth = truth_document(
+        loaded, recording.source, contacts, seed, model_error, parameters, true, noise
+    )
+    truth["offsets"] = {frame: list(map(float, values)) for frame, values in offset.items()}
+    return SimulatedFloatingRecording(names, table, truth)
+
+
+def drawn_parameters(
+    robot: FloatingRobot, limits: Limits, model_error: float, rng: np.random.Generator
+) -> tuple[Parameters, FloatArray]:
+    """Draw true bodies near the nominal ones; joint parameters keep their nominal values.
+
+    Args:
+        robot: The robot.
+        limits: Limits of its joints.
+        model_error: Standard deviation of the true bodies from the nominal ones in the metric.
+        rng: Source of randomness.
+
+    Returns:
+        The standard parameters, and their true values. Shape (P,).
+    """
+    parameters = floating_base.standard_parameters(robot, limits, DRIVE)
+    true = parameters.nominal.copy()
+    for i in range(0, 10 * parameters.bodies, 10):
+        body = proper_body(true[i : i + 10], robot.mass)[0]
+        true[i : i + 10] = random_body(body, model_error, rng)
+    return parameters, true
+
+
+def truth_document(
+    robot: FloatingRobot,
+    motion: str,
+    contacts: Sequence[str],
+    seed: int,
+    model_error: float,
+    parameters: Parameters,
+    true: FloatArray,
+    noise: RowNoise,
+) -> dict[str, Any]:
+    """Return the content of the truth file.
+
+    Args:
+        robot: The robot.
+        motion: Path of the motion.
+        contacts: Frames of the measured wrenches.
+        seed: Random seed.
+        model_error: Standard deviation of the true bodies from the nominal ones.
+        parameters: Standard parameters.
+        true: Their true values. Shape (P,).
+        noise: Noise of wrenches and torques.
+    """
+    return {
         "schema": TRUTH_SCHEMA,
         "robot": {
-            "name": loaded.name,
-            "source": loaded.source,
-            "sha256": loaded.joint_robot.sha256,
+            "name": robot.name,
+            "source": robot.source,
+            "sha256": robot.joint_robot.sha256,
         },
-        "motion": recording.source,
+        "motion": motion,
         "contacts": list(contacts),
         "seed": seed,
         "model_error": model_error,
@@ -166,11 +220,9 @@ def simulate_floating(
         "noise": {
             "force": noise.force,
             "moment": noise.moment,
-            "torque": dict(zip(loaded.joints, noise.torque.tolist(), strict=True)),
+            "torque": dict(zip(robot.joints, noise.torque.tolist(), strict=True)),
         },
-        "offsets": {frame: list(map(float, values)) for frame, values in offset.items()},
     }
-    return SimulatedFloatingRecording(names, table, truth)
 
 
 def random_body(phi: FloatArray, deviation: float, rng: np.random.Generator) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import _json, recordings
+from .. import recordings
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..designer import identifiability
@@ -44,13 +44,11 @@ from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..trajectory import trajectory_file
 from .predicted_table import PredictedTable, csv_text
 from .robots import RobotSource, load_robot, resolve_limits
-from .saved_result import SavedResult
+from .saved_identification import SavedIdentification
 
 if TYPE_CHECKING:
     from .floating_result import PredictedWrench
 
-IDENTIFICATION_FILES = ("model.json", "identified.urdf", "report.html")
-"""Files of an identification."""
 RecordingSource = str | Path | Recording
 """Path of a recording, or a recording that is already read."""
 TrajectorySources = str | Path | Sequence[str | Path]
@@ -58,22 +56,16 @@ TrajectorySources = str | Path | Sequence[str | Path]
 
 
 @dataclass(frozen=True)
-class IdentificationResult(SavedResult):
+class IdentificationResult(SavedIdentification):
     """An identified model with its uncertainty.
 
     Attributes:
         identification: Parameters, confidence intervals, and the weights of data and prior.
-        recordings: Recordings that the model is fitted to.
-        validation: Held-out recordings.
         limits: Limits of the robot.
         lmi: Comparison with a conic solver; None if none was requested.
     """
 
-    FILES = IDENTIFICATION_FILES
-
     identification: Identification
-    recordings: tuple[Recording, ...]
-    validation: tuple[Recording, ...]
     limits: Limits
     lmi: lmi_check.LmiCheck | None = None
 
@@ -106,12 +98,6 @@ class IdentificationResult(SavedResult):
         """Unrepaired doubts about the recordings, with the recording that each is about."""
         return recording_doubts([*self.recordings, *self.validation])
 
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Identified standard parameters by name, in SI units."""
-        result = self.identification
-        return dict(zip(result.model.parameters.names, result.psi.tolist(), strict=True))
-
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""
         out = identified_model.model_document(self.identification, self.recordings)
@@ -125,23 +111,7 @@ class IdentificationResult(SavedResult):
         """Return the report as HTML."""
         from .. import report
 
-        remarks = [
-            r for recording in (*self.recordings, *self.validation) for r in recording.remarks
-        ]
-        return report.identification_page(self.identification, remarks)
-
-    def contents(self, document: Mapping[str, Any] | None = None) -> dict[str, str]:
-        """Return the files of the identification by name.
-
-        Args:
-            document: Content of `model.json`; None: it is computed.
-        """
-        document = self.document() if document is None else document
-        return {
-            "model.json": _json.dumps(document),
-            "identified.urdf": str(document["urdf"]),
-            "report.html": self.html(),
-        }
+        return report.identification_page(self.identification, self.remarks)
 
     def __repr__(self) -> str:
         result = self.identification

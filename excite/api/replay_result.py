@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from ..recordings import Recording
 from ..robot.inertial_parameters import COULOMB_WIDTH, DRIVE
 from .identification_result import RecordingSource, read_recording
 from .model_export import read_simulator_model
+from .mujoco_extra import require_mujoco
 from .robots import load_robot
 from .saved_result import SavedResult
 from .servo_identification_result import gain_pairs
@@ -133,10 +133,7 @@ def replay(
     Raises:
         UnusableInput: MuJoCo is not installed, or a file or an option cannot be used.
     """
-    if importlib.util.find_spec("mujoco") is None:
-        raise UnusableInput(
-            "MuJoCo is not installed; install the extra: .venv/bin/pip install -e '.[sim]'"
-        )
+    require_mujoco()
     prepared = read_simulator_model(model, recording=None)
     fitted = prepared.model
     measured = read_recording(recording, fitted.robot, columns=columns)

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import _json
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..errors import UnusableInput
@@ -25,7 +24,6 @@ from ..robot import base_parameters, inertial_parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from .identification_result import (
-    IDENTIFICATION_FILES,
     RecordingSource,
     TrajectorySources,
     read_bounds,
@@ -33,30 +31,20 @@ from .identification_result import (
     recording_name,
 )
 from .robots import RobotSource, load_robot, resolve_limits
-from .saved_result import SavedResult
+from .saved_identification import SavedIdentification
 
 
 @dataclass(frozen=True)
-class ServoIdentificationResult(SavedResult):
+class ServoIdentificationResult(SavedIdentification):
     """A robot and its position loops, identified without torque.
+
+    The unit of its parameters is that of `scale_statement`.
 
     Attributes:
         identification: Parameters, position loops, and position errors.
-        recordings: Recordings that the model is fitted to.
-        validation: Held-out recordings.
     """
 
-    FILES = IDENTIFICATION_FILES
-
     identification: ServoIdentification
-    recordings: tuple[Recording, ...]
-    validation: tuple[Recording, ...]
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Identified standard parameters by name, in SI units; see `scale_statement`."""
-        result = self.identification
-        return dict(zip(result.model.parameters.names, result.psi.tolist(), strict=True))
 
     @cached_property
     def _document(self) -> dict[str, Any]:
@@ -71,15 +59,6 @@ class ServoIdentificationResult(SavedResult):
         from ..report.servo import servo_page
 
         return servo_page(self.identification)
-
-    def contents(self) -> dict[str, str]:
-        """Return the files of the identification by name."""
-        document = self.document()
-        return {
-            "model.json": _json.dumps(document),
-            "identified.urdf": str(document["urdf"]),
-            "report.html": self.html(),
-        }
 
     def __repr__(self) -> str:
         result = self.identification

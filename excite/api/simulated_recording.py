@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
@@ -21,6 +20,7 @@ from ..robot.robot import locate
 from ..schemas.document_file import DocumentFile
 from ..schemas.truth import SCHEMA, TruthDocument
 from ..trajectory import trajectory_file
+from .mujoco_extra import require_mujoco
 
 
 @dataclass(frozen=True)
@@ -157,10 +157,7 @@ def simulate(
     Raises:
         UnusableInput: MuJoCo is not installed, or an argument or a file cannot be used.
     """
-    if importlib.util.find_spec("mujoco") is None:
-        raise UnusableInput(
-            "MuJoCo is not installed; install the extra: .venv/bin/pip install -e '.[sim]'"
-        )
+    require_mujoco()
     from ..simulator import (
         dense_robot,
         effect_instance,

@@ -23,6 +23,8 @@ from . import options as shared
 from .floating_identify import load
 from .outcome import Outcome, written_lines
 
+FLOATING_ONLY = {"--rows": "rows", "--wrench-noise": "wrench_noise"}
+"""Options that only a floating base has."""
 MAX_RATE_SHARE = 0.4
 """Cutoff frequency of the motion over its rate, at most."""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from .._system.output_files import output_folder
 from ..api import floating_result
 from ..api.floating_result import FloatingIdentificationResult
-from ..api.identification_result import IDENTIFICATION_FILES
+from ..api.saved_identification import IDENTIFICATION_FILES
 from ..errors import UnusableInput
 from ..identification.floating_identification import FloatingOptions
 from ..identification.inertia_distance import Distance

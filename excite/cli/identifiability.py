@@ -12,7 +12,6 @@ from ..api.design_result import compare_experiments, motion_samples
 from ..api.identification_result import REFERENCE_RATE
 from ..designer import experiment_comparison, identifiability
 from ..designer.options import torque_noise_levels
-from ..errors import UnusableInput
 from ..robot import base_parameters, inertial_parameters
 from . import floating_identifiability
 from . import options as shared
@@ -25,9 +24,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
     if arguments.floating:
         return floating_identifiability.run(arguments)
-    for option, value in (("--rows", arguments.rows), ("--wrench-noise", arguments.wrench_noise)):
-        if value:
-            raise UnusableInput(f"{option}: is for a robot with --floating; add it")
+    shared.require_floating(arguments, floating_identifiability.FLOATING_ONLY)
     output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)

@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import api
 from .._system.output_files import OutputFiles, output_folder
-from ..api.identification_result import IDENTIFICATION_FILES
+from ..api.saved_identification import IDENTIFICATION_FILES
 from ..api.servo_identification_result import lacks_torque
 from ..errors import ExciteWarning, UnusableInput
 from ..identification.estimators import Method

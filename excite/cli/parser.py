@@ -1059,8 +1059,8 @@ def _simulate(commands: Commands) -> None:
     sub.add_argument(
         "trajectory",
         metavar="TRAJECTORY",
-        help="trajectory.json of 'excite design'; with --floating a CSV file with the columns t, "
-        "base.x … base.qw, q.<joint>",
+        help="trajectory.json of 'excite design'; with --floating that of a design with --support, "
+        "or a CSV file with the columns t, base.x … base.qw, q.<joint>",
     )
     sub.add_argument(
         "-o",
@@ -1076,8 +1076,8 @@ def _simulate(commands: Commands) -> None:
         metavar="LINK",
         action="append",
         default=[],
-        help="link with a contact sensor; may be repeated (default: total wrench about the "
-        "world's origin, without joint torques)",
+        help="link with a contact sensor; may be repeated (default: all feet of a trajectory.json; "
+        "else 'world', the total wrench about the world's origin, without joint torques)",
     )
     _wrench_noise_option(group)
     group.add_argument(
@@ -1147,7 +1147,7 @@ def _simulate(commands: Commands) -> None:
         "--rate",
         type=Number(Range(125.0, 1000.0, "Hz")),
         metavar="HZ",
-        help="sampling rate, 125 to 1000 (default 500)",
+        help="sampling rate, 125 to 1000 (default 500), with --floating 200",
     )
     group.add_argument(
         "--noise",

@@ -36,7 +36,7 @@ from .floating_regression import FloatingEquations, FloatingModel
 from .identification import Prediction
 from .inertia_distance import Distance
 from .link_estimates import LinkEstimate, link_estimates
-from .lowpass import SETTLING_FACTOR, TAPER_FRACTION, LowPassFilter
+from .lowpass import SETTLING_FACTOR, TAPER_FRACTION, tapered_gain
 
 Progress = Callable[[str], None]
 """Receives one line of text per step."""
@@ -361,10 +361,9 @@ def choose_bands(
     frequency = densities[0][0]
     S_y, S_p, S_e = (density for _, density in densities)
     candidates = np.unique(np.clip(frequency, lowest, highest))
-    band = LowPassFilter(highest, equations.rate, len(equations))
     errors = []
     for candidate in candidates:
-        gain = band.gain(frequency, float(candidate))[:, None]
+        gain = tapered_gain(frequency, float(candidate))[:, None]
         errors.append(np.sum(S_y - gain * (S_y + S_p - S_e) + gain**2 * S_p, axis=0))
     return np.asarray(candidates[np.argmin(errors, axis=0)])
 

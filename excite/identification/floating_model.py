@@ -26,7 +26,7 @@ from . import estimators, floating_regression
 from .floating_identification import FloatingIdentification
 from .floating_regression import RowFilter
 from .identification import MAX_BAND_SHARE, Prediction
-from .identified_model import INERTIAL_UNITS, JOINT_PARAMETER_UNITS
+from .identified_model import INERTIAL_UNITS, JOINT_PARAMETER_UNITS, at_row_times
 from .lowpass import FRICTION_BANDWIDTH_RATIO, Grid
 from .urdf_export import identified_urdf
 
@@ -94,22 +94,9 @@ class FloatingIdentifiedModel:
             UnusableInput: The recording has no gap-free stretch that is long enough, or joint
                 torques need a contact wrench that it lacks.
         """
-        times, values = [], []
-        for stretch in recording.segments():
-            predicted = self._rows_of(stretch)
-            rows = recording.row_times[
-                (recording.row_times >= stretch.t[0] - 1e-9)
-                & (recording.row_times <= stretch.t[-1] + 1e-9)
-            ]
-            times.append(rows)
-            values.append(
-                np.column_stack([np.interp(rows, stretch.t, column) for column in predicted.T])
-            )
-        if not times:
-            raise UnusableInput(
-                f"{recording.source}: has no gap-free stretch that is long enough; record again"
-            )
-        return np.concatenate(times), np.concatenate(values)
+        return at_row_times(
+            recording, [(stretch, self._rows_of(stretch)) for stretch in recording.segments()]
+        )
 
     def _rows_of(self, stretch: Recording) -> FloatArray:
         """Predicted columns at the samples of a gap-free recording. Shape (N, r)."""

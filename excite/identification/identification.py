@@ -370,16 +370,16 @@ def _fit_data(
     )
     # instruments are computed with a first estimate by weighted least squares
     method = Method.WLS if options.method is Method.IV else options.method
-    data = estimators.estimate(equations, method, nuisance=_width_slopes(model, equations))
+    data = estimators.estimate(equations, method, nuisance=width_slopes(model, equations))
     for _ in range(WIDTH_STEPS if complete else 0):
         model = friction_width.refine_widths(model, data)
         equations = friction_width.apply_widths(model, equations, parts)
-        data = estimators.estimate(equations, method, nuisance=_width_slopes(model, equations))
+        data = estimators.estimate(equations, method, nuisance=width_slopes(model, equations))
     delay = torque_delay.estimate_delay(equations, data)
     if options.align:
         parts = [_aligned(segment, delay.seconds) for segment in parts]
         equations = regression.build_equations(model, parts, hertz)
-        data = estimators.estimate(equations, method, nuisance=_width_slopes(model, equations))
+        data = estimators.estimate(equations, method, nuisance=width_slopes(model, equations))
     return _DataFit(model, parts, equations, data, delay)
 
 
@@ -405,8 +405,8 @@ def _instrumental_estimate(
 ) -> tuple[Estimate, HausmanTest]:
     """Estimate θ by instruments, and test whether they are needed."""
     built = instruments.build_instruments(fit.model, recordings, fit.equations.hertz, psi)
-    nuisance = _width_slopes(fit.model, fit.equations)
-    nuisance_instruments = _width_slopes(fit.model, built.equations)
+    nuisance = width_slopes(fit.model, fit.equations)
+    nuisance_instruments = width_slopes(fit.model, built.equations)
     Z = (
         built.rows
         if nuisance_instruments is None
@@ -438,7 +438,7 @@ def _simulate(
     )
 
 
-def _width_slopes(model: IdentificationModel, equations: TorqueEquations) -> FloatArray | None:
+def width_slopes(model: IdentificationModel, equations: TorqueEquations) -> FloatArray | None:
     """Nuisance columns: derivatives of torque by the friction widths. Shape (N, n, n)."""
     joints = list(model.friction_columns().values())
     if not joints:

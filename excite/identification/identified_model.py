@@ -52,6 +52,8 @@ INERTIAL_UNITS = (
     "kg m²",
 )
 """Units of a link's ten inertial parameters."""
+ROW_TIME_TOLERANCE = 1e-9
+"""Tolerance of the times of rows at the ends of a gap-free stretch [s]: rounding."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ class IdentifiedModel:
         Raises:
             UnusableInput: The recording has no gap-free stretch that is long enough.
         """
-        times, torques = [], []
+        torques = []
         for stretch in recording.segments():
             band = LowPassFilter(
                 min(self.hertz, MAX_BAND_SHARE * stretch.rate),
@@ -150,19 +152,37 @@ class IdentifiedModel:
             )
             if effect_torque is not None:
                 torque = torque + effect_torque(stretch)
-            rows = recording.row_times[
-                (recording.row_times >= stretch.t[0] - 1e-9)
-                & (recording.row_times <= stretch.t[-1] + 1e-9)
-            ]
-            times.append(rows)
-            torques.append(
-                np.column_stack([np.interp(rows, stretch.t, column) for column in torque.T])
-            )
-        if not times:
-            raise UnusableInput(
-                f"{recording.source}: has no gap-free stretch that is long enough; record again"
-            )
-        return np.concatenate(times), np.concatenate(torques)
+            torques.append((stretch, torque))
+        return at_row_times(recording, torques)
+
+
+def at_row_times(
+    recording: Recording, values: Sequence[tuple[Recording, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """Interpolate values at the samples of gap-free stretches at the rows of their recording.
+
+    Args:
+        recording: The recording.
+        values: Its gap-free stretches, each with values at its samples, shape (N, r).
+
+    Returns:
+        Times of the recording's rows within the stretches, shape (N,) [s], and the values there,
+        shape (N, r).
+
+    Raises:
+        UnusableInput: The recording has no gap-free stretch that is long enough.
+    """
+    if not values:
+        raise UnusableInput(
+            f"{recording.source}: has no gap-free stretch that is long enough; record again"
+        )
+    times, out = [], []
+    for stretch, samples in values:
+        first, last = stretch.t[0] - ROW_TIME_TOLERANCE, stretch.t[-1] + ROW_TIME_TOLERANCE
+        rows = recording.row_times[(recording.row_times >= first) & (recording.row_times <= last)]
+        times.append(rows)
+        out.append(np.column_stack([np.interp(rows, stretch.t, column) for column in samples.T]))
+    return np.concatenate(times), np.concatenate(out)
 
 
 def provenance(

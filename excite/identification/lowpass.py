@@ -47,6 +47,16 @@ class Grid(enum.Enum):
     KEPT = enum.auto()
 
 
+def tapered_gain(frequencies: NDArray[np.floating[Any]], hertz: float) -> FloatArray:
+    """Return the gain of the filter of an aperiodic stretch at frequencies [Hz].
+
+    It is 1 below the taper, 0 above the cutoff frequency `hertz` and a raised cosine between them.
+    """
+    edge = (1.0 - TAPER_FRACTION) * hertz
+    share = np.clip((np.abs(frequencies) - edge) / (hertz - edge), 0.0, 1.0)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * share))
+
+
 @dataclass(frozen=True)
 class LowPassFilter:
     """Low-pass filter for a stretch of evenly spaced samples, with the grids that it needs.
@@ -121,16 +131,11 @@ class LowPassFilter:
     def gain(self, frequencies: NDArray[np.floating[Any]], hertz: float) -> FloatArray:
         """Return the gain at frequencies [Hz] for a cutoff of `hertz`.
 
-        The gain is 1 below the taper, 0 above the cutoff and a raised cosine between them. For
-        periodic signals the edge is sharp.
+        That of `tapered_gain`; for periodic signals the edge is sharp.
         """
-        f = np.abs(frequencies)
         if self.periodic:
-            return (f <= hertz * (1.0 + 1e-9)).astype(float)
-        edge = (1.0 - TAPER_FRACTION) * hertz
-        return np.asarray(
-            0.5 + 0.5 * np.cos(np.pi * np.clip((f - edge) / (hertz - edge), 0.0, 1.0))
-        )
+            return (np.abs(frequencies) <= hertz * (1.0 + 1e-9)).astype(float)
+        return tapered_gain(frequencies, hertz)
 
     def filter(
         self,

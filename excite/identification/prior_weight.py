@@ -6,6 +6,10 @@ interpolation", Neural Computation 4, 1992):
 2γ_g = (well-determined parameters of group g + 1) / (their squared length + z_g²). The additional
 parameter, at a usual distance z_g from nominal, keeps a recording without information from
 determining γ.
+
+The evidence may have several maxima: a parameter far from nominal is explained by a weak prior, or
+by a strong one and a larger residual. The fixed point is therefore sought from a usual prior and
+from a weak one, and the γ with the larger evidence is taken.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import FloatArray, IntArray
 from ..robot.inertial_parameters import Parameters
 from .consistency import Prior, prior_information, symmetric_pseudo_inverse
 
@@ -29,6 +33,8 @@ MAX_EVIDENCE_ITERATIONS = 60
 """Number of iterations of the fixed point, at most."""
 EVIDENCE_TOLERANCE = 1e-3
 """Change of log γ below which the fixed point has converged."""
+WEAK_PRIOR_FACTOR = 1e-4
+"""2γ of a weak prior over that of a usual one [1]: parameters at a hundred usual distances."""
 WEIGHT_RANGE = (1e-8, 1e8)
 """Smallest and largest 2γ."""
 VALIDATION_FACTORS = 10.0 ** np.arange(-4.0, 4.5, 0.5)
@@ -80,12 +86,33 @@ def gamma_by_evidence(
     index = np.arange(edge, parameters.count)
     half[index, index] = (unit[index, index] / 2.0) ** -0.5
     A, b = root @ half, target - root @ start.nominal
-    information, score = A.T @ A, A.T @ b
     group = np.concatenate([np.zeros(edge, int), 1 + np.arange(len(parameters.drive)).repeat(n)])
     usual = np.array(
         [USUAL_INERTIAL_DISTANCE**2, *[USUAL_JOINT_DISTANCE**2] * len(parameters.drive)]
     )
-    weights = 1.0 / usual
+    maxima = [
+        _evidence_maximum(A, b, group, usual, factor / usual) for factor in (1.0, WEAK_PRIOR_FACTOR)
+    ]
+    weights = max(maxima, key=lambda maximum: maximum[0])[1]
+    return float(weights[0] / 2.0), weights[1:].repeat(n) / 2.0
+
+
+def _evidence_maximum(
+    A: FloatArray, b: FloatArray, group: IntArray, usual: FloatArray, weights: FloatArray
+) -> tuple[float, FloatArray]:
+    """Find a maximum of the evidence of b = A x + noise of variance 1, x_i ~ N(0, 1/w_g(i)).
+
+    Args:
+        A: Shape (m, P).
+        b: Shape (m,).
+        group: Group of each parameter. Shape (P,).
+        usual: Squared usual distance z² of each group. Shape (G,).
+        weights: w = 2γ to begin with. Shape (G,).
+
+    Returns:
+        Logarithm of the evidence up to a constant, and w. Shape (G,).
+    """
+    information, score = A.T @ A, A.T @ b
     for _ in range(MAX_EVIDENCE_ITERATIONS):
         covariance = symmetric_pseudo_inverse(information + np.diag(weights[group]))
         x = covariance @ score
@@ -97,7 +124,11 @@ def gamma_by_evidence(
         change, weights = float(np.abs(np.log(updated / weights)).max()), updated
         if change < EVIDENCE_TOLERANCE:
             break
-    return float(weights[0] / 2.0), weights[1:].repeat(n) / 2.0
+    spread = np.eye(len(b)) + (A / weights[group]) @ A.T
+    log_likelihood = np.linalg.slogdet(spread)[1] + b @ np.linalg.solve(spread, b)
+    # the additional parameter of each group, at its usual distance
+    log_prior = np.sum(np.log(weights) - usual * weights)
+    return float(0.5 * (log_prior - log_likelihood)), weights
 
 
 def gamma_by_validation(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from .._types import FloatArray
 from ..identification import consistency
 from ..identification.floating_identification import FloatingIdentification
 from ..identification.identification import Prediction
@@ -154,23 +155,17 @@ def _bodies_section(identification: FloatingIdentification) -> Section:
         (
             link.name,
             TableCell(percent(shares[link.name]), share=shares[link.name]),
-            number(float(phi[0])),
-            TableCell(number(link.mass), after=f"± {number(link.mass_deviation, 2)}"),
+            TableCell(
+                number(link.mass),
+                after=f"± {number(link.mass_deviation, 2)}",
+                note=f"nominal {number(float(phi[0]))}",
+            ),
             percent(link.mass_share),
-            ", ".join(number(float(value), 3) for value in phi[1:4] / phi[0]),
-            ", ".join(number(float(value), 3) for value in link.centre),
+            TableCell(_millimetres(link.centre), note=f"nominal {_millimetres(phi[1:4] / phi[0])}"),
         )
         for link, phi in zip(identification.links(), nominal, strict=True)
     ]
-    head = (
-        "body",
-        "decided by the data",
-        "nominal mass [kg]",
-        "mass [kg]",
-        "mass decided",
-        "nominal centre of mass [m]",
-        "centre of mass [m]",
-    )
+    head = ("body", "decided by the data", "mass [kg]", "mass decided", "centre of mass [mm]")
     ordered = sorted(shares, key=lambda link: -shares[link])
     leading = [f"{link} ({percent(shares[link])})" for link in ordered[:3]]
     symmetric = identification.options.symmetric
@@ -181,8 +176,13 @@ def _bodies_section(identification: FloatingIdentification) -> Section:
         "bodies",
         "With which bodies do the data decide?",
         answer,
-        {"tables": [Table(head, rows, (2, 3, 4))]},
+        {"tables": [Table(head, rows, (2, 3))]},
     )
+
+
+def _millimetres(point: FloatArray) -> str:
+    """Return a point as text [mm]."""
+    return ", ".join(number(float(round(1e3 * float(value)))) for value in point)
 
 
 def _directions_section(identification: FloatingIdentification) -> Section:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,7 +135,30 @@ def build_dynamics(
         locked_tree = locked_tree.with_locked_joint(name, (lock or {}).get(name, 0.0))
     for name in joints:
         locked_tree.joint_element(name)
-    root = ElementTree.fromstring(locked_tree.xml)
+    model = compile_model(locked_tree, gravity)
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    return RigidBodyDynamics(
+        locked_tree, tuple(str(model.joint(i).name) for i in range(model.njnt)), model, data
+    )
+
+
+def compile_model(
+    tree: UrdfTree, gravity: Sequence[float], alter: Callable[[Any], None] = lambda spec: None
+) -> Any:
+    """Compile a MuJoCo model of a tree whose movable joints all move.
+
+    Args:
+        tree: The robot.
+        gravity: Gravity in the base frame, shape (3,) [m/s²].
+        alter: Changes the specification before it is compiled.
+
+    Raises:
+        UnusableInput: MuJoCo refuses the robot.
+    """
+    import mujoco
+
+    root = ElementTree.fromstring(tree.xml)
     options = ElementTree.Element("mujoco")
     # MuJoCo's compiler alters masses and inertias that it finds implausible: they are set exactly
     # afterwards
@@ -149,7 +172,9 @@ def build_dynamics(
     ElementTree.SubElement(options, "compiler", compiler)
     root.insert(0, options)
     try:
-        model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+        alter(spec)
+        model = spec.compile()
     except ValueError as error:
         raise UnusableInput(
             f"{tree.source}: MuJoCo cannot compile it ({' '.join(str(error).split())}); "
@@ -157,12 +182,8 @@ def build_dynamics(
         ) from error
     model.opt.gravity[:] = gravity
     for body in range(1, model.nbody):
-        _set_body(model, body, locked_tree.pseudo_inertia(str(model.body(body).name)))
-    data = mujoco.MjData(model)
-    mujoco.mj_setConst(model, data)
-    return RigidBodyDynamics(
-        locked_tree, tuple(str(model.joint(i).name) for i in range(model.njnt)), model, data
-    )
+        _set_body(model, body, tree.pseudo_inertia(str(model.body(body).name)))
+    return model
 
 
 def _set_body(model: Any, body: int, pseudo_inertia: FloatArray) -> None:

@@ -207,12 +207,28 @@ def read_urdf(path: Path) -> UrdfTree:
         UnusableInput: The file is no URDF, or it has mimic joints.
     """
     try:
-        root = ElementTree.fromstring(path.read_bytes())  # in its declared encoding
-    except (OSError, ValueError, LookupError, ElementTree.ParseError) as error:
+        return parse_urdf(path.read_bytes(), str(path))
+    except OSError as error:
         raise UnusableInput(f"{path}: cannot be read as a URDF ({error}); give a URDF") from error
+
+
+def parse_urdf(text: str | bytes, source: str) -> UrdfTree:
+    """Read the text of a URDF.
+
+    Args:
+        text: The text, or its bytes in their declared encoding.
+        source: Name of the robot's file, for messages.
+
+    Raises:
+        UnusableInput: It is no URDF, or it has mimic joints.
+    """
+    try:
+        root = ElementTree.fromstring(text)
+    except (ValueError, LookupError, ElementTree.ParseError) as error:
+        raise UnusableInput(f"{source}: cannot be read as a URDF ({error}); give a URDF") from error
     if root.tag != "robot":
         raise UnusableInput(
-            f"{path}: its root is <{root.tag}>, not <robot>; give a URDF (expand a .xacro first)"
+            f"{source}: its root is <{root.tag}>, not <robot>; give a URDF (expand a .xacro first)"
         )
     for link in root.findall("link"):
         for name in ("visual", "collision"):
@@ -221,11 +237,11 @@ def read_urdf(path: Path) -> UrdfTree:
     for name in ("material", "transmission", "gazebo"):
         for element in root.findall(name):
             root.remove(element)
-    tree = UrdfTree(str(path), root)
+    tree = UrdfTree(source, root)
     for joint in root.findall("joint"):
-        if joint.find("mimic") is not None:
+        if joint.get("type") in MOVABLE_TYPES and joint.find("mimic") is not None:
             raise UnusableInput(
-                f"{path}: joint '{joint.get('name')}' is a mimic joint, "
+                f"{source}: joint '{joint.get('name')}' is a mimic joint, "
                 "which cannot be simulated; make it fixed in the URDF"
             )
     return tree

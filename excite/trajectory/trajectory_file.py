@@ -5,7 +5,7 @@ The simulator has a reader of its own, `simulator/reference_trajectory.py`, for 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -99,22 +99,43 @@ class Trajectory:
         Raises:
             UnusableInput: The URDF is not the one of the design (its sha256 differs).
         """
-        stated = self.robot
-        payload = stated.get("payload")
-        robot = load(
-            source or str(stated["source"]),
-            joints=self.joints,
-            lock={k: v for k, v in stated.get("locked", {}).items()},
-            payload=None if payload is None else _payload(payload),
-            gravity=stated.get("gravity", (0.0, 0.0, -9.81)),
-            inertias=inertias_of_document(stated.get("inertias") or {}),
+        return load_designed_robot(self.robot, self.joints, source)
+
+
+def load_designed_robot(
+    stated: Mapping[str, Any],
+    joints: Sequence[str],
+    source: str | None = None,
+    *,
+    require_mass: bool = True,
+) -> Robot:
+    """Load the robot of a design as it was designed for.
+
+    Args:
+        stated: Content of the key "robot".
+        joints: Names of the moving joints.
+        source: Path of the URDF, or name of a built-in model; None: as stated.
+        require_mass: Refuse bodies without mass.
+
+    Raises:
+        UnusableInput: The URDF is not the one of the design (its sha256 differs).
+    """
+    payload = stated.get("payload")
+    robot = load(
+        source or str(stated["source"]),
+        joints=joints,
+        lock={k: v for k, v in stated.get("locked", {}).items()},
+        payload=None if payload is None else _payload(payload),
+        gravity=stated.get("gravity", (0.0, 0.0, -9.81)),
+        inertias=inertias_of_document(stated.get("inertias") or {}),
+        require_mass=require_mass,
+    )
+    if robot.sha256 != stated["sha256"]:
+        raise UnusableInput(
+            f"{robot.source}: is not the URDF this trajectory was designed for "
+            "(sha256 differs); give that one with --robot"
         )
-        if robot.sha256 != stated["sha256"]:
-            raise UnusableInput(
-                f"{robot.source}: is not the URDF this trajectory was designed for "
-                "(sha256 differs); give that one with --robot"
-            )
-        return robot
+    return robot
 
 
 def _payload(stated: Mapping[str, Any]) -> Payload:

@@ -47,8 +47,8 @@ from excite.simulator.reference_trajectory import ReferenceTrajectory, read_refe
 ARMS = ("discriminating", "D-optimal", "random", "repeat")
 """Motions of the second recording."""
 GROUPS = ("sparse", "half_dense")
-"""Groups of the concealed trial from which cases are drawn, in its proportions: where every friction
-acts at every joint, no class of them has a single truth."""
+"""Groups of the concealed trial from which cases are drawn, in its proportions: where every
+friction acts at every joint, no class of them has a single truth."""
 CONFUSABLE = frozenset(name for pair in CONFUSABLE_PAIRS for name in pair)
 """Effects that sparse cases hide: those of which one recording often leaves a class."""
 ROBOTS = (*("two_link",) * 5, "ur5e")

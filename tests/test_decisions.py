@@ -97,7 +97,7 @@ def test_the_trajectory_states_the_expected_evidence(loop: Loop):
     assert expected is not None and expected.with_given
     joint = cases.SUBJECT.robot.joints[0]
     assert expected.log_bayes_factors[joint, TRUTH, RIVAL] > 25.0
-    assert trajectory.design["torque_noise_source"].startswith("noise floor of ")
+    assert trajectory.design["torque_noise_source"].startswith("from ")
     floors = [entry["noise_floor"] for entry in loop.before["joints"].values()]
     np.testing.assert_allclose(trajectory.noise, floors)
 

@@ -6,16 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..designer.discrimination_result import DiscriminationResult
+from ..designer.discrimination_result import CONFIRMATION_REMARK, DiscriminationResult
 from ..designer.experiment_menu import DECISIVE_LOG_ODDS, Experiment
 from ..designer.isolability_forecast import SMALLEST_SEVERITY, PairForecast
 from .content import Section, Table, TableCell
-from .formatting import odds_words
+from .formatting import capitalized, odds_words
 
 
 def _cell(log_odds: float) -> TableCell:
     """Return expected log-odds, coloured by whether they decide."""
     return TableCell(f"{log_odds:.1f}", "good" if log_odds >= DECISIVE_LOG_ODDS else "warn")
+
+
+def _words(effect: str) -> str:
+    """Return the name of an effect without underscores."""
+    return effect.replace("_", " ")
 
 
 def _menu_row(experiment: Experiment, count: int, best: Experiment) -> list[str | TableCell]:
@@ -50,6 +55,8 @@ def discrimination_section(result: DiscriminationResult) -> Section:
         if best.decides
         else f"No experiment of the list decides everything; the best is: {best.name}."
     )
+    if result.is_confirmation:
+        answer += f" {capitalized(CONFIRMATION_REMARK)}."
     pairs = [
         (
             f"({number}) {result.question_of(c)}",
@@ -61,10 +68,10 @@ def discrimination_section(result: DiscriminationResult) -> Section:
     ]
     count = len(result.comparisons)
     menu = [_menu_row(experiment, count, best) for experiment in result.menu]
-    notes = [f"{effect}: {how}" for effect, how in result.linearised.items()]
+    notes = [f"{_words(effect)}: {how}" for effect, how in result.linearised.items()]
     notes += [f"no motion decides: {result.question_of(c)}" for c in result.undecidable]
     notes += list(result.omitted)
-    nominal = sorted({e.form.effect for e in result.explanations if e.nominal})
+    nominal = sorted({_words(e.form.effect) for e in result.explanations if e.nominal})
     if nominal:
         notes.append(f"the size is a usual one, as the diagnosis states none: {', '.join(nominal)}")
     data = {
@@ -81,6 +88,7 @@ def discrimination_section(result: DiscriminationResult) -> Section:
         ),
         "notes": notes,
         "decisive": f"{DECISIVE_LOG_ODDS:g}",
+        "earlier": "the earlier recordings" if result.with_given else "one of the D-optimal motion",
     }
     question = "Which explanation will the recording confirm?"
     return Section("discrimination", question, answer, data)
@@ -96,13 +104,17 @@ def isolability_section(pairs: Sequence[PairForecast]) -> Section:
     kinds = dict.fromkeys((pair.first, pair.second) for pair in open_pairs)
     answer = (
         f"{len(open_pairs)} of {len(pairs)} often confused pairs would stay open: "
-        f"{'; '.join(f'{a} and {b}' for a, b in kinds)}."
+        f"{'; '.join(f'{_words(a)} and {_words(b)}' for a, b in kinds)}."
         if open_pairs
         else f"None of {len(pairs)} often confused pairs would stay open."
     )
-    rows = [(pair.joint, pair.first, pair.second, odds_words(pair.log_odds)) for pair in open_pairs]
+    rows = [
+        (pair.joint, _words(pair.first), _words(pair.second), odds_words(pair.log_odds))
+        for pair in open_pairs
+    ]
     data = {
         "table": Table(("joint", "effect", "rival", "expected odds"), rows, (3,)),
         "severity": f"{SMALLEST_SEVERITY:g}",
+        "decisive": odds_words(DECISIVE_LOG_ODDS),
     }
     return Section("isolability", "Which effects will it not tell apart?", answer, data)

@@ -182,7 +182,7 @@ def test_a_decision_for_what_is_not_found_says_so():
     document = {"decisions": [pair], "findings": [finding]}
     assert decision_rows(document)[0][-1] == "Stribeck friction, not found"
     assert (
-        "superfluous beside the findings: Stribeck friction at elbow"
+        "superfluous next to the findings: Stribeck friction at elbow"
         in decisions_answer(document)[0]
     )
     document["findings"] = [{**finding, "equivalents": ["stribeck"]}]

@@ -79,7 +79,7 @@ def decisions_answer(document: Mapping[str, Any]) -> tuple[str, str]:
     text = f"{len(decided)} of {plural(len(entries), 'open pair')} decided"
     text += f": {some(names[True])}." if names[True] else "."
     if names[False]:
-        text += f" Ahead of its rivals, but superfluous beside the findings: {some(names[False])}."
+        text += f" Ahead of its rivals, but superfluous next to the findings: {some(names[False])}."
     if len(decided) < len(entries):
         text += " The others stay open: one more recording of that kind, or another experiment."
     return text, "good" if len(decided) == len(entries) else "warn"

@@ -45,7 +45,7 @@ def decision_rows(document: Mapping[str, Any]) -> list[tuple[str, ...]]:
 def _is_found(document: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
     """Tell whether the effect that a pair is decided for is a finding of all recordings.
 
-    It need not be: what explains more than its rival may be superfluous beside other effects.
+    It need not be: what explains more than its rival may be superfluous next to other effects.
     """
     return any(
         finding["joint"] == entry["joint"]

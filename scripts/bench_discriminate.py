@@ -20,7 +20,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,8 @@ from excite.designer.optimize import DesignSetup
 from excite.designer.options import DesignOptions
 from excite.errors import ExciteError, ExciteWarning
 from excite.report.figures import svg
-from excite.report.figures.drawing import BLUE, GREY, ORANGE, axes_grid, render_svg
+from excite.report.figures.drawing import BLUE, GREEN, GREY, ORANGE, axes_grid, render_svg
+from excite.report.formatting import power_of_ten
 from excite.robot import limits, robot
 from excite.robot.inertial_parameters import COULOMB_WIDTH
 from excite.trajectory.fourier import FourierSeries
@@ -224,39 +225,69 @@ def report_cases(given: argparse.Namespace) -> None:
     discrimination_cases.run(given.folder, given.cases, given.seed, given.candidates, robots)
     entries = discrimination_cases.results(given.folder)
     cases = [entry for entry in entries if entry["status"] == "class"]
-    faults = sum(entry["status"] == "error" for entry in entries)
-    print(f"{len(cases)} cases with an open class of {len(entries)} candidates ({faults} faults)\n")
+    counts = {
+        status: sum(entry["status"] == status for entry in entries)
+        for status in ("decided", "no class", "error")
+    }
+    print(
+        f"{len(cases)} cases with an open class of {len(entries)} candidates ("
+        + ", ".join(f"{count} {status}" for status, count in counts.items())
+        + ")\n"
+    )
     if not cases:
         return
+    heads = ["motions", *DECIDED, *(f"{kind} name" for kind in DECIDED[:2])]
+    heads += ["rank correlation", "realised / expected"]
+    print("| " + " | ".join(heads) + " |\n|---|" + "---:|" * (len(heads) - 1))
     print(
-        "| second motion | " + " | ".join(DECIDED) + " | rank correlation | realised / expected |"
+        "| first alone | " + " | ".join(outcome_rates([e["before"] for e in cases], cases)) + " |"
     )
-    print("|---|" + "---:|" * (len(DECIDED) + 2))
     for arm in ARMS:
-        outcomes = [outcome(entry["arms"][arm], entry["question"]["truth"]) for entry in cases]
-        cells = [rate_words([o == kind for o in outcomes]) for kind in DECIDED]
+        cells = outcome_rates([entry["arms"][arm] for entry in cases], cases)
         pairs = evidence_pairs(cases, arm)
         ranks = np.argsort(np.argsort(pairs, axis=0), axis=0)
-        correlation = float(np.corrcoef(ranks.T)[0, 1]) if len(pairs) > 2 else np.nan
-        ratios = pairs[:, 1] / np.maximum(pairs[:, 0], 1e-9)
-        low, middle, high = np.quantile(ratios, (0.25, 0.5, 0.75)) if len(pairs) else [np.nan] * 3
-        cells += [f"{correlation:.2f}", f"{middle:.2g} ({low:.2g} to {high:.2g})"]
+        if len(pairs) > 2:
+            cells.append(f"{np.corrcoef(ranks.T)[0, 1]:.2f}")
+        if len(pairs):
+            low, middle, high = np.quantile(evidence_ratios(pairs), (0.25, 0.5, 0.75))
+            cells.append(f"{middle:.2g} ({low:.2g} to {high:.2g})")
         print(f"| {arm} | " + " | ".join(cells) + " |")
     picture = given.folder / "evidence.svg"
     picture.write_text(evidence_picture(cases), encoding="utf-8")
     print(f"\nwrote {picture}")
 
 
+def outcome_rates(arms: Sequence[dict[str, Any]], cases: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the rates of all outcomes, then of right and wrong names whatever the evidence.
+
+    Args:
+        arms: Entry of the diagnosis of each case.
+        cases: The cases.
+    """
+    outcomes = [outcome(a, e["question"]["truth"]) for a, e in zip(arms, cases, strict=True)]
+    names = [arm["outcome"] for arm in arms]
+    return [
+        *(rate_words([o == kind for o in outcomes]) for kind in DECIDED),
+        *(rate_words([n == kind for n in names]) for kind in DECIDED[:2]),
+    ]
+
+
+def evidence_ratios(pairs: FloatArray) -> FloatArray:
+    """Return realised over expected evidence. Shape (k,)."""
+    return np.asarray(pairs[:, 1] / np.maximum(pairs[:, 0], 1e-9))
+
+
 def evidence_picture(cases: Sequence[dict[str, Any]]) -> str:
-    """Draw the realised over the expected evidence of all arms, as SVG."""
+    """Draw realised over expected evidence of all arms, and how their ratio is distributed."""
+    by_arm = {arm: evidence_pairs(cases, arm) for arm in ARMS}
+    joined = np.vstack(list(by_arm.values()))
+    top = 10.0 ** np.ceil(np.log10(max(float(np.abs(joined).max(initial=1.0)), 10.0)))
 
     def draw(figure: Any) -> None:
-        axes = axes_grid(figure, 1, len(ARMS), margins=(0.75, 0.15, 0.35, 0.5), gaps=(0.3, 0.2))
-        for axis, arm in zip(axes[0], ARMS, strict=True):
-            pairs = evidence_pairs(cases, arm)
-            axis.set_xscale("symlog", linthresh=1.0)
-            axis.set_yscale("symlog", linthresh=1.0)
-            top = max(float(np.abs(pairs).max(initial=1.0)), 10.0)
+        axes = axes_grid(figure, 1, len(ARMS) + 1, margins=(0.6, 0.15, 0.35, 0.5), gaps=(0.35, 0.2))
+        for axis, (arm, pairs) in zip(axes[0], by_arm.items(), strict=False):
+            set_signed_decades(axis, top)
+            axis.axhline(0.0, color=GREY, linewidth=0.5)
             axis.plot([0.0, top], [0.0, top], color=GREY, linewidth=0.8)
             right = pairs[:, 1] > 0.0
             axis.plot(*pairs[right].T, "o", color=BLUE, markersize=3.5)
@@ -264,9 +295,40 @@ def evidence_picture(cases: Sequence[dict[str, Any]]) -> str:
             axis.set_title(arm, loc="left", pad=3)
             axis.set_xlabel("expected ln B")
         axes[0, 0].set_ylabel("realised ln B")
+        draw_calibration(axes[0, -1], by_arm)
 
     title = "Evidence for the truth over its rivals after both recordings; orange: for the rival"
-    return svg.standalone(render_svg(title, 2.9, draw))
+    return svg.standalone(render_svg(title, 2.6, draw))
+
+
+def set_signed_decades(axis: Any, top: float) -> None:
+    """Scale both axes in decades of either sign, x from zero; ticks are plain text."""
+    exponents = range(0, round(np.log10(top)) + 1, 2)
+    labels = ["0", *(power_of_ten(k) for k in exponents if k)]
+    ticks = [0.0, *(10.0**k for k in exponents if k)]
+    axis.set_xscale("symlog", linthresh=1.0)
+    axis.set_yscale("symlog", linthresh=1.0)
+    axis.set_xticks(ticks, labels)
+    axis.set_yticks(
+        [*(-t for t in ticks[:0:-1]), *ticks], [*(f"−{word}" for word in labels[:0:-1]), *labels]
+    )
+    axis.set_xlim(0.0, top)
+    axis.set_ylim(-top, top)
+
+
+def draw_calibration(axis: Any, by_arm: Mapping[str, FloatArray]) -> None:
+    """Draw the share of pairs whose realised evidence is below a multiple of the expected one."""
+    colors = dict(zip(ARMS, (BLUE, GREEN, ORANGE, GREY), strict=True))
+    for arm, pairs in by_arm.items():
+        ratios = np.sort(evidence_ratios(pairs))
+        share = np.arange(1, len(ratios) + 1) / max(len(ratios), 1)
+        axis.step(ratios, share, where="post", color=colors[arm], label=arm)
+    axis.axvline(1.0, color=GREY, linewidth=0.8)
+    axis.set_xlim(-0.5, 3.0)
+    axis.set_ylim(0.0, 1.0)
+    axis.set_title("calibration", loc="left", pad=3)
+    axis.set_xlabel("realised / expected")
+    axis.legend(loc="lower right")
 
 
 def main() -> int:

@@ -5,7 +5,8 @@ For each robot and each of two tasks (a pick and place by Ruckig, a recorded mot
 of equal length are designed: for the task (V-optimal), geometric A-optimal and D-optimal. Robots
 that differ from the URDF are recorded along each complete motion with torque noise and identified
 by maximum a posteriori; the error of the predicted torque along the task is what counts. Errors are
-over the noise of each joint; ratios have 95 % intervals by resampling the robots.
+over the noise of each joint; ratios have 95 % intervals by resampling the robots. The complete
+motions differ in their ramps; the periodic parts alone are exactly of equal length.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from excite.errors import ExciteError, ExciteWarning
 from excite.robot import dynamics, limits, robot
 from excite.robot.limits import Limits
 from excite.robot.robot import Robot
+from excite.trajectory.rest_to_rest import SegmentKind
 
 ROBOTS = {
     "Panda": ("panda_unit2/panda.urdf", "panda_unit2/validate.csv"),
@@ -127,12 +129,26 @@ def realised(
     reference: excite.DesignResult,
     draws: int,
     rng: np.random.Generator,
+    *,
+    periodic: bool = False,
 ) -> Errors:
-    """Identify random robots from a recording of a motion and predict the task of `reference`."""
+    """Identify random robots from a recording of a motion and predict the task of `reference`.
+
+    Args:
+        result: Design of the motion.
+        reference: Design for the task.
+        draws: Number of robots.
+        rng: Random generator of robots and noise.
+        periodic: Use the periodic part of the motion alone, without its ramps.
+    """
     task = reference.task_design
     assert task is not None
     trajectory, setup = result.trajectory, result.delivery.design.setup
-    motion = trajectory.motion.samples(trajectory.motion.grid(100.0))
+    times = trajectory.motion.grid(TASK_RATE)
+    if periodic:
+        part = trajectory.motion.segment(SegmentKind.FOURIER)
+        times = times[(times >= part.start - 1e-9) & (times < part.end - 1e-9)]
+    motion = trajectory.motion.samples(times)
     Y = dynamics.regressor(result.robot, setup.problem.parameters, motion) @ setup.base.geometric
     rows = (Y / trajectory.noise[:, None]).reshape(-1, Y.shape[2])
     along = ((task.regressor @ setup.base.geometric) / task.noise[:, None]).reshape(-1, Y.shape[2])
@@ -174,13 +190,23 @@ def compare(
         "A": api.design(machine, criterion=Criterion.A, **common),
         "D": api.design(machine, criterion=Criterion.D, **common),
     }
-    errors = {
-        key: realised(design, designs["V"], given.draws, np.random.default_rng(given.seed))
-        for key, design in designs.items()
-    }
+    complete, periodic = (
+        {
+            key: realised(
+                design,
+                designs["V"],
+                given.draws,
+                np.random.default_rng(given.seed),
+                periodic=is_periodic,
+            )
+            for key, design in designs.items()
+        }
+        for is_periodic in (False, True)
+    )
     rng = np.random.default_rng(given.seed)
     cells = [
         "{:.3f} ({:.3f} to {:.3f})".format(*ratio_interval(errors["V"], errors[key], rng))
+        for errors in (complete, periodic)
         for key in ("A", "D")
     ]
     seconds = designs["V"].delivery.timing["total"]
@@ -189,8 +215,8 @@ def compare(
         name,
         title,
         durations,
-        *(f"{errors[key].rms:.4f}" for key in designs),
-        f"{errors['V'].predicted:.4f}",
+        *(f"{complete[key].rms:.4f}" for key in designs),
+        f"{complete['V'].predicted:.4f}",
         *cells,
         f"{seconds:.1f}",
     ]
@@ -214,7 +240,8 @@ def main() -> int:
     parser.add_argument("--draws", type=int, default=400, help="random robots per motion")
     given = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)
-    head = ["robot", "task", "V/A/D [s]", "V", "A", "D", "V predicted", "V/A", "V/D", "design [s]"]
+    head = ["robot", "task", "V/A/D [s]", "V", "A", "D", "V predicted", "V/A", "V/D"]
+    head += ["V/A, periodic part", "V/D, periodic part", "design [s]"]
     print("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|", flush=True)
     try:
         for name, (urdf, recorded) in ROBOTS.items():

@@ -1,10 +1,10 @@
 """Concealed cases for motions that discriminate: one more run of a robot of unknown physics.
 
 A case is a simulated robot with hidden effects whose diagnosis from one recording leaves a class of
-two or more names of which exactly one acts at the joint. The robot then moves once more: along a
-motion designed to discriminate, a D-optimal one, a random one and a repeat, each of two periods of
-8 s between ramps. Each recording is diagnosed together with the first one. One JSON file per case,
-so that an interrupted run continues.
+two or more names of which exactly one acts at the joint, and does not decide for it yet. The robot
+then moves once more: along a motion designed to discriminate, a D-optimal one, a random one and a
+repeat, each of two periods of 8 s between ramps. Each recording is diagnosed together with the
+first one. One JSON file per case, so that an interrupted run continues.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ from excite.api.design_result import CellOptions
 from excite.designer.criteria import Criterion
 from excite.designer.design_objective import SampledMotion
 from excite.designer.discrimination import SeparationObjective
+from excite.designer.isolability_forecast import CONFUSABLE_PAIRS
 from excite.diagnosis import rival_evidence
-from excite.errors import ExciteError
+from excite.errors import ExciteError, UnusableInput
 from excite.robot.dynamics import regressor
 from excite.robot.robot import locate
 from excite.robot.samples import Samples
@@ -45,8 +46,11 @@ from excite.simulator.reference_trajectory import ReferenceTrajectory, read_refe
 
 ARMS = ("discriminating", "D-optimal", "random", "repeat")
 """Motions of the second recording."""
-GROUPS = ("sparse", "dense", "half_dense")
-"""Groups of the concealed trial from which cases are drawn, in its proportions."""
+GROUPS = ("sparse", "half_dense")
+"""Groups of the concealed trial from which cases are drawn, in its proportions: where every
+friction acts at every joint, no class of them has a single truth."""
+CONFUSABLE = frozenset(name for pair in CONFUSABLE_PAIRS for name in pair)
+"""Effects that sparse cases hide: those of which one recording often leaves a class."""
 ROBOTS = (*("two_link",) * 5, "ur5e")
 """Robots of the cases, in turn."""
 FIRST_RECORDING = "poor_excitation"
@@ -83,8 +87,8 @@ def plan(count: int, seed: int, robots: Sequence[str] = ROBOTS) -> list[CaseSpec
         seed: Seed of the plan.
         robots: Built-in robots of the cases, in turn.
     """
-    drawn = CasePlan(2 * count, seed, "scored", GROUPS).specs()
-    usable = [spec for spec in drawn if not spec.trusted][:count]
+    drawn = CasePlan(8 * count, seed, "scored", GROUPS).specs()
+    usable = [spec for spec in drawn if not spec.trusted and set(spec.names) <= CONFUSABLE][:count]
     return [
         dataclasses.replace(
             spec,
@@ -135,13 +139,13 @@ def open_classes(document: Mapping[str, Any], case: GeneratedCase) -> Iterator[O
 
 
 def outcome(arm: Mapping[str, Any], truth: str) -> str:
-    """Return one of `DECIDED` for the second recording of an arm, names and evidence together.
+    """Return one of `DECIDED` for a diagnosis, names and evidence together.
 
     Right: the truth is reported alone, and the evidence excludes every rival. Wrong: another name
     is reported alone, and the evidence excludes the truth in favour of it.
 
     Args:
-        arm: Entry of the arm.
+        arm: Entry of the diagnosis.
         truth: The acting effect.
     """
     odds = {name: rival_evidence.log_odds(value) for name, value in arm["realised"].items()}
@@ -189,6 +193,7 @@ class Trial:
         case: The case.
         folder: Folder with the files of the analyst.
         robot: Path of the URDF.
+        first: Diagnosis of the first recording.
     """
 
     def __init__(self, case: GeneratedCase, folder: Path) -> None:
@@ -197,11 +202,10 @@ class Trial:
         for name, text in analyst_files(case).items():
             (folder / name).write_text(text, encoding="utf-8")
         self.robot = folder / "robot.urdf"
-        first = api.diagnose(
+        self.first = api.diagnose(
             self.robot, [folder / "train.csv"], [folder / "validate.csv"], with_report=False
         )
-        first.save(folder / "before")
-        self.before = first.document()
+        self.first.save(folder / "before")
 
     def design(self, **criterion: Any) -> api.DesignResult:
         """Design a motion of the second recording."""
@@ -319,33 +323,45 @@ def examine(spec: CaseSpec) -> dict[str, Any]:
         case = generate_case(spec, locate("two_link").parent)
         with tempfile.TemporaryDirectory(prefix="case") as work:
             trial = Trial(case, Path(work))
-            questions = list(open_classes(trial.before, case))
-            if questions:
-                out |= _compared(trial, questions[0])
+            questions = list(open_classes(trial.first.document(), case))
+            entries = [(question, _decided(trial.first, question)) for question in questions]
+            for question, before in entries:
+                if outcome(before, question.truth) != "right":
+                    out |= {"before": before} | _compared(trial, question)
+                    break
+            else:
+                out["status"] = "decided" if questions else "no class"
     except ExciteError as error:
         out |= {"status": "error", "error": str(error).splitlines()[0]}
     out["seconds"] = time.process_time() - begun
     return out
 
 
+def _decided(result: api.DiagnosisResult, question: OpenClass) -> dict[str, Any]:
+    """Return the names that a diagnosis gives and its evidence in a class."""
+    document = result.document()
+    findings = [
+        {key: f[key] for key in ("effect", "joint", "probability", "equivalents")}
+        for f in document["findings"]
+    ]
+    return {
+        "outcome": named_outcome(document, question),
+        "findings": findings,
+        "realised": realised_evidence(result, question),
+    }
+
+
 def _compared(trial: Trial, question: OpenClass) -> dict[str, Any]:
     """Return what the second recording of each arm decides."""
     motions, objective, seconds = trial.motions()
-    arms = {}
-    for arm, motion in motions.items():
-        result = trial.diagnose(trial.record(arm, motion))
-        document = result.document()
-        findings = [
-            {key: f[key] for key in ("effect", "joint", "probability", "equivalents")}
-            for f in document["findings"]
-        ]
-        arms[arm] = {
-            "outcome": named_outcome(document, question),
-            "findings": findings,
+    arms = {
+        arm: {
+            **_decided(trial.diagnose(trial.record(arm, motion)), question),
             "expected": expected_evidence(objective, motion, question),
-            "realised": realised_evidence(result, question),
             "duration": motion.duration,
         }
+        for arm, motion in motions.items()
+    }
     return {
         "status": "class",
         "question": dataclasses.asdict(question),
@@ -365,6 +381,9 @@ def run(
         seed: Seed of the plan.
         candidates: Largest number of candidates.
         robots: Built-in robots of the cases, in turn.
+
+    Raises:
+        UnusableInput: The folder has results of another plan.
     """
     folder.mkdir(parents=True, exist_ok=True)
     cases = sum(entry["status"] == "class" for entry in results(folder))
@@ -373,6 +392,11 @@ def run(
         if cases >= wanted:
             return
         if path.exists():
+            if _read(path)["spec"]["seed"] != spec.seed:
+                raise UnusableInput(
+                    f"{path}: is a case of another plan; use the same --seed, --candidates and "
+                    "--robots, or another --folder"
+                )
             continue
         entry = examine(spec)
         cases += entry["status"] == "class"
@@ -383,4 +407,9 @@ def run(
 
 def results(folder: Path) -> list[dict[str, Any]]:
     """Read the results of all candidates so far."""
-    return [json.loads(p.read_text(encoding="utf-8")) for p in sorted(folder.glob("*.json"))]
+    return [_read(path) for path in sorted(folder.glob("*.json"))]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Read the result of a candidate."""
+    return dict(json.loads(path.read_text(encoding="utf-8")))

@@ -20,6 +20,7 @@ from excite.designer.discrimination_design import sampled_motion
 from excite.diagnosis import probability
 from excite.diagnosis.decisions import Decision, Decisions, ExpectedEvidence
 from excite.diagnosis.rival_evidence import ClassEvidence
+from excite.report.decisions import decision_rows, decisions_answer
 from excite.report.formatting import odds_words
 from excite.trajectory import trajectory_file
 from excite.trajectory.fourier import FourierSeries
@@ -97,7 +98,7 @@ def test_the_trajectory_states_the_expected_evidence(loop: Loop):
     assert expected is not None and expected.with_given
     joint = cases.SUBJECT.robot.joints[0]
     assert expected.log_bayes_factors[joint, TRUTH, RIVAL] > 25.0
-    assert trajectory.design["torque_noise_source"].startswith("noise floor of ")
+    assert trajectory.design["torque_noise_source"].startswith("from ")
     floors = [entry["noise_floor"] for entry in loop.before["joints"].values()]
     np.testing.assert_allclose(trajectory.noise, floors)
 
@@ -173,6 +174,20 @@ def test_only_excluded_equivalents_leave_a_finding():
         ["hysteresis", "delay"],
     ]
     assert document["decisions"][0]["decided_for"] == "stribeck"
+
+
+def test_a_decision_for_what_is_not_found_says_so():
+    pair = Decision("elbow", "stribeck", "drag", 0.5, None, 20.0).document()
+    finding = {"effect": "hysteresis", "joint": "elbow", "equivalents": []}
+    document = {"decisions": [pair], "findings": [finding]}
+    assert decision_rows(document)[0][-1] == "Stribeck friction, not found"
+    assert (
+        "superfluous next to the findings: Stribeck friction at elbow"
+        in decisions_answer(document)[0]
+    )
+    document["findings"] = [{**finding, "equivalents": ["stribeck"]}]
+    assert decision_rows(document)[0][-1] == "Stribeck friction"
+    assert decisions_answer(document)[0] == "1 of 1 open pair decided: Stribeck friction at elbow."
 
 
 @pytest.mark.parametrize(

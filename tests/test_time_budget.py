@@ -11,7 +11,7 @@ from conftest import BUILTIN, loaded, pendulum
 
 from excite.designer import optimize, pipeline, time_budget
 from excite.designer.criteria import Criterion
-from excite.designer.options import DesignOptions, samples_per_period
+from excite.designer.options import DesignOptions, check_played_period, samples_per_period
 from excite.designer.time_budget import (
     DEVIATION_TOLERANCE,
     MAX_FREQUENCY,
@@ -66,6 +66,15 @@ def test_rule_gives_whole_samples_and_bounded_frequencies(name, rate):
         samples_per_period(period, rate)
         assert harmonics / period <= MAX_FREQUENCY + 1e-9
         assert period <= time_budget.MAX_PERIOD
+
+
+@pytest.mark.parametrize(
+    ("speed", "remedy"), [(0.6, "--period 4.59"), (1.0 / np.sqrt(2.0), "another --speed")]
+)
+def test_a_slower_motion_needs_whole_samples_too(speed, remedy):
+    with pytest.raises(UnusableInput, match=f"--speed .* use {remedy}"):
+        check_played_period(4.6, 100.0, speed)
+    check_played_period(4.59, 100.0, 0.6)
 
 
 def test_rule_for_built_in_robots():

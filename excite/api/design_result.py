@@ -391,7 +391,7 @@ def design(
         "chosen": request.unspecified,
     }
     if questions is not None and questions.noise is not None and chosen.noise is questions.noise:
-        facts["torque_noise_source"] = f"noise floor of {questions.source}"
+        facts["torque_noise_source"] = f"from {questions.source}"
     if chosen.noise is None:
         facts["torque_noise_source"] = "1 % of each torque limit (default)"
     workcell, unchecked = cell.cell(loaded, table)

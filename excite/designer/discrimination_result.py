@@ -12,6 +12,9 @@ from .discrimination import Comparison, Explanation
 from .effect_columns import LINEARISED
 from .experiment_menu import DECISIVE_LOG_ODDS, Experiment, recommended
 
+CONFIRMATION_REMARK = "no explanation has a rival: a recording can only confirm what is found"
+"""Remark where a diagnosis leaves no class of several names."""
+
 
 @dataclass(frozen=True)
 class DiscriminationResult:
@@ -51,7 +54,8 @@ class DiscriminationResult:
         if index is None:
             return "no effect"
         form = self.explanations[index].form
-        return form.effect if form.joint is None else f"{form.effect} at {self.joints[form.joint]}"
+        effect = form.effect.replace("_", " ")
+        return effect if form.joint is None else f"{effect} at {self.joints[form.joint]}"
 
     def question_of(self, comparison: Comparison) -> str:
         """Return a comparison in words."""
@@ -63,6 +67,11 @@ class DiscriminationResult:
         effects = dict.fromkeys(e.form.effect for e in self.explanations)
         return {effect: LINEARISED[effect] for effect in effects if effect in LINEARISED}
 
+    @property
+    def is_confirmation(self) -> bool:
+        """True if no explanation has a rival, so that the motion can only confirm them."""
+        return all(comparison.rival is None for comparison in self.comparisons)
+
     def summary(self) -> str:
         """Return one line: the smallest expected log-odds, and the recommendation."""
         least = int(np.argmin(self.designed))
@@ -70,6 +79,7 @@ class DiscriminationResult:
         return (
             f"least expected log-odds {self.designed[least]:.1f} ({question}; D-optimal: "
             f"{self.reference[least]:.1f}); recommended: {self.recommendation.name}"
+            + (f"; {CONFIRMATION_REMARK}" if self.is_confirmation else "")
         )
 
     def _names_of(self, comparison: Comparison) -> dict[str, Any]:

@@ -201,6 +201,7 @@ def _faster(bench: _Bench) -> Experiment:
 def _other_pose(bench: _Bench) -> Experiment:
     """Repeat the reference motion about another mean position of joint 1."""
     joint = bench.problem.robot.joints[0]
+    is_sliding = bench.problem.robot.entries[0].kind == "prismatic"
     low, high = bench.limits.position[0]
     reach = float(high - low) if np.isfinite(high - low) else 2.0 * np.pi
     evaluator = Evaluator(bench.problem)
@@ -210,7 +211,9 @@ def _other_pose(bench: _Bench) -> Experiment:
         moved = dataclasses.replace(bench.reference, offset=offset)
         if evaluator.max_constraint_value(bench.problem.variables(moved)) > MAX_FEASIBLE_ROW_VALUE:
             continue
-        name = f"repeat with {joint} shifted by {np.degrees(share * reach):.0f}°"
+        shift = share * reach
+        size = f"{shift:.2g} m" if is_sliding else f"{np.degrees(shift):.0f}°"
+        name = f"repeat with {joint} shifted by {size.replace('-', '−')}"
         return Experiment(name, bench.duration, bench.log_odds(bench.rows(moved)))
     name = f"repeat in another pose of {joint}"
     return Experiment(name, bench.duration, None, f"limits or clearances of {joint}")

@@ -136,6 +136,33 @@ def samples_per_period(period: float, rate: float) -> int:
     return round(count)
 
 
+def check_played_period(period: float, rate: float, speed: float) -> None:
+    """Check that a period holds a whole number of samples at the speed at which it is played.
+
+    Args:
+        period: Period at full speed [s].
+        rate: Samples per second [Hz].
+        speed: Share of the full speed [1].
+
+    Raises:
+        UnusableInput: It does not.
+    """
+    count = samples_per_period(period, rate)
+
+    def is_whole(samples: int) -> bool:
+        return abs(samples / speed - round(samples / speed)) < 1e-6
+
+    if is_whole(count):
+        return
+    near = sorted(range(1, 2 * count), key=lambda samples: abs(samples - count))
+    better = next((samples for samples in near if is_whole(samples)), None)
+    remedy = "use another --speed" if better is None else f"use --period {better / rate:.6g}"
+    raise UnusableInput(
+        f"--speed {speed:g} makes the period {period / speed:.6g} s, no whole number of samples at "
+        f"--rate {rate:g} Hz; {remedy}"
+    )
+
+
 def torque_noise_levels(limits: Limits, noise: Sequence[float] | None) -> FloatArray:
     """Return the standard deviation of the torque of each joint.
 

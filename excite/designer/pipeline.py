@@ -31,7 +31,7 @@ from .evaluator import Evaluator
 from .motion_overlap import OverlapPenalty
 from .multistart import MIN_SPECTRUM_RATIO, Attempt, Progress
 from .optimize import DesignSetup, ObjectiveBuilder, OptimizedDesign
-from .options import DesignOptions, check_options, samples_per_period
+from .options import DesignOptions, check_options, check_played_period
 from .problem import LIMIT_RESERVE
 
 CertifiedTrajectory = tuple[Trajectory, Certificate]
@@ -132,7 +132,7 @@ def design_trajectory(
     if not 0.0 < speed <= 1.0:
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
-        samples_per_period(options.period / speed, options.rate)
+        check_played_period(options.period, options.rate, speed)
     check_options(options)
     design_cost.require(robot, options, speed, progress)
     clearance = None if cell is None else clearance_builder.build_constraint(cell)

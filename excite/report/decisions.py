@@ -34,10 +34,24 @@ def decision_rows(document: Mapping[str, Any]) -> list[tuple[str, ...]]:
                 odds_words(odds["before"]),
                 _expected_words(odds["expected"], odds["after"]),
                 odds_words(odds["after"]),
-                "open" if decided is None else effect_words(decided),
+                "open"
+                if decided is None
+                else effect_words(decided) + ("" if _is_found(document, entry) else ", not found"),
             )
         )
     return rows
+
+
+def _is_found(document: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
+    """Tell whether the effect that a pair is decided for is a finding of all recordings.
+
+    It need not be: what explains more than its rival may be superfluous next to other effects.
+    """
+    return any(
+        finding["joint"] == entry["joint"]
+        and entry["decided_for"] in (finding["effect"], *finding["equivalents"])
+        for finding in document["findings"]
+    )
 
 
 def _expected_words(expected: Mapping[str, float] | None, after: float) -> str:
@@ -57,12 +71,15 @@ def decisions_answer(document: Mapping[str, Any]) -> tuple[str, str]:
     if not entries:
         return "Nothing had to be decided: the earlier recordings left no two effects open.", "good"
     decided = [entry for entry in entries if entry["decided_for"] is not None]
-    names = dict.fromkeys(
-        f"{effect_words(entry['decided_for'])} at {entry['joint'] or 'the whole robot'}"
-        for entry in decided
-    )
+    names: dict[bool, list[str]] = {True: [], False: []}
+    for entry in decided:
+        place = f"{effect_words(entry['decided_for'])} at {entry['joint'] or 'the whole robot'}"
+        if place not in (group := names[_is_found(document, entry)]):
+            group.append(place)
     text = f"{len(decided)} of {plural(len(entries), 'open pair')} decided"
-    text += f": {some(list(names))}." if names else "."
+    text += f": {some(names[True])}." if names[True] else "."
+    if names[False]:
+        text += f" Ahead of its rivals, but superfluous next to the findings: {some(names[False])}."
     if len(decided) < len(entries):
         text += " The others stay open: one more recording of that kind, or another experiment."
     return text, "good" if len(decided) == len(entries) else "warn"

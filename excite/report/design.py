@@ -23,7 +23,12 @@ from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
-from .design_provenance import criteria_section, history_section, provenance_section
+from .design_provenance import (
+    criteria_section,
+    history_section,
+    is_for_purpose,
+    provenance_section,
+)
 from .design_record import DesignRecord
 from .discrimination import discrimination_section, isolability_section
 from .figures import collision as collision_figures
@@ -202,13 +207,14 @@ def _cards(subject: _Subject) -> list[tuple[str, str]]:
     name = str(trajectory.design.get("criterion", "a"))
     is_plain = bool(trajectory.design.get("plain", False))
     value = criterion_value(trajectory.criteria, name, is_plain)
+    criterion = (number(value), f"criterion: {_CRITERIA.get(name, name)}, per sample")
     return [
         *key_figures(subject.identifiability, subject.robot, subject.base),
         (
             f"{motion.duration:.1f} s",
             f"from rest to rest, {motion.periods} periods of {motion.fourier.period:g} s",
         ),
-        (number(value), f"criterion: {_CRITERIA.get(name, name)}, per sample"),
+        *([] if is_for_purpose(trajectory) else [criterion]),
     ]
 
 

@@ -16,7 +16,7 @@ from ..trajectory.trajectory_file import Trajectory
 from .content import Section, Table, TableCell
 from .design_record import DesignRecord
 from .figures import information_spectrum
-from .formatting import number, plural
+from .formatting import number, plural, significant
 
 NEAR_BEST = 0.05
 """Starts whose log criterion ends within this much of the best (5 %) count as equal."""
@@ -24,6 +24,8 @@ MAX_LOG_EXCESS = 20.0
 """Cap on the logarithm of an excess, against overflow."""
 DEFAULT_NOISE_SHARE = 0.01
 """Torque noise over the torque limit where none is stated."""
+LARGE_RATIO = 10.0
+"""Ratio from which a change is stated as a factor, not in percent."""
 _LABELS = {
     "a": "A: Σ 1/λ",
     "d": "D: Σ log λ",
@@ -59,8 +61,8 @@ def history_section(record: DesignRecord) -> Section:
         answer = (
             f"The best of {len(starts)} starts is number {best['seed']}, after {iterations}; "
             f"{near} of {len(starts)} starts end within {100 * NEAR_BEST:.0f} % of it, the worst "
-            f"{excess:.2g} % above{behind}. One more start would be better with a probability of "
-            f"1 in {len(starts) + 1}."
+            f"{significant(excess)} % above{behind}. One more start would be better with a "
+            f"probability of 1 in {len(starts) + 1}."
         )
     infeasible = sum(not s["feasible"] for s in starts)
     data = {
@@ -98,8 +100,15 @@ def criteria_section(trajectory: Trajectory) -> Section:
     )
 
 
+def is_for_purpose(trajectory: Trajectory) -> bool:
+    """Tell whether a task or competing explanations took the place of the criterion."""
+    return bool(trajectory.design.get("for") or trajectory.design.get("discriminate"))
+
+
 def _chosen_criterion(trajectory: Trajectory) -> str:
-    """Key of the criterion that was optimised, such as 'geometric.a'."""
+    """Key of the criterion that was optimised, such as 'geometric.a'; empty if none was."""
+    if is_for_purpose(trajectory):
+        return ""
     name = str(trajectory.design.get("criterion", "a"))
     if name == "cond_regressor":
         return name
@@ -123,7 +132,12 @@ def _change(name: str, before: float | None, after: float | None) -> str:
         return "–"
     if name == "d":
         return f"{'' if after < before else '+'}{number(after - before, 3)}"
-    return f"{100.0 * (after / before - 1.0):+.1f} %".replace("-", "−") if before else "–"
+    if not before:
+        return "–"
+    ratio = after / before
+    if ratio > LARGE_RATIO:
+        return f"× {number(ratio, 2)}"
+    return f"{100.0 * (ratio - 1.0):+.1f} %".replace("-", "−")
 
 
 def _ramps_answer(trajectory: Trajectory, before: float | None, after: float | None) -> str:
@@ -171,7 +185,7 @@ def provenance_section(
     facts |= {
         str(key).replace("_", " "): _words(value)
         for key, value in design.items()
-        if key not in ("drive", "plan", "validation")
+        if key not in ("drive", "plan", "validation", "discrimination")
     }
     data = {
         "facts": Table(("option", "value"), [(k, v or "–") for k, v in facts.items()]),

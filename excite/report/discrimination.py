@@ -6,11 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..designer.discrimination_result import DiscriminationResult
+from ..designer.discrimination_result import CONFIRMATION_REMARK, DiscriminationResult
 from ..designer.experiment_menu import DECISIVE_LOG_ODDS, Experiment
 from ..designer.isolability_forecast import SMALLEST_SEVERITY, PairForecast
 from .content import Section, Table, TableCell
-from .formatting import odds_words
+from .formatting import capitalized, number, odds_words, plural
+
+LISTED_COMPARISONS = 10
+"""Comparisons that are listed, the least certain first, before the others are folded."""
+MENU_COMPARISONS = 6
+"""Comparisons with a column of their own in the menu, the least certain ones."""
 
 
 def _cell(log_odds: float) -> TableCell:
@@ -18,17 +23,25 @@ def _cell(log_odds: float) -> TableCell:
     return TableCell(f"{log_odds:.1f}", "good" if log_odds >= DECISIVE_LOG_ODDS else "warn")
 
 
-def _menu_row(experiment: Experiment, count: int, best: Experiment) -> list[str | TableCell]:
-    """Return a row of the menu."""
+def _words(effect: str) -> str:
+    """Return the name of an effect without underscores."""
+    return effect.replace("_", " ")
+
+
+def _menu_row(
+    experiment: Experiment, shown: Sequence[int], best: Experiment
+) -> list[str | TableCell]:
+    """Return a row of the menu: the least log-odds of all comparisons, then those shown."""
     name = experiment.name + (" ← recommended" if experiment is best else "")
     time = f"{experiment.seconds:.0f} s"
     if experiment.log_odds is None:
-        return [name, time, f"not possible: {experiment.obstacle}", *["–"] * count]
+        return [name, time, f"not possible: {experiment.obstacle}", *["–"] * (1 + len(shown))]
     return [
         name,
         time,
         "yes" if experiment.decides else "no",
-        *(_cell(value) for value in experiment.log_odds.tolist()),
+        _cell(float(experiment.log_odds.min())),
+        *(_cell(float(experiment.log_odds[index])) for index in shown),
     ]
 
 
@@ -50,37 +63,46 @@ def discrimination_section(result: DiscriminationResult) -> Section:
         if best.decides
         else f"No experiment of the list decides everything; the best is: {best.name}."
     )
+    if result.is_confirmation:
+        answer += f" {capitalized(CONFIRMATION_REMARK)}."
+    order = np.argsort(result.designed, kind="stable").tolist()
     pairs = [
         (
-            f"({number}) {result.question_of(c)}",
-            f"{100.0 * c.weight:.0f} %",
-            _cell(float(result.reference[number - 1])),
-            _cell(float(result.designed[number - 1])),
+            f"({place}) {result.question_of(result.comparisons[index])}",
+            f"{number(100.0 * result.comparisons[index].weight, 2)} %",
+            _cell(float(result.reference[index])),
+            _cell(float(result.designed[index])),
         )
-        for number, c in enumerate(result.comparisons, start=1)
+        for place, index in enumerate(order, start=1)
     ]
-    count = len(result.comparisons)
-    menu = [_menu_row(experiment, count, best) for experiment in result.menu]
-    notes = [f"{effect}: {how}" for effect, how in result.linearised.items()]
+    shown = order[:MENU_COMPARISONS]
+    menu = [_menu_row(experiment, shown, best) for experiment in result.menu]
+    notes = [f"{_words(effect)}: {how}" for effect, how in result.linearised.items()]
     notes += [f"no motion decides: {result.question_of(c)}" for c in result.undecidable]
     notes += list(result.omitted)
-    nominal = sorted({e.form.effect for e in result.explanations if e.nominal})
+    nominal = sorted({_words(e.form.effect) for e in result.explanations if e.nominal})
     if nominal:
         notes.append(f"the size is a usual one, as the diagnosis states none: {', '.join(nominal)}")
+    head = ("comparison", "weight", "D-optimal", "this motion")
+    closest, others = Table(head, pairs, (1, 2, 3)).split(LISTED_COMPARISONS)
     data = {
-        "pairs": Table(("comparison", "weight", "D-optimal", "this motion"), pairs, (1, 2, 3)),
+        "pairs": closest,
+        "others": others,
+        "others_summary": plural(len(others.rows), "more comparison"),
         "menu": Table(
             (
                 "experiment",
                 "robot time",
-                "decides",
-                *(f"({number})" for number in range(1, count + 1)),
+                "decides all",
+                "least",
+                *(f"({place})" for place in range(1, len(shown) + 1)),
             ),
             menu,
-            (1, *range(3, 3 + count)),
+            (1, *range(3, 4 + len(shown))),
         ),
         "notes": notes,
         "decisive": f"{DECISIVE_LOG_ODDS:g}",
+        "earlier": "the earlier recordings" if result.with_given else "one of the D-optimal motion",
     }
     question = "Which explanation will the recording confirm?"
     return Section("discrimination", question, answer, data)
@@ -96,13 +118,17 @@ def isolability_section(pairs: Sequence[PairForecast]) -> Section:
     kinds = dict.fromkeys((pair.first, pair.second) for pair in open_pairs)
     answer = (
         f"{len(open_pairs)} of {len(pairs)} often confused pairs would stay open: "
-        f"{'; '.join(f'{a} and {b}' for a, b in kinds)}."
+        f"{'; '.join(f'{_words(a)} and {_words(b)}' for a, b in kinds)}."
         if open_pairs
         else f"None of {len(pairs)} often confused pairs would stay open."
     )
-    rows = [(pair.joint, pair.first, pair.second, odds_words(pair.log_odds)) for pair in open_pairs]
+    rows = [
+        (pair.joint, _words(pair.first), _words(pair.second), odds_words(pair.log_odds))
+        for pair in open_pairs
+    ]
     data = {
         "table": Table(("joint", "effect", "rival", "expected odds"), rows, (3,)),
         "severity": f"{SMALLEST_SEVERITY:g}",
+        "decisive": odds_words(DECISIVE_LOG_ODDS),
     }
     return Section("isolability", "Which effects will it not tell apart?", answer, data)

@@ -133,10 +133,13 @@ class ReplayCase:
 
 
 def identify_case(name: str, folder: Path, with_diagnosis: bool) -> ReplayCase:
-    """Identify a robot and its position loop from train.csv, and read unseen.csv."""
+    """Identify a robot and its position loop from train.csv, and read unseen.csv.
+
+    A diagnosis takes no effects and no parameters from its validation recording, unseen.csv.
+    """
     train, unseen = folder / "train.csv", folder / "unseen.csv"
     if with_diagnosis:
-        excite.diagnose(name, [train], [train]).save(folder / "model")
+        excite.diagnose(name, [train], [unseen]).save(folder / "model")
     else:
         excite.identify(name, [train]).save(folder / "model")
     model = read_simulator_model(folder / "model" / "model.json", recording=None)

@@ -99,7 +99,7 @@ def test_the_motion_is_certified_and_rests_at_every_pose_after_arrivals_from_bot
     assert len(rests) == 2 * len(poses)
     for k, (first, second) in enumerate(zip(rests[::2], rests[1::2], strict=True)):
         for (begin, end), sign in ((first, -1.0), (second, 1.0)):
-            np.testing.assert_allclose(motion.at(t[begin:end]), poses[k][None], atol=1e-6)
+            assert np.abs(motion.at(t[begin:end]) - poses[k]).max() < 1e-6
             before = motion.at(np.array([t[begin] - 0.1]))[0] - poses[k]
             assert np.all(-np.sign(before) == sign) and np.all(np.abs(before) < REACH)
 
@@ -130,9 +130,9 @@ def test_predicted_deviations_are_those_of_any_friction_at_rest(result, problem)
     difference = (friction[:, 1] - friction[:, 0]).reshape(2000, -1)
     errors = difference @ np.linalg.pinv(flat).T
     std = errors.std(axis=0)
-    # the torque noise adds less than a twentieth
-    assert std[0] < deviation.mass < 1.05 * std[0] * 1.05
-    np.testing.assert_allclose(deviation.centre, std[1:], rtol=0.1)
+    # within the statistical error of the draws; the torque noise adds little
+    assert deviation.mass == pytest.approx(std[0], rel=0.06)
+    np.testing.assert_allclose(deviation.centre, std[1:], rtol=0.06)
 
 
 def test_the_command_writes_the_files_of_a_design(tmp_path, capsys):
@@ -224,7 +224,7 @@ def test_intervals_cover_the_truth_with_scattered_friction(result, problem):
 def test_a_model_stands_for_the_recording_without_payload(result, problem, tmp_path):
     model, place = problem
     fitted = read_model(write_model(tmp_path, ROBOT, seed=4))
-    carrying = rests_of(problem, result.design.poses, True, np.random.default_rng(1), 0.0)
+    carrying = rests_of(problem, result.design.poses, True, np.random.default_rng(1), 0.02)
     without = model_rests(fitted, [carrying])
     expected = static_torque(problem, carrying.q, False)
     np.testing.assert_allclose(without.torque, expected, atol=1e-9)

@@ -262,7 +262,8 @@ class _Fit:
         nuisance: Coefficients of the nuisance columns, of least norm. Shape (k,).
         residual: Remaining torque. Shape (R, n).
         deviation: Its standard deviation by joint. Shape (n,).
-        freedom: Number of equations minus rank.
+        freedom: Degrees of freedom of the least of the variances of the joints: one joint may
+            decide a quantity (the lower bound of Welch and Satterthwaite's).
     """
 
     theta: FloatArray
@@ -304,7 +305,7 @@ def _fit(torque: FloatArray, own: FloatArray, other: FloatArray, deviation: Floa
         nuisance,
         residual,
         np.sqrt(np.maximum(np.sum(residual**2, axis=0) / freedom, 1e-300)),
-        float(torque.size - hat.shape[1]),
+        float(freedom.min()),
     )
 
 

@@ -8,7 +8,7 @@ each payload, along a motion of 20 s by `excite design --for-payload`; each reco
 its own. The static estimate uses the torque of four poses at rest, each with any friction that rest
 allows; the plain difference subtracts the torque without payload from that with it, without a model
 of friction. On standard error: the predicted standard deviation of the motion, in the metric of a
-ball, beside that of sines of the last three joints of the same duration.
+ball, next to that of sines of the last three joints of the same duration.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class StaticDesignResult(SavedResult):
 
     @cached_property
     def analysis(self) -> identifiability.Identifiability:
-        """What the complete motion, with the ways between the poses, shows of the robot."""
+        """Identifiability of the robot by the complete motion, with the ways between the poses."""
         trajectory, standard = self.trajectory, self.design.parameters
         samples = trajectory.motion.samples(trajectory.motion.grid(REFERENCE_RATE))
         return identifiability.analyse_root(

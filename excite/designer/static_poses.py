@@ -280,8 +280,8 @@ def _efficiency(candidates: _PoseSet, best: _PoseSet, rng: np.random.Generator) 
     count = len(best)
     random = np.array([rng.choice(len(candidates), count, replace=False) for _ in range(101)])
     values = _log_determinants(candidates.rows[random])
-    own = _log_determinants(best.rows[None])[0]
-    return float(np.exp((own - np.median(values)) / GRAVITY_PARAMETERS))
+    optimum = _log_determinants(best.rows[None])[0]
+    return float(np.exp((optimum - np.median(values)) / GRAVITY_PARAMETERS))
 
 
 def _ordered(poses: FloatArray, velocity: FloatArray, start: FloatArray | None) -> IntArray:

@@ -102,7 +102,7 @@ class PayloadQuantity:
 
 @dataclass(frozen=True)
 class PayloadData:
-    """What the data say about a payload, the robot's parameters and friction integrated out.
+    """Estimate and information of the data, the robot's parameters and friction integrated out.
 
     Attributes:
         theta: φ̂, 0 in directions that the data do not show. Shape (10,).
@@ -117,10 +117,9 @@ class PayloadData:
     @property
     def mass_deviation(self) -> float:
         """Standard deviation of the mass; ∞ where the data do not show it [kg]."""
-        rest = self.information[1:, 1:]
-        cross = self.information[0, 1:]
-        left = self.information[0, 0] - cross @ np.linalg.pinv(rest, rcond=1e-12) @ cross
-        return float(1.0 / np.sqrt(left)) if left > 0.0 else np.inf
+        others, cross = self.information[1:, 1:], self.information[0, 1:]
+        marginal = self.information[0, 0] - cross @ np.linalg.pinv(others, rcond=1e-12) @ cross
+        return float(1.0 / np.sqrt(marginal)) if marginal > 0.0 else np.inf
 
 
 @dataclass(frozen=True)

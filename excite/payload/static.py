@@ -98,7 +98,7 @@ def find_rests(recording: Recording) -> Rests:
 
 
 def _is_still(recording: Recording, tolerance: FloatArray) -> BoolArray:
-    """Whether all joints rest at each row, within a window about it. Shape (N,)."""
+    """True for rows at which all joints rest, within a window about them. Shape (N,)."""
     from scipy import ndimage  # slow to import
 
     size = max(2, round(WINDOW / recording.step)) | 1
@@ -152,10 +152,10 @@ class _StaticRows:
 
     @property
     def carries(self) -> BoolArray:
-        """Whether the payload was attached. Shape (R,)."""
+        """True for rests with the payload. Shape (R,)."""
         return np.asarray(self.recording >= 0)
 
-    def own(self, recording: int | None = None) -> FloatArray:
+    def payload_columns(self, recording: int | None = None) -> FloatArray:
         """Return the columns of the payload, 0 without it, or of one recording alone."""
         inside = self.carries if recording is None else self.recording == recording
         return np.where(inside[:, None, None], self.payload, 0.0)
@@ -166,8 +166,8 @@ class _StaticRows:
         Args:
             load: Torque of the links, of which friction grows. Shape (R, n); None: not fitted.
         """
-        one, carries = np.ones_like(self.torque), self.carries[:, None]
-        parts = [one * carries, self.arrival, self.arrival * carries]
+        carries = self.carries[:, None] * np.ones_like(self.torque)
+        parts = [carries, self.arrival, self.arrival * carries]
         if load is not None:
             parts.append(self.arrival * np.abs(load))
         return np.concatenate([self.robot, *(_diagonal(part) for part in parts)], axis=2)
@@ -211,11 +211,14 @@ def estimate_static_payload(
     deviation, load = np.ones(n), None
     fits_load = len(rows.torque) >= FEWEST_RESTS_FOR_LOAD
     for _ in range(ITERATIONS):
-        fit = _fit(rows.torque, rows.own(), rows.nuisance(load), deviation)
+        fit = _fit(rows.torque, rows.payload_columns(), rows.nuisance(load), deviation)
         deviation = fit.deviation
         if fits_load:
-            load = rows.robot @ fit.nuisance[: rows.robot.shape[2]] + rows.own() @ fit.theta
-    fit = _fit(rows.torque, rows.own(), rows.nuisance(load), deviation)
+            load = (
+                rows.robot @ fit.nuisance[: rows.robot.shape[2]]
+                + rows.payload_columns() @ fit.theta
+            )
+    fit = _fit(rows.torque, rows.payload_columns(), rows.nuisance(load), deviation)
     information = np.zeros((LINK_PARAMETERS, LINK_PARAMETERS))
     information[:GRAVITY_PARAMETERS, :GRAVITY_PARAMETERS] = fit.information
     theta = np.append(fit.theta, np.zeros(LINK_PARAMETERS - GRAVITY_PARAMETERS))
@@ -278,16 +281,18 @@ RANK_TOLERANCE = 1e-9
 """Relative singular value below which a direction counts as not shown."""
 
 
-def _fit(torque: FloatArray, own: FloatArray, other: FloatArray, deviation: FloatArray) -> _Fit:
-    """Fit the torque by its own columns and nuisance columns, weighted by 1/deviation².
+def _fit(
+    torque: FloatArray, columns: FloatArray, others: FloatArray, deviation: FloatArray
+) -> _Fit:
+    """Fit the torque by columns of interest and nuisance columns, weighted by 1/deviation².
 
     Args:
         torque: Shape (R, n).
-        own: Columns of the parameters. Shape (R, n, p).
-        other: Nuisance columns. Shape (R, n, k).
+        columns: Columns of the parameters. Shape (R, n, p).
+        others: Nuisance columns. Shape (R, n, k).
         deviation: Standard deviations. Shape (n,).
     """
-    weighted = [x / deviation[:, None] for x in (own, other)]
+    weighted = [x / deviation[:, None] for x in (columns, others)]
     A, B = (x.reshape(-1, x.shape[2]) for x in weighted)
     y = (torque / deviation).ravel()
     basis = _range(B)
@@ -295,7 +300,7 @@ def _fit(torque: FloatArray, own: FloatArray, other: FloatArray, deviation: Floa
     size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     theta = np.linalg.lstsq(free / size, y - basis @ (basis.T @ y), rcond=RANK_TOLERANCE)[0] / size
     nuisance = np.linalg.lstsq(B, y - A @ theta, rcond=RANK_TOLERANCE)[0]
-    residual = torque - own @ theta - other @ nuisance
+    residual = torque - columns @ theta - others @ nuisance
     hat = np.concatenate([basis, _range(free, size)], axis=1)
     leverage = np.sum(hat.reshape(*torque.shape, -1) ** 2, axis=(0, 2))
     freedom = np.maximum(len(torque) - leverage, 1.0)
@@ -327,8 +332,8 @@ def _mounting_p_value(
 
     if count < 2:
         return None
-    differences = np.concatenate([rows.own(k) for k in range(1, count)], axis=2)
-    nuisance = np.concatenate([rows.own(), rows.nuisance(load)], axis=2)
+    differences = np.concatenate([rows.payload_columns(k) for k in range(1, count)], axis=2)
+    nuisance = np.concatenate([rows.payload_columns(), rows.nuisance(load)], axis=2)
     fit = _fit(rows.torque, differences, nuisance, deviation)
     statistic = float(fit.theta @ fit.information @ fit.theta)
     return float(stats.chi2.sf(statistic, len(fit.theta)))

@@ -66,8 +66,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     written = output.replace(result.contents())
     design = result.design
     lines = [
-        f"{robot.name}: {len(design.poses)} static poses, each reached from both sides, worth "
-        f"{design.efficiency:.2g} times as much as random ones",
+        f"{robot.name}: {len(design.poses)} static poses, each reached from both sides; one is "
+        f"worth {design.efficiency:.2g} random ones",
         design.deviation.text,
         f"{result.trajectory.motion.duration:.2f} s from rest to rest",
         *design.certificate.verdict_lines(),

@@ -10,7 +10,7 @@ from ..designer.static_poses import StaticDesign
 from ..robot.robot import Robot
 from .content import Banner, ReportContent, Section, Table
 from .figures.static_poses import draw_poses
-from .figures.trajectory import MotionScene, draw_kinematics, draw_path
+from .figures.trajectory import MotionScene, draw_kinematics
 from .formatting import number
 from .render import render
 
@@ -74,10 +74,10 @@ def _pose_section(design: StaticDesign, robot: Robot, scene: MotionScene) -> Sec
         "At which poses does the robot rest?",
         f"Joint positions [{' or '.join(sorted(units))}], in the order of the motion. Every joint "
         "arrives at every pose once from above and once from below, so that its friction at rest "
-        f"cancels. As D-optimal poses they are worth {number(design.efficiency, 2)} times as much "
-        "as as many random ones.",
+        f"cancels. The poses are D-optimal: one is worth {number(design.efficiency, 2)} random "
+        "ones.",
         {
-            "figures": [Markup(draw_poses(scene, design.poses)), Markup(draw_path(scene)[0])],
+            "figures": [Markup(draw_poses(scene, design.poses))],
             "tables": [Table(head, rows, tuple(range(1, len(head))))],
         },
     )

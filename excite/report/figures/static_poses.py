@@ -1,4 +1,4 @@
-"""Figure of static poses: the robot at each of them, from the side that shows most."""
+"""Figure of static poses: the robot at each of them, from the side or the front."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROW_HEIGHT = 2.6
 
 
 def draw_poses(scene: MotionScene, poses: FloatArray) -> str:
-    """Draw the robot at each pose, in the plane in which its poses extend most.
+    """Draw the robot at each pose, in the vertical plane in which its poses extend most.
 
     Args:
         scene: The robot and its surroundings.
@@ -32,7 +32,7 @@ def draw_poses(scene: MotionScene, poses: FloatArray) -> str:
     low, high = points.min(axis=0), points.max(axis=0)
     reach = 0.5 * float(np.max(high - low)) * 1.08 + 1e-3
     middle, extent = 0.5 * (low + high), np.std(points, axis=0)
-    (a, b), name = max(VIEWS, key=lambda view: extent[view[0][0]] + extent[view[0][1]])
+    (a, b), name = max(VIEWS[:2], key=lambda view: extent[view[0][0]])
     rows = -(-len(poses) // COLUMNS)
 
     def draw(figure: Any) -> None:

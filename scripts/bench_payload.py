@@ -3,10 +3,12 @@
     python scripts/bench_payload.py [--count 30] [--robots ur5e fr3 iiwa14] [--dense]
 
 Each robot carries payloads of 0.02 to 0.5 of its rating, eccentric, with load friction hidden at
-every joint (with --dense, all frictions of a dense robot). The robot is recorded once without a
-payload and once with each, along a motion of 20 s by `excite design --for-payload`. The static
-estimate uses the torque of four poses at rest, each with any friction that rest allows; the plain
-difference subtracts the torque without payload from that with it, without a model of friction.
+every joint (with --dense, all frictions of a dense robot). The robot is recorded with and without
+each payload, along a motion of 20 s by `excite design --for-payload`; each recording has noise of
+its own. The static estimate uses the torque of four poses at rest, each with any friction that rest
+allows; the plain difference subtracts the torque without payload from that with it, without a model
+of friction. On standard error: the predicted standard deviation of the motion, in the metric of a
+ball, next to that of sines of the last three joints of the same duration.
 """
 
 from __future__ import annotations
@@ -24,7 +26,10 @@ import numpy as np
 
 from excite import _json, design
 from excite._types import FloatArray
+from excite.api.design_result import DesignResult
+from excite.api.identification_result import REFERENCE_RATE
 from excite.api.robots import resolve_limits
+from excite.designer.payload_weighting import payload_deviation
 from excite.identification import segments
 from excite.identification.regression import IdentificationModel
 from excite.payload.equations import (
@@ -45,7 +50,7 @@ from excite.simulator.effects.load import AttachedBody
 from excite.simulator.experiment import ExperimentSettings, build_robot, measurement_chain
 from excite.simulator.recording_file import measure
 from excite.simulator.reference_trajectory import ReferenceTrajectory, read_reference
-from excite.simulator.simulated_robot import SimulatedRobot
+from excite.simulator.simulated_robot import SimulatedMotion, SimulatedRobot
 
 RATINGS = {"ur5e": 5.0, "fr3": 3.0, "iiwa14": 14.0, "ur10e": 12.5, "panda": 3.0, "tx40": 2.3}
 """Rated payload of each robot [kg]."""
@@ -59,6 +64,10 @@ LOAD_FRICTION = (0.03, 0.15)
 """Smallest and largest coefficient of load friction."""
 STATIC_POSES = 4
 """Poses of the static estimate."""
+WIGGLE_AMPLITUDE = 0.5
+"""Amplitude of each joint of a wrist wiggle [rad]."""
+WIGGLE_HERTZ = (0.4, 0.6, 0.8)
+"""Frequencies of its three joints [Hz]."""
 MOTION_SECONDS = 20.0
 """Robot time of each recording [s]."""
 
@@ -84,12 +93,52 @@ class CaseScore:
     seconds: float
 
 
+@dataclass(frozen=True)
+class WiggleComparison:
+    """Predicted standard deviations of a payload in the metric of a ball, friction eliminated.
+
+    Attributes:
+        designed: Of the designed motion.
+        wiggle: Of a motion of the last three joints alone, of the same duration.
+    """
+
+    designed: float
+    wiggle: float
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        ratio = self.designed / self.wiggle
+        return (
+            f"metric standard deviation {self.designed:.3g}, wrist wiggle {self.wiggle:.3g}: "
+            f"{ratio:.3f} (at most 1/3 asked)"
+        )
+
+
+def compare_with_wiggle(result: DesignResult, link: str) -> WiggleComparison:
+    """Compare a designed motion with sines of the last three joints about its centre."""
+    machine, motion = result.robot, result.trajectory.motion
+    assert result.payload is not None
+    t = motion.grid(REFERENCE_RATE)
+    amplitude, rate = np.zeros(machine.n), np.zeros(machine.n)
+    amplitude[-3:], rate[-3:] = WIGGLE_AMPLITUDE, 2.0 * np.pi * np.array(WIGGLE_HERTZ)
+    phase = np.outer(t, rate)
+    wiggle = Samples(
+        motion.fourier.offset + amplitude * np.sin(phase),
+        amplitude * rate * np.cos(phase),
+        -amplitude * rate**2 * np.sin(phase),
+    )
+    noise = np.asarray(result.trajectory.noise, float)
+    other = payload_deviation(machine, result.parameters, wiggle, noise, link)
+    return WiggleComparison(result.payload.metric, other.metric)
+
+
 class Laboratory:
     """A simulated robot that is recorded with and without payloads."""
 
     def __init__(self, name: str, is_dense: bool) -> None:
         self.name = name
-        self.reference: ReferenceTrajectory = payload_motion(name)
+        self.reference, self.comparison = payload_motion(name)
         self.settings = ExperimentSettings(seed=3)
         robot = build_robot(locate(name), self.reference, self.settings)
         rng = np.random.default_rng(11)
@@ -110,16 +159,17 @@ class Laboratory:
         self.model = IdentificationModel(self.machine, standard, base, widths)
         self.link = self.machine.links[-1]
         self.place = payload_place(self.machine, self.link)
-        self.empty = self.record(None, 0)
+        self.chain = measurement_chain(self.robot, self.settings)
+        self.empty = self.robot.follow(self.reference)
 
-    def record(self, body: AttachedBody | None, seed: int) -> Recording:
-        """Record the robot, with a payload where one is given."""
-        effects = (*self.robot.effects, *([] if body is None else [body]))
-        robot = dataclasses.replace(self.robot, effects=tuple(effects))
-        chain = measurement_chain(robot, self.settings)
-        signals = measure(
-            robot.follow(self.reference), self.reference, chain, np.random.default_rng([7, seed])
-        )
+    def carrying(self, body: AttachedBody) -> SimulatedMotion:
+        """Simulate the robot with a payload."""
+        robot = dataclasses.replace(self.robot, effects=(*self.robot.effects, body))
+        return robot.follow(self.reference)
+
+    def record(self, motion: SimulatedMotion, seed: int) -> Recording:
+        """Record a simulated motion with noise of its own."""
+        signals = measure(motion, self.reference, self.chain, np.random.default_rng([7, seed]))
         sidecar = Sidecar(period=signals.period, periodic=signals.periodic)
         return Recording(
             f"{seed}.csv",
@@ -131,16 +181,17 @@ class Laboratory:
             row_times=signals.t,
         )
 
-    def equations(self, carrying: Recording) -> PayloadEquations:
-        """Build the equations of a recording with payload and the one without."""
+    def equations(self, carrying: Recording, without: Recording) -> PayloadEquations:
+        """Build the equations of a recording with payload and one without."""
         groups = [list(segments.extract_segments([carrying]))]
-        empty = list(segments.extract_segments([self.empty]))
+        empty = list(segments.extract_segments([without]))
         hertz = segments.torque_spectra(groups[0]).hertz
         return build_payload_equations(self.model, self.place, groups, empty, hertz)
 
 
-def payload_motion(name: str) -> ReferenceTrajectory:
-    """Design a motion for payloads up to the largest one, with `excite design --for-payload`."""
+def payload_motion(name: str) -> tuple[ReferenceTrajectory, WiggleComparison]:
+    """Design a motion for payloads up to the largest one, with `excite design --for-payload`, and
+    compare it with a wrist wiggle."""
     mass = SHARES[1] * RATINGS[name]
     link = load(name).links[-1]
     centre = (0.8 * LARGEST_OFFSET,) * 3
@@ -151,7 +202,7 @@ def payload_motion(name: str) -> ReferenceTrajectory:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trajectory.json"
         path.write_text(_json.dumps(document), encoding="utf-8")
-        return read_reference(path)
+        return read_reference(path), compare_with_wiggle(result, link)
 
 
 def draw_payload(lab: Laboratory, rng: np.random.Generator, share: float) -> AttachedBody:
@@ -196,9 +247,10 @@ def score_case(lab: Laboratory, number: int, share: float) -> CaseScore:
     """Record a payload and compare the three estimates with it."""
     rng = np.random.default_rng([17, number])
     body = draw_payload(lab, rng, share)
-    recording = lab.record(body, 100 + number)
+    recording = lab.record(lab.carrying(body), 100 + number)
+    without = lab.record(lab.empty, 1000 + number)
     start = time.perf_counter()
-    equations = lab.equations(recording)
+    equations = lab.equations(recording, without)
     result: PayloadEstimate = estimate_payload(equations)
     seconds = time.perf_counter() - start
     truth = np.array([body.mass, *body.centre])
@@ -261,6 +313,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         shares = np.linspace(*SHARES, arguments.count)
         scores = [score_case(lab, k, float(share)) for k, share in enumerate(shares)]
         together += scores
+        print(f"{name}: {lab.comparison.text}", file=sys.stderr, flush=True)
         print(report(name, scores), flush=True)
     print(report("all", together))
     return 0

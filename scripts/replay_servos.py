@@ -1,6 +1,6 @@
 """Position replay of real servo robots that were identified without torque.
 
-    python scripts/replay_servos.py [--data /path/to/recordings] [--only xl330|so101]
+    python scripts/replay_servos.py [--data /path/to/recordings] [--only xl330|so101] [--unused]
 
 XL330: a servo with a pendulum, identified from qref and q alone, next to the identification from
 its computed torque and the replay errors that its authors state. SO-101: an arm of five servos,
@@ -19,6 +19,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,8 @@ XL330_SATURATION = 0.87 * 400.0
 from the columns qref, q and duty."""
 SO101_TRAIN = ("multisine", "friction_gravity", "large_amplitude")
 SO101_HELD_OUT = ("pick_place", "reaching_points")
+SO101_UNUSED = ("random_waypoints",)
+"""Recording that no development saw; evaluated once, with --unused (scripts/README.md)."""
 PUBLIC_JOINTS = {"rotor_inertia": 0.028, "viscous": 0.60, "coulomb": 0.052}
 """Class "sts3215" of Simulation/SO101/so101_new_calib.xml of TheRobotStudio/SO-ARM100: armature,
 damping, frictionloss."""
@@ -119,8 +122,13 @@ def replay_xl330(folder: Path) -> None:
     print(f"\n{_joint_lines(result)}")
 
 
-def replay_so101(folder: Path) -> None:
-    """Print the table of the SO-101 in mrad."""
+def replay_so101(folder: Path, held_out: Sequence[str]) -> None:
+    """Print the table of the SO-101 in mrad.
+
+    Args:
+        folder: Folder of its recordings.
+        held_out: Names of the recordings that are replayed.
+    """
     robot = excite.load_robot(folder / "so101.urdf")
     start = time.perf_counter()
     result = excite.identify_servo(
@@ -132,9 +140,9 @@ def replay_so101(folder: Path) -> None:
         servo = read_simulator_model(Path(place) / "model.json")
         nominal = nominal_model(servo)
     print(f"\nSO-101, position error [mrad], joints in order; identification {seconds:.0f} s\n")
-    print(f"| | {' | '.join(SO101_HELD_OUT)} |\n|---|{'---|' * len(SO101_HELD_OUT)}")
+    print(f"| | {' | '.join(held_out)} |\n|---|{'---|' * len(held_out)}")
     rows: dict[str, list[np.ndarray]] = {}
-    for name in SO101_HELD_OUT:
+    for name in held_out:
         recording = servo_recording(folder, robot, name)
         loop = mujoco_replay.identified_loop(servo.model, recording)
         assert recording.qref is not None
@@ -192,9 +200,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     shared = Path(os.environ.get("EXCITE_SHARED", Path(__file__).resolve().parents[2] / "shared"))
     parser.add_argument("--data", type=Path, default=shared / "recordings", help="recordings")
     parser.add_argument("--only", choices=("xl330", "so101"), help="one robot")
+    parser.add_argument(
+        "--unused", action="store_true", help="replay the SO-101's unused recording instead"
+    )
     arguments = parser.parse_args(argv)
+    held_out = SO101_UNUSED if arguments.unused else SO101_HELD_OUT
+    replay_arm = partial(replay_so101, held_out=held_out)
     warnings.simplefilter("ignore", excite.errors.ExciteWarning)
-    for name, replay in (("xl330", replay_xl330), ("so101", replay_so101)):
+    for name, replay in (("xl330", replay_xl330), ("so101", replay_arm)):
         if arguments.only in (None, name):
             if not (arguments.data / name).is_dir():
                 print(f"{arguments.data / name}: not there; give the recordings with --data")

@@ -6,12 +6,13 @@ import ctypes
 import dataclasses
 import shutil
 import subprocess
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from identified_models import model_torque, random_states, read_model, write_model
-from test_python_friction import FRICTION_EFFECTS, WIDTH, unfiltered
+from test_python_friction import DENSE, FRICTION_EFFECTS, WIDTH, module, unfiltered
 
 import excite
 
@@ -83,8 +84,46 @@ def test_effects_without_memory_are_in_the_c_file(name, tmp_path):
     assert np.sqrt(np.mean(error[inside] ** 2)) < 0.01 * np.sqrt(np.mean(expected**2))
 
 
-def test_effects_with_memory_are_named(tmp_path):
-    effects = (FRICTION_EFFECTS["hysteresis"],)
-    exported = excite.export_model(write_model(tmp_path, "two_link", effects), "c")
-    assert [part.text for part in exported.remainders] == ["hysteresis at joint_1: torque unknown"]
-    assert "hysteresis at joint_1" in exported.text and "0: joint_1" in exported.text
+@needs_compiler
+def test_hysteresis_has_a_state_that_is_stepped(tmp_path):
+    effects = (*DENSE, FRICTION_EFFECTS["hysteresis"] | {"joint": "joint_2"})
+    path = write_model(tmp_path, "two_link", effects)
+    path.write_text(path.read_text(encoding="utf-8").replace("0.005", str(WIDTH)), encoding="utf-8")
+    exported = excite.export_model(path, "c")
+    assert not exported.remainders
+    model, library = read_model(path), compiled(path, tmp_path)
+    expected, motion, load, inside = unfiltered(model)
+    text = excite.export_model(path, "python-friction").text
+    friction = module(text)["FRICTION"]
+    stated = np.array(
+        [friction.torque(*row) for row in zip(motion.q, motion.dq, load, motion.ddq, strict=True)]
+    )
+    state = (ctypes.c_double * 1000)()  # larger than the struct
+    number = ctypes.POINTER(ctypes.c_double)
+    library.excite_hysteresis_reset(state, motion.q[0].ctypes.data_as(number))
+    memory = call(partial(library.excite_hysteresis, state), motion.q, motion.dq)
+    without = call(library.excite_friction, motion.q, motion.dq, load)
+    np.testing.assert_allclose(without + memory, stated, atol=1e-9)
+    # and the torque that `excite predict` has along the same motion
+    torque = call(library.excite_inverse_dynamics, motion.q, motion.dq, motion.ddq) + memory
+    bare = dataclasses.replace(model, effects=())
+    error = torque - model_torque(bare, motion) - expected
+    assert np.sqrt(np.mean(error[inside] ** 2)) < 0.01 * np.sqrt(np.mean(expected**2))
+
+
+@needs_compiler
+def test_a_step_at_the_same_position_changes_no_state(tmp_path):
+    path = write_model(tmp_path, "two_link", (FRICTION_EFFECTS["hysteresis"],))
+    library, number = compiled(path, tmp_path), ctypes.POINTER(ctypes.c_double)
+    q = np.column_stack([0.2 * np.sin(np.linspace(0.0, 4.0 * np.pi, 801)), np.zeros(801)])
+    force = []
+    for rows in (q, np.repeat(q, 2, axis=0)):
+        state = (ctypes.c_double * 1000)()
+        library.excite_hysteresis_reset(state, rows[0].ctypes.data_as(number))
+        force.append(call(partial(library.excite_hysteresis, state), rows, 0.0 * rows)[:, 0])
+    np.testing.assert_array_equal(force[0], force[1][1::2])
+    assert np.sum(0.5 * (force[0][1:] + force[0][:-1]) * np.diff(q[:, 0])) > 0.0
+
+
+def test_only_a_robot_with_hysteresis_has_its_state(tmp_path):
+    assert "excite_hysteresis" not in excite.export_model(write_model(tmp_path, "ur5e"), "c").text

@@ -240,6 +240,7 @@ def test_a_motion_for_a_payload_beats_a_wrist_wiggle():
     other = payload_deviation(machine, standard, wiggle, noise, "tool0")
     assert designed.mass < other.mass / 3.0
     assert np.all(designed.centre < other.centre / 3.0)
+    assert designed.metric < other.metric / 3.0
 
 
 def test_predicted_deviations_are_those_of_least_squares():

@@ -230,7 +230,7 @@ def test_the_header_names_each_effect_of_a_dense_robot_that_the_file_does_not_ho
     names = {part.name for part in exported.remainders} - {"rotor inertia", "offset"}
     held = {
         "isaaclab": {"stribeck"},
-        "c": {effect["effect"] for effect in DENSE} - {"hysteresis"},
+        "c": {effect["effect"] for effect in DENSE},
         "python-friction": {effect["effect"] for effect in DENSE},
     }
     assert names == {effect["effect"] for effect in (*DENSE, delay)} - held.get(name, set())

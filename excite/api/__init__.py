@@ -32,6 +32,8 @@ from .servo_identification_result import identify_servo as identify_servo
 from .simulated_recording import SimulatedRecording as SimulatedRecording
 from .simulated_recording import simulate as simulate
 from .standing_simulation import simulate_standing as simulate_standing
+from .static_design_result import StaticDesignResult as StaticDesignResult
+from .static_design_result import design_static as design_static
 from .support_design_result import SupportDesignResult as SupportDesignResult
 from .support_design_result import design_support as design_support
 from .verification_result import VerificationResult as VerificationResult

@@ -14,11 +14,13 @@ from .. import _json
 from .._system.progress import logger
 from ..errors import UnusableInput
 from ..identification import segments
+from ..identification.identified_model import IdentifiedModel, read_model
 from ..identification.regression import IdentificationModel
 from ..payload.equations import build_payload_equations, payload_place
 from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
 from ..payload.shape import PayloadShape, parse_shape
 from ..payload.snippets import snippets
+from ..payload.static import estimate_static_payload, find_rests, model_rests
 from ..recordings import Recording
 from ..recordings.periodicity import with_detected_period
 from ..robot import base_parameters, inertial_parameters
@@ -27,6 +29,7 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..schemas.document_file import DocumentFile
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
+from ..trajectory.trajectory_file import read_trajectory
 from .identification_result import (
     RecordingSource,
     TrajectorySources,
@@ -54,7 +57,8 @@ class PayloadResult(SavedResult):
         mass: Its stated mass [kg]; None: none was stated.
         carrying: Recordings with the payload.
         empty: Recordings without.
-        hertz: Cutoff frequency of the fit [Hz].
+        hertz: Cutoff frequency of the fit; None: static poses [Hz].
+        rests: Number of rests with and without the payload; None: a motion.
     """
 
     FILES = PAYLOAD_FILES
@@ -66,7 +70,8 @@ class PayloadResult(SavedResult):
     mass: float | None
     carrying: tuple[Recording, ...]
     empty: tuple[Recording, ...]
-    hertz: float
+    hertz: float | None
+    rests: tuple[int, int] | None = None
 
     @property
     def mounting(self) -> str | None:
@@ -90,9 +95,12 @@ class PayloadResult(SavedResult):
             "stated_mass": self.mass,
             "payload": {q.name: q.document() for q in estimate.quantities},
             "not_shown": [q.name for q in estimate.quantities if not q.shown],
-            "load_friction": dict(
-                zip(self.robot.joints, estimate.load_friction.tolist(), strict=True)
-            ),
+            "static": None
+            if self.rests is None
+            else {"rests_with": self.rests[0], "rests_without": self.rests[1]},
+            "load_friction": None
+            if estimate.load_friction is None
+            else dict(zip(self.robot.joints, estimate.load_friction.tolist(), strict=True)),
             "mounting": None
             if estimate.mounting is None
             else {"verdict": self.mounting, "p_value": estimate.mounting},
@@ -129,6 +137,7 @@ def identify_payload(
     band: float | None = None,
     trajectory: TrajectorySources = (),
     columns: Mapping[str, str] = MappingProxyType({}),
+    static: bool = False,
 ) -> PayloadResult:
     """Identify a payload, as `excite payload` does.
 
@@ -142,8 +151,11 @@ def identify_payload(
         shape: Its shape, see `payload.shape.USAGE`.
         limits: Limits file or limits.
         band: Cutoff frequency [Hz]; None: chosen from the data.
-        trajectory: The `trajectory.json` that was executed, or several.
+        trajectory: The `trajectory.json` that was executed, or several; static poses imply
+            `static`.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+        static: Use only the poses at rest, which show mass and centre of mass. With a model, its
+            prediction is then the torque without the payload.
 
     Raises:
         UnusableInput: An argument or a file cannot be used.
@@ -157,14 +169,18 @@ def identify_payload(
         raise UnusableInput(f"--mass {mass:g}: should be a mass above 0 [kg]")
     if not carrying:
         raise UnusableInput("--with: needs a recording with the payload")
-    sources = [*empty, *([] if model is None else _recordings_of(Path(model)))]
-    if not sources:
+    if not empty and model is None:
         raise UnusableInput(
             "--without: needs a recording without the payload on the same robot, or a --model of it"
         )
+    files = [trajectory] if isinstance(trajectory, str | Path) else trajectory
+    static = static or any("static" in read_trajectory(Path(file)).design for file in files)
+    sources = [*empty, *([] if model is None or static else _recordings_of(Path(model)))]
 
     def read(paths: Sequence[RecordingSource]) -> list[Recording]:
         recordings = [read_recording(p, loaded, limits=table, columns=columns) for p in paths]
+        if static:  # the rests are found in the recording
+            return recordings
         return [
             with_detected_period(with_trajectory(recording, trajectory, required=False))
             for recording in recordings
@@ -178,6 +194,27 @@ def identify_payload(
     standard = inertial_parameters.standard_parameters(loaded, table)
     base = base_parameters.find(loaded, standard, table)
     identification = IdentificationModel(loaded, standard, base, np.full(loaded.n, COULOMB_WIDTH))
+    if static:
+        rests = [find_rests(recording) for recording in loaded_recordings]
+        without = [find_rests(recording) for recording in empty_recordings]
+        if model is not None:
+            without.append(model_rests(_model_of(Path(model), loaded), rests))
+        logger.info(
+            f"{sum(map(len, rests))} rests with and {sum(map(len, without))} without the payload"
+        )
+        result = estimate_static_payload(identification, place, rests, without, stated, mass)
+        require_mass(result, [recording.source for recording in loaded_recordings])
+        return PayloadResult(
+            loaded,
+            link,
+            result,
+            stated,
+            mass,
+            tuple(loaded_recordings),
+            tuple(empty_recordings),
+            None,
+            (sum(map(len, rests)), sum(map(len, without))),
+        )
     groups = [list(segments.extract_segments([recording])) for recording in loaded_recordings]
     others = list(segments.extract_segments(empty_recordings))
     together = [segment for group in groups for segment in group]
@@ -201,6 +238,21 @@ def identify_payload(
         tuple(empty_recordings),
         hertz,
     )
+
+
+def _model_of(path: Path, robot: Robot) -> IdentifiedModel:
+    """Read a model of the same joints.
+
+    Raises:
+        UnusableInput: The file is no model, or has other joints.
+    """
+    model = read_model(path)
+    if model.robot.joints != robot.joints:
+        raise UnusableInput(
+            f"{path}: has the joints {', '.join(model.robot.joints)}, not "
+            f"{', '.join(robot.joints)}; choose them with --joints"
+        )
+    return model
 
 
 def _recordings_of(path: Path) -> list[Path]:

@@ -11,16 +11,16 @@ import numpy as np
 from .. import api
 from .._system.output_files import output_folder
 from .._system.progress import logger
-from ..api.design_result import DESIGN_FILES, CellOptions
+from ..api.design_result import DESIGN_FILES
 from ..api.identification_result import REFERENCE_RATE
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
-from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
+from ..designer.options import DesignOptions, torque_noise_levels
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
 from . import options as shared
-from . import support_design
+from . import static_design, support_design
 from .outcome import Outcome, with_files, written_lines
 
 DISCRIMINATION_STARTS = 4
@@ -37,13 +37,15 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     if arguments.floating:
         return support_design.run(arguments)
     support_design.require_floating(arguments)
+    if arguments.static or arguments.poses is not None:
+        return static_design.run(arguments)
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
     output = output_folder(Path(arguments.out), DESIGN_FILES)
     result = api.design(
         robot,
         limits=limits,
-        cell=_cell_options(arguments),
+        cell=shared.cell_options(arguments),
         options=_options(arguments, robot),
         period=arguments.period,
         harmonics=arguments.harmonics,
@@ -78,17 +80,6 @@ def _time(arguments: argparse.Namespace) -> float | None:
     return PAYLOAD_SECONDS
 
 
-def _cell_options(arguments: argparse.Namespace) -> CellOptions:
-    return CellOptions(
-        scene=arguments.scene,
-        floor=False if arguments.no_floor else arguments.floor,
-        clearance=arguments.clearance,
-        srdf=arguments.srdf,
-        packages=arguments.packages,
-        check=not arguments.no_collision,
-    )
-
-
 def _options(arguments: argparse.Namespace, robot: Robot) -> DesignOptions:
     """Options of the design, except period, harmonics, samples and repeats of the motion."""
     free = arguments.optimise_period
@@ -104,7 +95,7 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> DesignOptions:
         rate=arguments.rate,
         uncertainty=arguments.uncertainty,
         noise=shared.noise(arguments, robot),
-        boxes=tuple(_box(frame, numbers) for frame, numbers in arguments.box),
+        boxes=shared.boxes(arguments),
         starts=_starts(arguments),
         seed=arguments.seed,
         jobs=arguments.jobs,
@@ -134,10 +125,6 @@ def _payload_link(arguments: argparse.Namespace, robot: Robot) -> str | None:
                 "--for-payload: has the A-criterion; leave --criterion and --plain out"
             )
     return link
-
-
-def _box(frame: str, v: tuple[float, ...]) -> WorkspaceBox:
-    return WorkspaceBox(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
 
 
 def _noise(trajectory: Trajectory) -> str:

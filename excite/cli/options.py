@@ -6,7 +6,9 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
+from ..api.design_result import CellOptions
 from ..api.robots import load_robot, resolve_limits
+from ..designer.options import WorkspaceBox
 from ..errors import UnusableInput
 from ..robot import inertial_parameters
 from ..robot.limits import Limits
@@ -137,3 +139,22 @@ def of_joints(option: str, values: tuple[float, ...], machine: Robot) -> tuple[f
 def columns(arguments: argparse.Namespace) -> dict[str, str]:
     """Return the column names of `--columns`: standard name -> name in the file."""
     return {name: column for stated in arguments.columns for name, column in stated.items()}
+
+
+def cell_options(arguments: argparse.Namespace) -> CellOptions:
+    """Return the surroundings that the options describe."""
+    return CellOptions(
+        scene=arguments.scene,
+        floor=False if arguments.no_floor else arguments.floor,
+        clearance=arguments.clearance,
+        srdf=arguments.srdf,
+        packages=arguments.packages,
+        check=not arguments.no_collision,
+    )
+
+
+def boxes(arguments: argparse.Namespace) -> tuple[WorkspaceBox, ...]:
+    """Return the boxes of `--box`."""
+    return tuple(
+        WorkspaceBox(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5])) for frame, v in arguments.box
+    )

@@ -386,6 +386,18 @@ def _design(commands: Commands) -> None:
         help="show a payload on this link of a robot that is known, friction eliminated (15 s "
         "unless --time or --period is given)",
     )
+    group.add_argument(
+        "--static",
+        action="store_true",
+        help="with --for-payload: a few D-optimal poses at rest instead of a motion, which show "
+        "mass and centre of mass, not the inertia",
+    )
+    group.add_argument(
+        "--poses",
+        type=Number(Range(4, 100, "1"), whole=True),
+        metavar="N",
+        help="number of static poses (default 6)",
+    )
     group = sub.add_argument_group("motion")
     group.add_argument(
         "--time",
@@ -996,6 +1008,12 @@ def _payload(commands: Commands) -> None:
     group = sub.add_argument_group("payload")
     group.add_argument(
         "--link", metavar="LINK", help="link or frame that carries it (default: the last link)"
+    )
+    group.add_argument(
+        "--static",
+        action="store_true",
+        help="use only the poses at rest: mass and centre of mass (implied by the --trajectory of "
+        "a static design)",
     )
     group.add_argument(
         "--mass",

@@ -28,13 +28,18 @@ def run(arguments: argparse.Namespace) -> Outcome:
         band=arguments.band,
         trajectory=arguments.trajectory,
         columns=shared.columns(arguments),
+        static=arguments.static,
     )
     written = output.replace(result.contents())
     lines = [f"payload at {result.link}, 95 % intervals:"]
+    if result.rests is not None:
+        lines.insert(0, f"{result.rests[0]} rests with and {result.rests[1]} without the payload")
     for quantity in result.estimate.quantities:
         if quantity.shown:
             half = quantity.interval[1] - quantity.value
             text = f"{quantity.value:.5g} ± {half:.2g} {quantity.unit}"
+        elif result.rests is not None and quantity.unit == "kg m²":
+            text = "not shown by static poses"
         else:
             text = "not shown by these recordings"
         lines.append(f"  {quantity.name:10}{text}")

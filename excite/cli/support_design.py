@@ -23,6 +23,8 @@ UNSUPPORTED = {
     "--given": "given",
     "--for": "for_task",
     "--for-payload": "for_payload",
+    "--static": "static",
+    "--poses": "poses",
     "--discriminate": "discriminate",
     "--validation": "validation",
     "--period": "period",

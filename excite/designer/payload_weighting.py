@@ -40,11 +40,14 @@ class PayloadDeviation:
         mass: Of the mass [kg].
         centre: Of the centre of mass of a payload of 1 kg. Shape (3,) [m].
         inertia: Of xx, xy, yy, xz, yz, zz about the frame's origin. Shape (6,) [kg m²].
+        metric: Of all ten together, in the metric of a ball at the frame's origin: the root of the
+            trace of their covariance [1].
     """
 
     mass: float
     centre: FloatArray
     inertia: FloatArray
+    metric: float
 
     @property
     def text(self) -> str:
@@ -61,6 +64,7 @@ class PayloadDeviation:
             "mass": self.mass,
             "centre_of_1_kg": self.centre.tolist(),
             "inertia": self.inertia.tolist(),
+            "metric": self.metric,
         }
 
 
@@ -76,19 +80,22 @@ def payload_weighting(
         link: Link that carries the payload.
     """
     body, placement = robot.carrying_body(link, "--for-payload")
-    inertia = 0.4 * BALL_MASS * BALL_RADIUS**2 * np.eye(3)
-    ball = placement.act(pin.Inertia(BALL_MASS, np.zeros(3), inertia))
     kinds = [kind for kind in ELIMINATED if kind in parameters.drive]
     columns = np.zeros((parameters.count, LINK_PARAMETERS + robot.n * len(kinds)))
     start = LINK_PARAMETERS * body
-    columns[start : start + LINK_PARAMETERS, :LINK_PARAMETERS] = inverse_root(
-        ball.toDynamicParameters()
-    )
+    columns[start : start + LINK_PARAMETERS, :LINK_PARAMETERS] = _ball_root(placement)
     for k, kind in enumerate(kinds):
         block = parameters.block(kind)
         place = LINK_PARAMETERS + robot.n * k
         columns[block, place : place + robot.n] = FRICTION_UNIT * parameters.scale[block, block]
     return Weighting(columns, noise)
+
+
+def _ball_root(placement: pin.SE3) -> FloatArray:
+    """Return G^{-1/2} of the metric of the ball at a pose in its body. Shape (10, 10)."""
+    inertia = 0.4 * BALL_MASS * BALL_RADIUS**2 * np.eye(3)
+    ball = placement.act(pin.Inertia(BALL_MASS, np.zeros(3), inertia))
+    return np.asarray(inverse_root(ball.toDynamicParameters()))
 
 
 def payload_deviation(
@@ -117,12 +124,14 @@ def payload_deviation(
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     covariance = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12)
     covariance = (covariance / np.outer(scale, scale))[:LINK_PARAMETERS, :LINK_PARAMETERS]
-    change = _frame_change(placement.inverse())
+    change = frame_change(placement.inverse())
     std = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0.0))
-    return PayloadDeviation(float(std[0]), std[1:4], std[4:])
+    inverse = np.linalg.inv(_ball_root(placement))
+    metric = np.sqrt(max(float(np.trace(inverse @ covariance @ inverse.T)), 0.0))
+    return PayloadDeviation(float(std[0]), std[1:4], std[4:], float(metric))
 
 
-def _frame_change(placement: pin.SE3) -> FloatArray:
+def frame_change(placement: pin.SE3) -> FloatArray:
     """Map of inertial parameters from a frame to its parent. Shape (10, 10).
 
     Parameters are linear in the mass distribution: twice ten bodies span them.

@@ -2,7 +2,8 @@
 
 The expressions are those of `casadi_model` and `friction_runtime`; CasADi writes them as C99
 without dependencies. Wrappers with plain arrays follow, so that a controller needs none of CasADi's
-calling convention. They allocate nothing and are reentrant.
+calling convention. Presliding hysteresis has a state of its own, a struct that the caller holds and
+a step function advances. Nothing is allocated, and all functions are reentrant.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import casadi as ca
+import numpy as np
 
 from ..designer import casadi_model
-from ..schemas.effects import EffectDocument
 from . import friction_runtime
-from .friction_runtime import JointMotion, Term
+from .friction_runtime import JointMotion, MaxwellSlipBank, Term
 from .python_friction import friction_table, is_term
 from .simulator_model import Held, SimulatorModel
 
@@ -33,11 +34,6 @@ TEXTS = {
     "gravity": "static torque of links [N m or N]",
 }
 """Torque that each function returns, with its unit."""
-
-
-def is_computed(effect: EffectDocument) -> bool:
-    """Return whether the C file computes an effect: a torque of one joint without memory."""
-    return is_term(effect) and effect.effect not in friction_runtime.WITH_MEMORY
 
 
 def torque_functions(model: SimulatorModel) -> list[ca.Function]:
@@ -100,12 +96,16 @@ def c_text(model: SimulatorModel) -> str:
     generator = ca.CodeGenerator("excite_model.c", {"with_header": False, "casadi_int": "int"})
     for function in functions:
         generator.add(function)
-    lines = model.header("C", HOLDS, is_computed)
+    lines = model.header("C", HOLDS, is_term)
     joints = [f" {j}: {name}" for j, name in enumerate(model.joints)]
     lines += ["joints, in the order of all arrays:", *joints]
     n = len(model.joints)
     wrappers = [f"#define EXCITE_JOINTS {n}"]
     wrappers += [_wrapper(function, _work_sizes(function)) for function in functions]
+    banks = _slip_banks(model)
+    if banks:
+        lines += ["torque = excite_inverse_dynamics + excite_hysteresis, which has a state"]
+        wrappers.append(_hysteresis(banks, friction_table(model)["widths"]))
     comment = "\n".join(f" * {line}" for line in lines)
     return f"/*\n{comment}\n */\n{generator.dump()}\n" + "\n\n".join(wrappers) + "\n"
 
@@ -129,3 +129,88 @@ def _wrapper(function: ca.Function, sizes: Sequence[int]) -> str:
         f"  int iw[{integers}];\n  double w[{numbers}];\n"
         f"{stored}\n  res[0] = tau;\n  {name}(arg, res, iw, w, 0);\n}}"
     )
+
+
+def _slip_banks(model: SimulatorModel) -> list[tuple[int, MaxwellSlipBank]]:
+    """Return the joints with presliding hysteresis, and their elements."""
+    terms = [Term(**entry) for entry in friction_table(model)["terms"]]
+    return [
+        (term.joint, MaxwellSlipBank(term))
+        for term in terms
+        if term.effect in friction_runtime.WITH_MEMORY
+    ]
+
+
+def _hysteresis(banks: Sequence[tuple[int, MaxwellSlipBank]], widths: Sequence[float]) -> str:
+    """Return the C code of presliding hysteresis: tables, state, reset and step.
+
+    It is that of `MaxwellSlipBank.advance`, less the part of Coulomb friction that the slipping
+    elements replace, as `Friction.parts` has it.
+    """
+    elements = len(friction_runtime.SLIP_DISTANCES)
+    unequal = np.zeros((len(banks), elements))
+    for row, (_, bank) in zip(unequal, banks, strict=True):
+        row[friction_runtime.UNEQUAL_ELEMENTS] = bank.unequal
+    values = {
+        "distance": friction_runtime.SLIP_DISTANCES,
+        "strength": np.concatenate([bank.strengths for _, bank in banks]),
+        "unequal": unequal.ravel(),
+        "width": np.array([widths[joint] for joint, _ in banks]),
+    }
+    tables = {
+        "distance": "[EXCITE_ELEMENTS] = {0}; /* at which an element slips [rad or m] */",
+        "strength": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* force of a slipping element */",
+        "unequal": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* factor of |z| - 1 */",
+        "width": "[EXCITE_BANKS] = {0}; /* of the sign function [rad/s or m/s] */",
+    }
+    joints = ", ".join(str(joint) for joint, _ in banks)
+    lines = [
+        f"#define EXCITE_BANKS {len(banks)}",
+        f"#define EXCITE_ELEMENTS {elements}",
+        f"static const int excite_bank_joint[EXCITE_BANKS] = {{{joints}}};",
+    ]
+    for name, text in tables.items():
+        numbers = "{" + ", ".join(repr(value) for value in values[name].tolist()) + "}"
+        lines.append(f"static const double excite_bank_{name}{text.format(numbers)}")
+    return "\n".join(lines) + _HYSTERESIS
+
+
+_HYSTERESIS = """
+
+/* State of presliding hysteresis: Maxwell-slip elements of each joint that has them. Begin with
+   excite_hysteresis_reset at the present position. */
+typedef struct {
+  double last[EXCITE_BANKS];                /* position of the last step [rad or m] */
+  double z[EXCITE_BANKS][EXCITE_ELEMENTS];  /* deflection over the slip distance, -1 to 1 */
+} excite_hysteresis_state;
+
+/* Relax all elements at a position. */
+void excite_hysteresis_reset(excite_hysteresis_state* state, const double q[EXCITE_JOINTS]) {
+  int i, k;
+  for (i = 0; i < EXCITE_BANKS; ++i) {
+    state->last[i] = q[excite_bank_joint[i]];
+    for (k = 0; k < EXCITE_ELEMENTS; ++k) state->z[i][k] = 0.0;
+  }
+}
+
+/* Advance to a position; tau: torque to add to that of excite_inverse_dynamics or excite_friction
+   [N m or N]. It depends on the path, not on the time between two steps. */
+void excite_hysteresis(excite_hysteresis_state* state, const double q[EXCITE_JOINTS],
+                       const double dq[EXCITE_JOINTS], double tau[EXCITE_JOINTS]) {
+  int i, k;
+  for (i = 0; i < EXCITE_JOINTS; ++i) tau[i] = 0.0;
+  for (i = 0; i < EXCITE_BANKS; ++i) {
+    const int joint = excite_bank_joint[i];
+    const double* strength = excite_bank_strength + i * EXCITE_ELEMENTS;
+    const double* unequal = excite_bank_unequal + i * EXCITE_ELEMENTS;
+    const double moved = q[joint] - state->last[i], sign = tanh(dq[joint] / excite_bank_width[i]);
+    state->last[i] = q[joint];
+    for (k = 0; k < EXCITE_ELEMENTS; ++k) {
+      double z = state->z[i][k] + moved / excite_bank_distance[k];
+      z = z > 1.0 ? 1.0 : z < -1.0 ? -1.0 : z;
+      state->z[i][k] = z;
+      tau[joint] += strength[k] * (z - sign) + unequal[k] * (fabs(z) - 1.0);
+    }
+  }
+}"""
+"""C code of the state of presliding hysteresis, which follows the tables of the robot."""

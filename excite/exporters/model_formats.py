@@ -56,10 +56,10 @@ _FORMATS = {
         isaaclab_file.HOLDS,
     ),
     "c": _Format(
-        "C99 without dependencies: inverse dynamics, friction feed-forward, gravity torque",
+        "C99 without dependencies: inverse dynamics, friction with its state, gravity torque",
         c_file.c_text,
         c_file.HOLDS,
-        c_file.is_computed,
+        python_friction.is_term,
     ),
     "python-friction": _Format(
         "Python module (NumPy only): friction of q, dq and load, with memory; for any simulator",

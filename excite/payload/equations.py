@@ -2,10 +2,13 @@
 
 τ = Γ θ + f + Y_L A φ: base parameters of the robot, friction, and the ten parameters φ of the
 payload, through the columns Y_L of the link that carries it and the change A of the frame. Friction
-that grows with the load is a column of its own per joint, sgn(q̇) |τ_L|, τ_L the torque of the
-links with the payload (Hamon, Gautier & Garrec 2010): left out, it is taken for mass, as it is
-largest where the load is. τ_L depends on the estimate, so that the columns are computed again with
-it.
+that grows with the load has two columns per joint, sgn(q̇) |τ_L| and sgn(q̇) τ_L², τ_L the torque
+of the links with the payload (Hamon, Gautier & Garrec 2010), as in a diagnosis: left out, it is
+taken for mass, as it is largest where the load is; with the first column alone, a friction that is
+not linear in the load remains in the residual and widens all intervals. τ_L depends on the
+estimate, so that the columns are computed again with it. Base parameters hold sums of inertias of
+links and rotors, of which gears transmit the links' alone: they are divided by the URDF, as the
+most probable parameters ψ = ψ₀ + S Bᵀ (B S Bᵀ)⁺ (θ − B ψ₀) of the prior covariance S.
 """
 
 from __future__ import annotations
@@ -20,6 +23,11 @@ import pinocchio as pin
 from .._types import FloatArray, IntArray
 from ..identification.friction_width import fit_widths
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
+from ..identification.prior_weight import (
+    USUAL_INERTIAL_DISTANCE,
+    USUAL_JOINT_DISTANCE,
+    joint_parameter_scales,
+)
 from ..identification.regression import (
     IdentificationModel,
     TorqueEquations,
@@ -34,8 +42,12 @@ from ..robot.samples import Samples
 
 LINK_PARAMETERS = 10
 """Inertial parameters of a body."""
+LOAD_SHAPES = 2
+"""Columns of friction that grows with the load, of each joint."""
 SPEED_SHAPES = 2
 """Columns of friction over the speed beyond Coulomb and viscous friction, of each joint."""
+RANK_TOLERANCE = 1e-9
+"""Relative singular value below which a combination of base parameters counts as redundant."""
 STRIBECK_SHARE = 0.1
 """Speed of the falling one of these, over the largest speed of the joint."""
 
@@ -97,7 +109,7 @@ class _Chunk:
     Attributes:
         band: Its filter.
         kept: Its rows on the kept grid.
-        loads: Columns of the torque of the links on the coarse grid. Shape (C, n, k).
+        loads: Columns of the torque of the links on the coarse grid. Shape (C, n, 10 bodies).
         speed: Speed in friction at every sample. Shape (M, n).
         carries: Whether the payload was attached.
     """
@@ -117,7 +129,6 @@ class PayloadEquations:
         equations: Torque and the columns of θ and of the carrying link, at all rows.
         base_count: Number of columns of θ, which come first.
         link_columns: Indices of the ten columns of the carrying link.
-        load_columns: Indices of the columns of link inertial parameters.
         model: Model whose base lists these columns.
         place: Where the payload is attached.
         recording: Index of the recording with payload of each row; -1 without. Shape (N,).
@@ -127,7 +138,6 @@ class PayloadEquations:
     equations: TorqueEquations
     base_count: int
     link_columns: IntArray
-    load_columns: IntArray
     model: IdentificationModel
     place: PayloadPlace
     recording: IntArray
@@ -182,31 +192,74 @@ class PayloadEquations:
         return out
 
     def friction_columns(self, theta: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return friction that grows with the load, and two shapes of friction over the speed.
+        """Return friction that grows with the load, and shapes of friction over the speed.
 
         Args:
             theta: Parameters of the robot's columns, of which the first are θ.
             phi: Parameters of the payload in the link's frame. Shape (10,).
 
         Returns:
-            Shape (N, n, 3 n).
+            Shape (N, n, n (LOAD_SHAPES + SPEED_SHAPES)).
         """
-        weights = np.zeros(self.equations.regressor.shape[2])
-        weights[: self.base_count] = theta[: self.base_count]
-        carried = self.place.frame @ phi
+        loads = self._loads(theta, phi)
         fastest = np.max([np.abs(chunk.speed).max(axis=0) for chunk in self.chunks], axis=0)
         fastest = np.maximum(fastest, 1e-9)
-        rows = []
-        for chunk in self.chunks:
-            parameters = weights.copy()
-            if chunk.carries:
-                parameters[self.link_columns] += carried
-            load = chunk.loads @ parameters[self.load_columns]
-            rows.append(self._chunk_columns(chunk, load, fastest))
+        largest = _largest(loads)
+        rows = [
+            self._chunk_columns(chunk, load, largest, fastest)
+            for chunk, load in zip(self.chunks, loads, strict=True)
+        ]
         return np.concatenate(rows)
 
-    def _chunk_columns(self, chunk: _Chunk, load: FloatArray, fastest: FloatArray) -> FloatArray:
-        """Columns of a chunk; see `friction_columns`."""
+    def load_coefficients(
+        self, theta: FloatArray, phi: FloatArray, columns: FloatArray
+    ) -> FloatArray:
+        """Return friction over load at the mean load of each joint. Shape (n,) [1].
+
+        Args:
+            theta: Parameters of the robot's columns, of which the first are θ.
+            phi: Parameters of the payload in the link's frame. Shape (10,).
+            columns: Coefficients of `friction_columns`.
+        """
+        linear, quadratic = columns.reshape(-1, self.equations.n)[:LOAD_SHAPES]
+        loads = self._loads(theta, phi)
+        mean = np.abs(np.concatenate(loads)).mean(axis=0)
+        return np.asarray(linear + quadratic * mean / _largest(loads))
+
+    def _loads(self, theta: FloatArray, phi: FloatArray) -> list[FloatArray]:
+        """Torque of the links in each chunk, on the coarse grid. Shapes (C, n)."""
+        psi = self._link_parameters(theta[: self.base_count])
+        carrying, start = psi.copy(), LINK_PARAMETERS * self.place.body
+        carrying[start : start + LINK_PARAMETERS] += self.place.frame @ phi
+        return [chunk.loads @ (carrying if chunk.carries else psi) for chunk in self.chunks]
+
+    def _link_parameters(self, theta: FloatArray) -> FloatArray:
+        """Most probable inertial parameters of the links for base parameters θ. Shape (10 bodies,).
+
+        Args:
+            theta: θ. Shape (base_count,).
+        """
+        parameters, B = self.model.parameters, self.model.base.matrix
+        edge = LINK_PARAMETERS * parameters.bodies
+        scale = USUAL_INERTIAL_DISTANCE * parameters.scale
+        scale[edge:, edge:] = np.diag(USUAL_JOINT_DISTANCE * joint_parameter_scales(parameters))
+        half = B @ scale
+        size = np.linalg.norm(half, axis=1)
+        misfit = (theta - B @ parameters.nominal) / size
+        change = scale @ np.linalg.lstsq(half / size[:, None], misfit, rcond=RANK_TOLERANCE)[0]
+        return np.asarray((parameters.nominal + change)[:edge])
+
+    def _chunk_columns(
+        self, chunk: _Chunk, load: FloatArray, largest: FloatArray, fastest: FloatArray
+    ) -> FloatArray:
+        """Columns of a chunk; see `friction_columns`.
+
+        Args:
+            chunk: The chunk.
+            load: Torque of the links. Shape (C, n).
+            largest: Largest load in all recordings. Shape (n,).
+            fastest: Largest speed in all recordings. Shape (n,).
+        """
         samples = len(chunk.speed)
         coarse = np.arange(len(load)) / chunk.band.rate_of(Grid.COARSE)
         fine = np.arange(samples) / chunk.band.rate
@@ -214,13 +267,20 @@ class PayloadEquations:
         carried = np.column_stack([np.interp(fine, coarse, column) for column in load.T])
         parts = [
             sign * np.abs(carried),
+            sign * carried**2 / largest,
             sign * np.exp(-share / STRIBECK_SHARE),
             sign * np.sqrt(share),
         ]
         low = chunk.band.filter(np.hstack(parts), Grid.KEPT)[chunk.kept]
         return np.concatenate(
-            [self._diagonal(part) for part in np.split(low, 1 + SPEED_SHAPES, axis=1)], axis=2
+            [self._diagonal(part) for part in np.split(low, LOAD_SHAPES + SPEED_SHAPES, axis=1)],
+            axis=2,
         )
+
+
+def _largest(loads: Sequence[FloatArray]) -> FloatArray:
+    """Largest absolute value of each joint. Shapes (C, n) -> (n,)."""
+    return np.maximum(np.max([np.abs(load).max(axis=0) for load in loads], axis=0), 1e-9)
 
 
 def build_payload_equations(
@@ -251,8 +311,6 @@ def build_payload_equations(
     columns = np.concatenate([independent, added]).astype(int)
     wide = dataclasses.replace(model, base=dataclasses.replace(model.base, independent=columns))
     order = {int(column): k for k, column in enumerate(columns)}
-    edge = LINK_PARAMETERS * model.parameters.bodies
-    loads = np.flatnonzero(columns < edge)
     groups = [*((i, segment) for i, group in enumerate(carrying) for segment in group)]
     groups += [(-1, segment) for segment in empty]
     chunks, owners = list[_Chunk](), list[int]()
@@ -263,12 +321,11 @@ def build_payload_equations(
         rows = build_equations(wide, [segment], hertz)
         parts.append(rows)
         owners += [owner] * len(rows)
-        chunks += _chunks(wide, segment, hertz, columns[loads], owner >= 0)
+        chunks += _chunks(wide, segment, hertz, owner >= 0)
     return PayloadEquations(
         _joined(parts),
         len(independent),
         np.array([order[int(column)] for column in link]),
-        loads,
         wide,
         place,
         np.array(owners),
@@ -280,10 +337,10 @@ def _chunks(
     model: IdentificationModel,
     segment: RecordingSegment,
     hertz: float,
-    columns: IntArray,
     carries: bool,
 ) -> list[_Chunk]:
     """Chunks of a segment with the regressor of its links on the coarse grid."""
+    edge = LINK_PARAMETERS * model.parameters.bodies
     band, out = segment.band(hertz), list[_Chunk]()
     for samples, kept in kept_rows(segment, band):
         part = dataclasses.replace(band, count=samples.stop - samples.start)
@@ -292,7 +349,7 @@ def _chunks(
         motion = Samples(
             *(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3))
         )
-        loads = regressor(model.robot, model.parameters, motion)[:, :, columns]
+        loads = regressor(model.robot, model.parameters, motion)[:, :, :edge]
         out.append(_Chunk(part, kept, loads, friction_speed(q, part, position), carries))
     return out
 

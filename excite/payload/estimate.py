@@ -20,7 +20,7 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..identification.estimators import Estimate, estimate, student_quantile
 from ..robot.inertial_parameters import metric, pseudo_inertia
-from .equations import LINK_PARAMETERS, PayloadEquations
+from .equations import LINK_PARAMETERS, LOAD_SHAPES, SPEED_SHAPES, PayloadEquations
 from .shape import PayloadShape, ball_of_mass
 
 LOAD_ITERATIONS = 4
@@ -101,6 +101,28 @@ class PayloadQuantity:
 
 
 @dataclass(frozen=True)
+class PayloadData:
+    """Estimate and information of the data, the robot's parameters and friction integrated out.
+
+    Attributes:
+        theta: φ̂, 0 in directions that the data do not show. Shape (10,).
+        information: Λ. Shape (10, 10).
+        degrees_of_freedom: Number of equations minus number of parameters.
+    """
+
+    theta: FloatArray
+    information: FloatArray
+    degrees_of_freedom: float
+
+    @property
+    def mass_deviation(self) -> float:
+        """Standard deviation of the mass; ∞ where the data do not show it [kg]."""
+        others, cross = self.information[1:, 1:], self.information[0, 1:]
+        marginal = self.information[0, 0] - cross @ np.linalg.pinv(others, rcond=1e-12) @ cross
+        return float(1.0 / np.sqrt(marginal)) if marginal > 0.0 else np.inf
+
+
+@dataclass(frozen=True)
 class PayloadEstimate:
     """A payload with its uncertainty.
 
@@ -108,7 +130,7 @@ class PayloadEstimate:
         phi: Inertial parameters in the link's frame. Shape (10,).
         covariance: Their covariance, that of the prior included. Shape (10, 10).
         quantities: Mass, centre and inertia about it.
-        load_friction: Coefficient of load friction of each joint. Shape (n,) [1].
+        load_friction: Coefficient of load friction of each joint; None: not fitted. Shape (n,) [1].
         data: Estimate of φ from the data alone.
         residual: RMS of the remaining torque of each joint. Shape (n,) [N m].
         mounting: p-value of equal payloads in all recordings; None for one recording.
@@ -117,8 +139,8 @@ class PayloadEstimate:
     phi: FloatArray
     covariance: FloatArray
     quantities: tuple[PayloadQuantity, ...]
-    load_friction: FloatArray
-    data: Estimate
+    load_friction: FloatArray | None
+    data: PayloadData
     residual: FloatArray
     mounting: float | None = None
 
@@ -145,7 +167,33 @@ def estimate_payload(
         mass: Its mass, if it was weighed [kg].
         rule: When the data decide a quantity.
     """
-    data, friction = _data_estimate(equations)
+    fit, friction = _data_estimate(equations)
+    information: FloatArray = fit.information_root.T @ fit.information_root
+    data = PayloadData(fit.theta, information, fit.degrees_of_freedom)
+    body = physical_payload(data, shape, mass, rule)
+    columns = equations.equations.n * (LOAD_SHAPES + SPEED_SHAPES)
+    return dataclasses.replace(
+        body,
+        load_friction=equations.load_coefficients(friction, body.phi, friction[-columns:]),
+        residual=np.asarray(np.sqrt(np.mean(fit.residual**2, axis=0)), float),
+        mounting=_mounting_p_value(equations, fit, body.phi),
+    )
+
+
+def physical_payload(
+    data: PayloadData,
+    shape: PayloadShape | None = None,
+    mass: float | None = None,
+    rule: DecisionRule = DecisionRule(),
+) -> PayloadEstimate:
+    """Return the body that fits the data and the prior, without load friction and residuals.
+
+    Args:
+        data: What the data say.
+        shape: Its shape; None: unknown.
+        mass: Its mass, if it was weighed [kg].
+        rule: When the data decide a quantity.
+    """
     information, target = _with_mass(data, mass)
     shape, phi0 = _start(target, information, shape, mass)
     phi = phi0.copy()
@@ -158,19 +206,9 @@ def estimate_payload(
     prior = _prior_information(phi, shape, mass)
     unknown = np.eye(LINK_PARAMETERS) / UNSHOWN_VARIANCE
     covariance = np.asarray(np.linalg.inv(information + prior + unknown), float)
-    quantities = _quantities(
-        phi, covariance, prior, student_quantile(data.degrees_of_freedom), rule, mass
-    )
-    n = equations.equations.n
-    return PayloadEstimate(
-        phi,
-        covariance,
-        quantities,
-        friction[-3 * n : -2 * n],
-        data,
-        np.asarray(np.sqrt(np.mean(data.residual**2, axis=0)), float),
-        _mounting_p_value(equations, data, phi),
-    )
+    quantile = student_quantile(data.degrees_of_freedom)
+    quantities = _quantities(phi, covariance, prior, quantile, rule, mass)
+    return PayloadEstimate(phi, covariance, quantities, None, data, np.zeros(0))
 
 
 def _data_estimate(equations: PayloadEquations) -> tuple[Estimate, FloatArray]:
@@ -188,9 +226,9 @@ def _data_estimate(equations: PayloadEquations) -> tuple[Estimate, FloatArray]:
     return out, theta
 
 
-def _with_mass(data: Estimate, mass: float | None) -> tuple[FloatArray, FloatArray]:
+def _with_mass(data: PayloadData, mass: float | None) -> tuple[FloatArray, FloatArray]:
     """Information of the data, with a stated mass, and the parameters of its minimum."""
-    information: FloatArray = data.information_root.T @ data.information_root
+    information = data.information.copy()
     score = information @ data.theta
     if mass is not None:
         weight = 1.0 / (MASS_DEVIATION * mass) ** 2
@@ -389,7 +427,7 @@ def require_mass(result: PayloadEstimate, names: Sequence[str]) -> None:
     Raises:
         UnusableInput: The mass is significantly below 0.
     """
-    mass, std = float(result.data.theta[0]), float(np.sqrt(result.data.covariance[0, 0]))
+    mass, std = float(result.data.theta[0]), result.data.mass_deviation
     if np.isfinite(std) and mass < -5.0 * std:
         raise UnusableInput(
             f"{', '.join(names)}: the payload has the mass {mass:.3g} ± {std:.2g} kg; exchange "

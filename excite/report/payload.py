@@ -105,9 +105,10 @@ def _values_section(document: Mapping[str, Any]) -> Section:
 
 def _friction_section(document: Mapping[str, Any]) -> Section:
     """Load friction and the remaining torque of each joint."""
+    friction = document["load_friction"] or {}
     rows = [
-        (joint, number(value, 3), number(document["residual"][joint], 3))
-        for joint, value in document["load_friction"].items()
+        (joint, number(friction.get(joint), 3), number(residual, 3))
+        for joint, residual in document["residual"].items()
     ]
     names = [
         f"{key}: {', '.join(Path(str(name)).name for name in document[key])}"

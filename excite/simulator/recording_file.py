@@ -36,7 +36,8 @@ class MeasuredSignals:
         tau: Measured torques, shape (N, n) [N m].
         qref: Commanded positions, shape (N, n) [rad].
         period: Period of the excitation [s].
-        periodic: Begin and end of the window in which the motion repeats [s].
+        periodic: Begin and end of the window in which the motion repeats; equal where it does not
+            [s].
     """
 
     joints: tuple[str, ...]
@@ -58,10 +59,11 @@ class MeasuredSignals:
 
     def to_sidecar(self) -> dict[str, Any]:
         """Return the sidecar, an `excite.recording/1`."""
+        begin, end = self.periodic
+        repeats = {"period": self.period, "periodic": [begin, end]} if end > begin else {}
         return {
             "schema": "excite.recording/1",
-            "period": self.period,
-            "periodic": list(self.periodic),
+            **repeats,
             "motor_side": True,
             "notes": "simulated by 'excite simulate'",
         }
@@ -84,10 +86,8 @@ def measure(
     t = chain.clock_times(reference.duration)
     clock, noise = rng.spawn(2)
     q, tau = motion.measured(chain.sampling_times(t, clock))
-    window = (
-        reference.periodic[0] + min(SETTLING_TIME, 0.1 * reference.period),
-        reference.periodic[1],
-    )
+    begin, end = reference.periodic
+    begin = min(begin + min(SETTLING_TIME, 0.1 * reference.period), end)
     return MeasuredSignals(
         reference.joints,
         t,
@@ -95,7 +95,7 @@ def measure(
         chain.measure_torques(tau, noise),
         reference.at(t)[0],
         reference.period,
-        window,
+        (begin, end),
     )
 
 

@@ -32,7 +32,8 @@ class ReferenceTrajectory:
             shape (N, n).
         duration: End of the motion [s].
         period: Period of the excitation [s].
-        periodic: Begin and end of the part that repeats [s].
+        periodic: Begin and end of the part that repeats [s]; equal where nothing moves in it, as in
+            a motion between static poses.
         robot: The `robot` of the trajectory file.
     """
 
@@ -91,7 +92,7 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTra
         start, end = float(segment["start"]) + shift, float(segment["end"]) + shift
         if segment["kind"] == "fourier":
             shift, end = extra, end + extra
-            window = (start, end)
+            window = (start, end if sine.any() or cosine.any() else start)
             parts.append((start, end, wave))
         else:
             ramp = (

@@ -119,14 +119,17 @@ def residual_torque(
     Args:
         motion: Motion of the robot with its effects.
         robot: The robot without effects.
-        reference: The commanded motion; its periodic part counts.
+        reference: The commanded motion; its periodic part counts, or all of it where it has none.
         trusted: Keep the base model as it is instead of refitting it.
 
     Returns:
         Residual torque, shape (N, n) [N m].
     """
     rate = ELASTIC_RATE if motion.robot.springs else RIGID_RATE
-    t = np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate)
+    begin, end = reference.periodic
+    if begin == end:
+        begin, end = 0.0, reference.duration
+    t = np.arange(begin, end, 1.0 / rate)
     hidden = hidden_torque(motion, robot, t)
     torque = low_passed(hidden.torque, rate)
     if trusted:

@@ -219,7 +219,7 @@ def draw_path(scene: MotionScene) -> tuple[str, FloatArray]:
                         0.35 if body.is_surrounding else 0.2,
                     )
             for k in range(len(poses)):
-                _sticks(axes, robot, (joints[k], tips[k]), (a, b), 1.0 if k == 0 else 0.28)
+                draw_skeleton(axes, robot, (joints[k], tips[k]), (a, b), 1.0 if k == 0 else 0.28)
             for m in range(ends.shape[1]):
                 _draw_path(axes, ends[:, m, a], ends[:, m, b], kinds)
             set_view(axes, middle, reach, (a, b), name)
@@ -245,7 +245,7 @@ def _draw_path(axes: Any, x: FloatArray, y: FloatArray, kinds: Any) -> None:
         )
 
 
-def _sticks(
+def draw_skeleton(
     axes: Any,
     robot: Robot,
     points: tuple[FloatArray, FloatArray],

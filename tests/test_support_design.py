@@ -15,6 +15,7 @@ from excite.api.support_design_result import design_support as design_files
 from excite.cli.main import main
 from excite.designer import support_certificate
 from excite.designer.criteria import Criterion
+from excite.designer.support_certificate import SupportConstraints
 from excite.designer.support_design import SupportOptions, _Search, design_support
 from excite.designer.support_evaluator import SupportEvaluator
 from excite.designer.support_kinematics import support_samples
@@ -239,9 +240,8 @@ def designed(walker, walker_limits):
 
 def test_designed_motions_are_certified_and_inform(designed, walker, walker_limits):
     assert designed.certificate.ok
-    again = support_certificate.certify(
-        walker, walker_limits, designed.stance, designed.parameters, designed.motions
-    )
+    constraints = SupportConstraints(walker, walker_limits, designed.stance, designed.parameters)
+    again = support_certificate.certify(constraints, designed.motions)
     assert again.ok
     kinds = {margin.limit for margin in again.margins}
     assert {"position", "torque", "centre of pressure", "friction", "normal force"} <= kinds
@@ -262,9 +262,8 @@ def test_the_centre_of_pressure_keeps_its_margin(designed, walker):
 
 def test_a_motion_beyond_its_limits_is_not_certified(designed, walker, walker_limits):
     slow = dataclasses.replace(walker_limits, velocity=0.1 * walker_limits.velocity)
-    certificate = support_certificate.certify(
-        walker, slow, designed.stance, designed.parameters, designed.motions
-    )
+    constraints = SupportConstraints(walker, slow, designed.stance, designed.parameters)
+    certificate = support_certificate.certify(constraints, designed.motions)
     assert not certificate.ok
     assert certificate.worst().limit == "velocity"
 

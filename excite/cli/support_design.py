@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from .._system.output_files import output_folder
+from ..api.design_result import CellOptions
 from ..api.support_design_result import SUPPORT_FILES, SupportDesignResult, design_support
 from ..designer.criteria import Criterion
 from ..designer.options import DesignOptions
@@ -32,10 +33,8 @@ UNSUPPORTED = {
     "--samples": "samples",
     "--start": "start",
     "--box": "box",
-    "--scene": "scene",
-    "--srdf": "srdf",
     "--floor": "floor",
-    "--clearance": "clearance",
+    "--no-floor": "no_floor",
     "--force": "force",
 }
 """Options of `excite design` that a design in support does not have."""
@@ -77,7 +76,14 @@ def run(arguments: argparse.Namespace) -> Outcome:
     options = replace(options, torque_noise=shared.noise(arguments, robot.joint_robot))
     limits = shared.limits(arguments, robot.joint_robot)
     output = output_folder(Path(arguments.out), SUPPORT_FILES)
-    result = design_support(robot, options, limits=limits)
+    cell = CellOptions(
+        scene=arguments.scene,
+        clearance=arguments.clearance,
+        srdf=arguments.srdf,
+        packages=arguments.packages,
+        check=not arguments.no_collision,
+    )
+    result = design_support(robot, options, limits=limits, cell=cell)
     written = output.replace(result.contents())
     document = with_files(result.document(), written)
     return 0, document, "\n".join([*_lines(result), *written_lines(written)])

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from .._types import FloatArray, IntArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..robot.inertial_parameters import spread_poses
 from . import capsule_cover
 from .batch_kinematics import KinematicTree
@@ -32,6 +32,12 @@ EXACT_POSES = 15
 MAX_FALSE_HULL_SHARE = 0.2
 """Share of poses in which hulls may violate a clearance that the meshes keep [1]; meshes take about
 a hundred times longer."""
+
+
+POSE_RATIO = 1.7
+"""Distance of covers in `Cell.pose` over the margin of their pair below which they are too loose:
+the bodies keep twice the margin there, and the optimiser asks for up to 1.6 times of it before a
+constraint leaves its working set."""
 
 
 @dataclass
@@ -147,8 +153,13 @@ def _select_pairs(
     constant = (np.ptp(excess, axis=0) < CONSTANT_DISTANCE) & (excess.min(axis=0) >= 0.0)
     dropped = np.asarray((excess.min(axis=0) >= EXACT_BELOW) | constant)
     loose, query = list[BodyPair](), cell.distance_query()
+    too_near = _too_near_in_pose(constraint, cell)
     for number, bodies in enumerate(cell.pairs):
         rows = pair == number
+        if too_near[rows].any():
+            dropped |= rows
+            loose.append(bodies)
+            continue
         violated = (excess[:, rows] < 0.0).any(axis=1)
         if violated.mean() <= MAX_FALSE_SHARE:
             continue
@@ -161,6 +172,14 @@ def _select_pairs(
             loose.append(bodies)
     selected = _with_hulls(constraint.without_pairs(dropped), cell, loose)
     return selected if len(selected) else None
+
+
+def _too_near_in_pose(constraint: ClearanceConstraint, cell: Cell) -> BoolArray:
+    """Return which covers are too loose in the pose of a cell, none without one. Shape (P,)."""
+    if cell.pose is None:
+        return np.zeros(len(constraint), bool)
+    distances = constraint.evaluate(cell.pose[None]).distances()[0]
+    return np.asarray(distances < POSE_RATIO * constraint.required)
 
 
 def _with_hulls(
@@ -193,8 +212,12 @@ def _with_hulls(
     poses = spread_poses(cell.limits, HULL_POSES)
     violated = extended.evaluate(poses).distances() - extended.required < 0.0
     kind = extended.kind.copy()
-    for row in np.flatnonzero((kind == CoverPairKind.HULLS) & violated.any(axis=0)):
+    too_near = _too_near_in_pose(extended, cell)
+    for row in np.flatnonzero((kind == CoverPairKind.HULLS) & (violated.any(axis=0) | too_near)):
         if not any(hulls[i].has_mesh for i in (extended.first[row], extended.second[row])):
+            continue
+        if too_near[row]:
+            kind[row] = CoverPairKind.MESHES
             continue
         exact = _with_meshes_only(extended, int(row))
         sample = poses[violated[:, row]][:: max(int(violated[:, row].sum()) // EXACT_POSES, 1)]

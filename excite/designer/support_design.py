@@ -15,6 +15,9 @@ import numpy as np
 
 from .._system.progress import Progress
 from .._types import FloatArray
+from ..collision import clearance_builder
+from ..collision.clearance_constraint import HULL_KINDS, ClearanceConstraint
+from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import CheckFailed, Infeasible, UnusableInput
 from ..robot import floating_base
 from ..robot.base_parameters import Base
@@ -22,16 +25,17 @@ from ..robot.floating_base import FloatingRobot, Rows
 from ..robot.inertial_parameters import DRIVE, Parameters
 from ..robot.limits import Limits
 from ..trajectory.rest_to_rest import PhaseProfile
-from . import floating_identifiability, sqp, support_certificate
-from .certificate import Certificate
+from . import floating_identifiability, sqp, support_cell, support_certificate
+from .certificate import CLEARANCE, Certificate
 from .criteria import Criterion
 from .floating_identifiability import RowNoise
 from .identifiability import Identifiability
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
 from .options import DesignOptions, samples_per_period
-from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS
+from .support_cell import Surroundings
+from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS, SupportConstraints
 from .support_evaluator import SupportEvaluator
-from .support_kinematics import support_samples
+from .support_information import added_root, exported_motion, identifiable_counts
 from .support_model import SupportFunctions, support_functions
 from .support_problem import (
     SupportProblem,
@@ -76,6 +80,10 @@ REPAIR_ITERATIONS = 15
 
 MAX_RESERVE = 0.3
 """Largest share that is kept free [1]."""
+
+MAX_CLEARANCE_RAISE = 0.01
+"""Largest missing distance for which a clearance is raised at once [m]: bodies that pass through
+each other between samples miss more than a wider clearance could prevent."""
 
 VIOLATION_FACTOR = 1.2
 """Increase of the share that is kept free, over the violation that the certificate found [1]."""
@@ -144,10 +152,12 @@ class SupportDesign:
         limits: Limits of its joints.
         options: Options of the design.
         stance: The feet and the standing pose.
+        soles: Sole of each foot.
         parameters: Standard parameters with those of the joints.
         inertial: Standard parameters of the bodies alone.
         base: Base parameters of the base rows.
         noise: Noise of the rows.
+        cell: Bodies that keep their distance; None: distances are not checked.
         motions: Motions of the independent coordinates.
         certificate: Certificate of all motions, played one after the other.
         roots: R with RᵀR the information of the base rows after each motion. Shape (r, P) each.
@@ -159,10 +169,12 @@ class SupportDesign:
     limits: Limits
     options: SupportOptions
     stance: Stance
+    soles: tuple[SoleSize, ...]
     parameters: Parameters
     inertial: Parameters
     base: Base
     noise: RowNoise
+    cell: Cell | None
     motions: tuple[PhaseProfile, ...]
     certificate: Certificate
     roots: tuple[FloatArray, ...]
@@ -181,10 +193,7 @@ class SupportDesign:
 
     def identifiable_counts(self, threshold: float = IDENTIFIABLE_VARIANCE) -> list[int]:
         """Return the number of identifiable directions of the base rows after each motion."""
-        return [
-            int(np.sum(np.linalg.svd(root @ self.base.geometric)[1] ** 2 >= 1.0 / threshold))
-            for root in self.roots
-        ]
+        return identifiable_counts(self.roots, self.base, threshold)
 
     def analysis(self, rows: Rows, threshold: float = IDENTIFIABLE_VARIANCE) -> Identifiability:
         """Return the identifiability by all motions.
@@ -217,6 +226,7 @@ def design_support(
     limits: Limits,
     options: SupportOptions,
     progress: Progress | None = None,
+    surroundings: Surroundings | None = Surroundings(),  # noqa: B008  # immutable
 ) -> SupportDesign:
     """Design and certify motions in single or double support.
 
@@ -225,26 +235,35 @@ def design_support(
         limits: Limits of its joints.
         options: Options of the design.
         progress: Called with a line of text after each motion.
+        surroundings: What the bodies of the robot keep clear of; None: distances are not checked.
 
     Raises:
         CheckFailed: A motion cannot be certified.
         Infeasible: The robot cannot stand within its limits.
-        UnusableInput: Options are inconsistent.
+        UnusableInput: Options are inconsistent, or bodies touch in the standing pose.
     """
     began = time.perf_counter()
     report = progress or (lambda text: None)
     _check_options(options)
     usable = limits.reduced()
     stance = standing(robot.joint_robot, usable, options.frames, options.soles, options.contact)
-    search = _Search(robot, limits, options, stance)
+    cell, reason = (
+        (None, f"{NOT_CHECKED} (--no-collision)")
+        if surroundings is None
+        else support_cell.find_cell(robot, limits, stance, surroundings)
+    )
+    search = _Search(robot, limits, options, stance, cell, reason or NOT_CHECKED)
     motions: list[PhaseProfile] = []
+    certificates: list[Certificate] = []
     roots: list[FloatArray] = []
     report(
         f"{robot.name}: {robot.n} joints, {search.base.count} base parameters of the base rows, "
         f"{len(stance.feet)} feet on the ground"
     )
     for number in range(options.count):
-        motions.append(search.next_motion(number))
+        motion, certificate = search.next_motion(number)
+        motions.append(motion)
+        certificates.append(certificate)
         roots.append(search.root)
         eigenvalues = np.linalg.eigvalsh(search.information)
         known = int(np.sum(eigenvalues >= 1.0 / IDENTIFIABLE_VARIANCE))
@@ -252,18 +271,18 @@ def design_support(
             f"motion {number + 1} of {options.count}: {known} of {search.base.count} directions "
             "identifiable"
         )
-    certificate = support_certificate.certify(robot, limits, stance, search.parameters, motions)
-    if not certificate.ok:
-        raise CheckFailed(f"{robot.source}: {certificate.failure_reason()}")
+    certificate = support_certificate.joined(search.constraints, certificates)
     return SupportDesign(
         robot,
         limits,
         options,
         stance,
+        options.soles,
         search.parameters,
         search.inertial,
         search.base,
         search.noise,
+        cell,
         tuple(motions),
         certificate,
         tuple(roots),
@@ -299,7 +318,13 @@ class _Search:
     """
 
     def __init__(
-        self, robot: FloatingRobot, limits: Limits, options: SupportOptions, stance: Stance
+        self,
+        robot: FloatingRobot,
+        limits: Limits,
+        options: SupportOptions,
+        stance: Stance,
+        cell: Cell | None = None,
+        unchecked_reason: str = NOT_CHECKED,
     ) -> None:
         """Build the dynamics and count the base parameters."""
         self.robot, self.limits, self.options, self.stance = robot, limits, options, stance
@@ -312,6 +337,10 @@ class _Search:
         self.root = np.zeros((0, self.inertial.count))
         self.prior = np.eye(self.base.count) / options.prior_deviation**2
         self._functions = self._build_functions()
+        self.constraints = SupportConstraints(
+            robot, limits, stance, self.parameters, cell, unchecked_reason
+        )
+        self._clearance = _LazyClearance(cell)
         self._search_limits = without_singularities(robot.joint_robot, limits.reduced(), stance)
 
     @property
@@ -351,10 +380,11 @@ class _Search:
             variable_scale(self.robot.joint_robot, self.limits, self.stance, options),
             joint_reserve,
             contact_reserve,
+            self._clearance.constraint(),
         )
 
-    def next_motion(self, number: int) -> PhaseProfile:
-        """Find the next certified motion, and add its information.
+    def next_motion(self, number: int) -> tuple[PhaseProfile, Certificate]:
+        """Find the next certified motion with its certificate, and add its information.
 
         Args:
             number: Number of the motion, from 0.
@@ -379,17 +409,21 @@ class _Search:
                     state = self._optimised(evaluator, state, REPAIR_ITERATIONS)
             x = state.best
             motion = problem.motion(x)
-            certificate = support_certificate.certify(
-                self.robot, self.limits, self.stance, self.parameters, [motion]
-            )
+            certificate = support_certificate.certify_motion(self.constraints, motion, number)
             if certificate.ok:
                 self.root = self._with_motion(self.root, motion, self.inertial, Rows.BASE)
-                return motion
+                return motion, certificate
             reason = certificate.failure_reason()
             reserves = _raised(reserves, certificate)
+            self._clearance.tighten(certificate)
+        remedy = (
+            "lower --clearance or clear the scene"
+            if certificate.worst().limit == CLEARANCE
+            else "lengthen --duration or widen that limit"
+        )
         raise CheckFailed(
             f"{self.robot.source}: no motion keeps all limits between its samples: {reason}; "
-            "lengthen --period or widen that limit"
+            f"{remedy}"
         )
 
     def _optimised(
@@ -427,17 +461,10 @@ class _Search:
         self, root: FloatArray, motion: PhaseProfile, parameters: Parameters, rows: Rows
     ) -> FloatArray:
         """Return a root of information to which that of a motion as exported is added."""
-        exported = self._exported(motion)
-        added = floating_identifiability.information_root(
-            self.robot, parameters, exported, self.noise, rows
+        exported = exported_motion(
+            self.robot, self.stance, self.parameters, motion, self.options.rate
         )
-        return np.asarray(np.linalg.qr(np.vstack([root, added]), mode="r"))
-
-    def _exported(self, motion: PhaseProfile) -> floating_base.FloatingMotion:
-        """Return the rows of a motion as exported."""
-        duration = motion_duration(motion.fourier.period)
-        t = np.arange(round(duration * self.options.rate)) / self.options.rate
-        return support_samples(self.robot, self.stance, self.parameters, motion, t).motion
+        return added_root(root, self.robot, parameters, exported, self.noise, rows)
 
     def root_of_all_rows(self, motions: list[PhaseProfile]) -> FloatArray:
         """Return a root of the information of base and joint rows of all motions."""
@@ -458,6 +485,38 @@ def _raised(reserves: list[float], certificate: Certificate) -> list[float]:
                 MAX_RESERVE,
             )
     return out
+
+
+class _LazyClearance:
+    """Clearance constraint whose pairs of hulls and meshes enter once a certificate needs them.
+
+    Distances of hulls take about a hundred times as long as those of capsules, and few of the pairs
+    near each other in the standing pose come nearer in a motion.
+    """
+
+    def __init__(self, cell: Cell | None) -> None:
+        """Cover all bodies of a cell; None: there is no constraint."""
+        self._all = None if cell is None else clearance_builder.build_constraint(cell)
+        if self._all is not None:
+            self._active = ~np.isin(self._all.kind, HULL_KINDS)
+            self._extra = np.zeros(len(self._all))
+
+    def constraint(self) -> ClearanceConstraint | None:
+        """Return the constraint of the pairs that are active; None without one."""
+        if self._all is None or not self._active.any():
+            return None
+        active = self._all.without_pairs(~self._active)
+        return dataclasses.replace(active, extra=self._extra[self._active])
+
+    def tighten(self, certificate: Certificate) -> None:
+        """Activate the pairs that violate their clearance, and widen those that were active."""
+        if self._all is None:
+            return
+        deficits = certificate.clearance_deficits()
+        missing = np.array([deficits.get(pair, 0.0) for pair in self._all.names])
+        raised = VIOLATION_FACTOR * np.minimum(missing, MAX_CLEARANCE_RAISE)
+        self._extra += np.where(self._active, raised, 0.0)
+        self._active |= missing > 0.0
 
 
 def _shrink(evaluator: SupportEvaluator, x: FloatArray) -> FloatArray:

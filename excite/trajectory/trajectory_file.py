@@ -5,7 +5,7 @@ The simulator has a reader of its own, `simulator/reference_trajectory.py`, for 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -99,22 +99,43 @@ class Trajectory:
         Raises:
             UnusableInput: The URDF is not the one of the design (its sha256 differs).
         """
-        stated = self.robot
-        payload = stated.get("payload")
-        robot = load(
-            source or str(stated["source"]),
-            joints=self.joints,
-            lock={k: v for k, v in stated.get("locked", {}).items()},
-            payload=None if payload is None else _payload(payload),
-            gravity=stated.get("gravity", (0.0, 0.0, -9.81)),
-            inertias=inertias_of_document(stated.get("inertias") or {}),
+        return load_stated_robot(self.robot, self.joints, source)
+
+
+def load_stated_robot(
+    stated: Mapping[str, Any],
+    joints: Sequence[str],
+    source: str | None = None,
+    *,
+    require_mass: bool = True,
+) -> Robot:
+    """Load the robot that a trajectory file states.
+
+    Args:
+        stated: The entry of the robot.
+        joints: Names of its joints.
+        source: Path of the URDF, or name of a built-in model; None: as the file says.
+        require_mass: Whether every joint has to move a mass.
+
+    Raises:
+        UnusableInput: The URDF is not the one of the design (its sha256 differs).
+    """
+    payload = stated.get("payload")
+    robot = load(
+        source or str(stated["source"]),
+        joints=joints,
+        lock={k: v for k, v in stated.get("locked", {}).items()},
+        payload=None if payload is None else _payload(payload),
+        gravity=stated.get("gravity", (0.0, 0.0, -9.81)),
+        inertias=inertias_of_document(stated.get("inertias") or {}),
+        require_mass=require_mass,
+    )
+    if robot.sha256 != stated["sha256"]:
+        raise UnusableInput(
+            f"{robot.source}: is not the URDF this trajectory was designed for "
+            "(sha256 differs); give that one with --robot"
         )
-        if robot.sha256 != stated["sha256"]:
-            raise UnusableInput(
-                f"{robot.source}: is not the URDF this trajectory was designed for "
-                "(sha256 differs); give that one with --robot"
-            )
-        return robot
+    return robot
 
 
 def _payload(stated: Mapping[str, Any]) -> Payload:
@@ -147,7 +168,22 @@ def read_trajectory(path: Path) -> Trajectory:
         UnusableInput: The file is missing, is of another schema, or breaks a rule of
             `schemas.trajectory`.
     """
-    return parse_trajectory(_document_file(path).json(), path)
+    return parse_trajectory(read_document(path), path)
+
+
+def read_document(path: Path) -> Any:
+    """Read the JSON of a trajectory file of any schema, as plain values.
+
+    Raises:
+        UnusableInput: The file is missing, or is no JSON.
+    """
+    return _document_file(path).json()
+
+
+def stated_schema(content: Any) -> str | None:
+    """Return the schema that the content of a file states; None without one."""
+    schema = content.get("schema") if isinstance(content, Mapping) else None
+    return schema if isinstance(schema, str) else None
 
 
 def parse_trajectory(content: Any, path: Path) -> Trajectory:

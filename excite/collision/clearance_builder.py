@@ -35,7 +35,7 @@ a hundred times longer."""
 
 
 POSE_RATIO = 1.7
-"""Distance of covers in `Cell.pose` over the margin of their pair below which they are too loose:
+"""Distance of hulls in `Cell.pose` over the margin of their pair below which they are too loose:
 the bodies keep twice the margin there, and the optimiser asks for up to 1.6 times of it before a
 constraint leaves its working set."""
 
@@ -115,19 +115,8 @@ def build_constraint(cell: Cell) -> ClearanceConstraint | None:
     if not rows:
         return None
     kind, first, second, pair = np.array(rows, int).T
-    capsules = [capsule for capsule, _ in covers.capsules]
-    constraint = ClearanceConstraint(
-        tree=KinematicTree.from_robot(cell.robot),
-        joint=np.array([joint for _, joint in covers.capsules], int),
-        begin=np.array([capsule.begin for capsule in capsules]),
-        end=np.array([capsule.end for capsule in capsules]),
-        radius=np.array([capsule.radius for capsule in capsules]),
-        box_pose=np.array([rotation for rotation, _, _ in covers.boxes]).reshape(-1, 3, 3),
-        box_centre=np.array([centre for _, centre, _ in covers.boxes]).reshape(-1, 3),
-        box_half=np.array([half for _, _, half in covers.boxes]).reshape(-1, 3),
-        normal=np.array([normal for normal, _ in covers.planes]).reshape(-1, 3),
-        height=np.array([height for _, height in covers.planes], float),
-        hulls=(),
+    constraint = dataclasses.replace(
+        _without_pairs(cell, covers),
         kind=kind,
         first=first,
         second=second,
@@ -135,6 +124,39 @@ def build_constraint(cell: Cell) -> ClearanceConstraint | None:
         names=tuple(cell.names(cell.pairs[k]) for k in pair),
     )
     return _select_pairs(constraint, cell, pair)
+
+
+def build_hull_constraint(cell: Cell, pairs: Sequence[BodyPair]) -> ClearanceConstraint:
+    """Build the constraint of some pairs of bodies, with their convex hulls or meshes.
+
+    Args:
+        cell: The cell.
+        pairs: Pairs of it.
+    """
+    return _with_hulls(_without_pairs(cell, _Covers()), cell, pairs)
+
+
+def _without_pairs(cell: Cell, covers: _Covers) -> ClearanceConstraint:
+    """Return a constraint with the covers of a cell, but no pairs of them."""
+    capsules = [capsule for capsule, _ in covers.capsules]
+    return ClearanceConstraint(
+        tree=KinematicTree.from_robot(cell.robot),
+        joint=np.array([joint for _, joint in covers.capsules], int),
+        begin=np.array([capsule.begin for capsule in capsules]).reshape(-1, 3),
+        end=np.array([capsule.end for capsule in capsules]).reshape(-1, 3),
+        radius=np.array([capsule.radius for capsule in capsules], float),
+        box_pose=np.array([rotation for rotation, _, _ in covers.boxes]).reshape(-1, 3, 3),
+        box_centre=np.array([centre for _, centre, _ in covers.boxes]).reshape(-1, 3),
+        box_half=np.array([half for _, _, half in covers.boxes]).reshape(-1, 3),
+        normal=np.array([normal for normal, _ in covers.planes]).reshape(-1, 3),
+        height=np.array([height for _, height in covers.planes], float),
+        hulls=(),
+        kind=np.zeros(0, int),
+        first=np.zeros(0, int),
+        second=np.zeros(0, int),
+        required=np.zeros(0),
+        names=(),
+    )
 
 
 def _select_pairs(
@@ -153,13 +175,8 @@ def _select_pairs(
     constant = (np.ptp(excess, axis=0) < CONSTANT_DISTANCE) & (excess.min(axis=0) >= 0.0)
     dropped = np.asarray((excess.min(axis=0) >= EXACT_BELOW) | constant)
     loose, query = list[BodyPair](), cell.distance_query()
-    too_near = _too_near_in_pose(constraint, cell)
     for number, bodies in enumerate(cell.pairs):
         rows = pair == number
-        if too_near[rows].any():
-            dropped |= rows
-            loose.append(bodies)
-            continue
         violated = (excess[:, rows] < 0.0).any(axis=1)
         if violated.mean() <= MAX_FALSE_SHARE:
             continue
@@ -175,7 +192,7 @@ def _select_pairs(
 
 
 def _too_near_in_pose(constraint: ClearanceConstraint, cell: Cell) -> BoolArray:
-    """Return which covers are too loose in the pose of a cell, none without one. Shape (P,)."""
+    """Return which hulls are too loose in the pose of a cell, none without one. Shape (P,)."""
     if cell.pose is None:
         return np.zeros(len(constraint), bool)
     distances = constraint.evaluate(cell.pose[None]).distances()[0]

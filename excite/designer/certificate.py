@@ -21,7 +21,7 @@ from ..collision import continuous_check, scene_file
 from ..collision.continuous_check import PairDistance
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..robot import base_parameters, dynamics, inertial_parameters
-from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
+from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, Stand, from_sources
 from ..robot.robot import Robot, require_possible_bodies
 from ..robot.samples import Samples
 from ..trajectory.fourier import VERIFICATION_DENSITY, oversampling_bound
@@ -533,6 +533,13 @@ def limit_faults(stated: Limits, truth: Limits) -> Iterator[str]:
     ):
         if stated_value != true_value:
             yield f"the braking limit of '{joint}' in the file is not that of its source"
+    if _loads(stated.stand) != _loads(truth.stand):
+        yield "the load that the stand takes in the file is not that of its source"
+
+
+def _loads(stand: Stand | None) -> Stand | None:
+    """Return the limits of a stand without their source, which may have been moved."""
+    return None if stand is None else replace(stand, source="")
 
 
 def _limit_text(value: FloatArray) -> str:

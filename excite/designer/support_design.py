@@ -16,7 +16,7 @@ import numpy as np
 from .._system.progress import Progress
 from .._types import FloatArray
 from ..collision import clearance_builder
-from ..collision.clearance_constraint import HULL_KINDS, ClearanceConstraint
+from ..collision.clearance_constraint import ClearanceConstraint
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import CheckFailed, Infeasible, UnusableInput
 from ..robot import floating_base
@@ -49,8 +49,8 @@ FIRST_RESERVES = (0.03, 0.06)
 """Shares of the joint limits, and of the weight in contact limits, that the optimiser keeps free
 for what happens between its samples [1]. Motions of Talos exceed limits there by 3 and 5 %."""
 
-MAX_TIGHTENINGS = 5
-"""Times that these shares are raised until the certificate holds [1]."""
+MAX_TIGHTENINGS = 8
+"""Times that these shares are raised, or pairs of bodies added, until the certificate holds [1]."""
 
 LEAST_RAISE = 1.4
 """Least factor by which a share is raised [1]."""
@@ -245,6 +245,11 @@ def design_support(
     began = time.perf_counter()
     report = progress or (lambda text: None)
     _check_options(options)
+    if limits.stand is not None:
+        raise UnusableInput(
+            f"{limits.stand.source}: [stand] limits the load of a clamped base, but --floating "
+            "--support stands on its feet; remove the table, or design without --floating"
+        )
     usable = limits.reduced()
     stance = standing(robot.joint_robot, usable, options.frames, options.soles, options.contact)
     cell, reason = (
@@ -488,35 +493,36 @@ def _raised(reserves: list[float], certificate: Certificate) -> list[float]:
 
 
 class _LazyClearance:
-    """Clearance constraint whose pairs of hulls and meshes enter once a certificate needs them.
+    """Clearance constraint whose pairs of bodies enter once a certificate needs them.
 
-    Distances of hulls take about a hundred times as long as those of capsules, and few of the pairs
-    near each other in the standing pose come nearer in a motion.
+    Of the hundreds of pairs of a humanoid few come near each other in a motion. Covers of capsules,
+    which are cheap enough for all of them, leave hardly any room near the standing pose.
     """
 
     def __init__(self, cell: Cell | None) -> None:
-        """Cover all bodies of a cell; None: there is no constraint."""
-        self._all = None if cell is None else clearance_builder.build_constraint(cell)
-        if self._all is not None:
-            self._active = ~np.isin(self._all.kind, HULL_KINDS)
-            self._extra = np.zeros(len(self._all))
+        """Begin without pairs.
+
+        Args:
+            cell: The cell; None: there is no constraint.
+        """
+        self._cell = cell
+        self._extra: dict[str, float] = {}
 
     def constraint(self) -> ClearanceConstraint | None:
         """Return the constraint of the pairs that are active; None without one."""
-        if self._all is None or not self._active.any():
+        if self._cell is None or not self._extra:
             return None
-        active = self._all.without_pairs(~self._active)
-        return dataclasses.replace(active, extra=self._extra[self._active])
+        pairs = [pair for pair in self._cell.pairs if self._cell.names(pair) in self._extra]
+        built = clearance_builder.build_hull_constraint(self._cell, pairs)
+        return dataclasses.replace(
+            built, extra=np.array([self._extra[name] for name in built.names])
+        )
 
     def tighten(self, certificate: Certificate) -> None:
         """Activate the pairs that violate their clearance, and widen those that were active."""
-        if self._all is None:
-            return
-        deficits = certificate.clearance_deficits()
-        missing = np.array([deficits.get(pair, 0.0) for pair in self._all.names])
-        raised = VIOLATION_FACTOR * np.minimum(missing, MAX_CLEARANCE_RAISE)
-        self._extra += np.where(self._active, raised, 0.0)
-        self._active |= missing > 0.0
+        for pair, deficit in certificate.clearance_deficits().items():
+            raised = VIOLATION_FACTOR * min(deficit, MAX_CLEARANCE_RAISE)
+            self._extra[pair] = self._extra[pair] + raised if pair in self._extra else 0.0
 
 
 def _shrink(evaluator: SupportEvaluator, x: FloatArray) -> FloatArray:

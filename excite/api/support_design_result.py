@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from .._system.output_files import output_folder
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..designer.certificate import CELL_KEY
+from ..designer.sole_geometry import find_sole
 from ..designer.support_cell import Surroundings
 from ..designer.support_design import SupportDesign, SupportOptions
 from ..designer.support_design import design_support as find_motions
@@ -211,7 +212,8 @@ def design_support(
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
-        options: Feet, contact, number and duration of the motions.
+        options: Feet, contact, number and duration of the motions. Without soles, these are found
+            from the shapes of the feet.
         limits: Limits file, or limits; None: those of the robot.
         cell: What the bodies keep clear of, besides each other and the ground z = 0; positions
             are in the world.
@@ -224,6 +226,12 @@ def design_support(
     """
     loaded = load_floating_robot(robot)
     table = limits if isinstance(limits, Limits) else resolve_limits(loaded.joint_robot, limits)
+    if not options.soles:
+        soles = (
+            find_sole(loaded.joint_robot, frame, tuple(map(str, cell.packages)))
+            for frame in options.frames
+        )
+        options = replace(options, soles=tuple(soles))
     surroundings = (
         Surroundings(cell.read_scene(), tuple(map(str, cell.packages)), cell.is_required)
         if cell.check

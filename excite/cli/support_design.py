@@ -93,7 +93,7 @@ def _options(arguments: argparse.Namespace) -> SupportOptions:
     """Return the options of the design.
 
     Raises:
-        UnusableInput: Feet or soles are not stated, or there are other than one or two feet.
+        UnusableInput: Feet are not stated, or there are other than one or two.
     """
     if arguments.support is None:
         raise UnusableInput(
@@ -102,10 +102,6 @@ def _options(arguments: argparse.Namespace) -> SupportOptions:
     frames = tuple(name.strip() for name in arguments.support.split(","))
     if len(frames) > 2 or not all(frames):
         raise UnusableInput(f"--support {arguments.support}: name one or two frames")
-    if arguments.sole is None:
-        raise UnusableInput("--support: state the size of a sole with --sole LENGTH,WIDTH[,X,Y]")
-    length, width, *centre = arguments.sole
-    x, y = centre or (0.0, 0.0)
     default, contact = SupportOptions(frames, ()), ContactLimits()
     if arguments.cop_margin is not None:
         contact = ContactLimits(contact.friction, arguments.cop_margin)
@@ -113,7 +109,7 @@ def _options(arguments: argparse.Namespace) -> SupportOptions:
         contact = ContactLimits(arguments.friction, contact.margin)
     return SupportOptions(
         frames=frames,
-        soles=(SoleSize(0.5 * length, 0.5 * width, (x, y)),) * len(frames),
+        soles=_soles(arguments.sole, len(frames)),
         contact=contact,
         count=arguments.motions or 1,
         duration=arguments.duration or default.duration,
@@ -125,6 +121,15 @@ def _options(arguments: argparse.Namespace) -> SupportOptions:
         iterations=arguments.iterations,
         seed=arguments.seed,
     )
+
+
+def _soles(stated: tuple[float, ...] | None, count: int) -> tuple[SoleSize, ...]:
+    """Return the stated sole of each foot; none where they are to be found from its shapes."""
+    if stated is None:
+        return ()
+    length, width, *centre = stated
+    x, y, z = (*centre, 0.0, 0.0, 0.0)[:3]
+    return (SoleSize(0.5 * length, 0.5 * width, (x, y), z, source="--sole"),) * count
 
 
 def _lines(result: SupportDesignResult) -> list[str]:
@@ -141,6 +146,11 @@ def _lines(result: SupportDesignResult) -> list[str]:
         "those of the joints included",
         f"{motions} of {design.duration / len(counts):g} s from rest to rest on "
         f"{' and '.join(foot.frame for foot in design.stance.feet)}",
+        *(
+            f"sole of {foot.frame}: {2e3 * foot.half_length:.0f} mm by "
+            f"{2e3 * foot.half_width:.0f} mm, from {sole.source}"
+            for foot, sole in zip(design.stance.feet, design.soles, strict=True)
+        ),
         *design.certificate.verdict_lines(),
         f"designed in {design.seconds:.1f} s",
     ]

@@ -14,7 +14,7 @@ from ..designer.certificate import CLEARANCE, CertificateVerdict, LimitMargin, f
 from ..designer.identifiability import Identifiability
 from ..designer.support_design import SupportDesign
 from ..designer.support_kinematics import SupportSamples
-from ..designer.support_trajectory import SupportTrajectory
+from ..designer.support_trajectory import StatedFoot, SupportTrajectory
 from ..robot.floating_base import Rows
 from ..robot.limits import QUANTITIES
 from ..trajectory.trajectory_file import package_versions
@@ -371,7 +371,7 @@ def _provenance_section(trajectory: SupportTrajectory, design: SupportDesign) ->
     facts = [
         ("robot", f"{trajectory.robot['name']} ({Path(str(trajectory.robot['source'])).name})"),
         ("SHA-256 of the URDF", str(trajectory.robot["sha256"])),
-        *((f"sole of {foot.frame}", _sole_words(foot.sole_source)) for foot in trajectory.feet),
+        *((f"sole of {foot.frame}", _sole_words(foot)) for foot in trajectory.feet),
         ("friction of the soles", f"{contact.friction:g}"),
         ("margin of the centre of pressure", f"{1e3 * contact.margin:g} mm"),
         ("least normal force of a foot", f"{contact.least_share:.0%} of its share of the weight"),
@@ -401,9 +401,11 @@ def _provenance_section(trajectory: SupportTrajectory, design: SupportDesign) ->
     )
 
 
-def _sole_words(source: str) -> str:
-    """Return where the size of a sole comes from."""
-    return source or "stated"
+def _sole_words(foot: StatedFoot) -> str:
+    """Return the size of a sole and where it comes from."""
+    size = f"{2e3 * foot.half_length:.0f} mm by {2e3 * foot.half_width:.0f} mm"
+    inside = ", the largest rectangle inside their convex hull" if foot.outline else ""
+    return f"{size}, from {foot.sole_source}{inside}"
 
 
 def _limit_text(value: FloatArray) -> str:

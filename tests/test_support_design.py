@@ -308,6 +308,29 @@ def test_a_margin_wider_than_the_sole_is_refused(walker, walker_limits):
         )
 
 
+def test_a_stand_and_feet_do_not_go_together(walker, walker_limits):
+    clamped = dataclasses.replace(walker_limits, stand=limits.Stand(force=1e3, source="s.toml"))
+    with pytest.raises(UnusableInput, match="limits the load of a clamped base"):
+        design_support(walker, clamped, options("left_sole"))
+
+
+def test_jerk_limits_are_refused(walker, walker_limits):
+    jerky = dataclasses.replace(walker_limits, jerk=np.full(walker.n, 1e3))
+    with pytest.raises(UnusableInput, match="jerk limits are not supported with --support"):
+        design_support(walker, jerky, options("left_sole"))
+
+
+def test_mimic_joints_are_refused(tmp_path):
+    text = walker_urdf().replace(
+        '<child link="arm_link"/>', '<child link="arm_link"/><mimic joint="torso"/>'
+    )
+    path = tmp_path / "mimic.urdf"
+    path.write_text(text)
+    robot = floating_base.load(path)
+    with pytest.raises(UnusableInput, match="mimic joints; lock torso with --lock"):
+        design_support(robot, limits.resolve(robot.joint_robot), options("left_sole"))
+
+
 def test_a_robot_too_weak_to_stand_is_infeasible(walker, walker_limits):
     weak = dataclasses.replace(walker_limits, torque=np.full(walker.n, 5.0))
     with pytest.raises(Infeasible, match="standing pose"):

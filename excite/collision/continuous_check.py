@@ -278,6 +278,32 @@ def approach_speeds(cell: Cell, q: FloatArray, dq: FloatArray) -> FloatArray:
     return out
 
 
+def find_near_pairs(cell: Cell, q: FloatArray) -> list[int]:
+    """Return the indices of the pairs that violate their margin at one of some poses.
+
+    Args:
+        cell: The cell.
+        q: Poses. Shape (N, n).
+    """
+    R, p = KinematicTree.from_robot(cell.robot).poses(q)
+    balls = [_bounding_ball(body) for body in cell.bodies]
+    joints = [body.joint for body in cell.bodies]
+    centres = np.stack(
+        [R[:, j] @ centre + p[:, j] for j, (centre, _) in zip(joints, balls, strict=True)], axis=1
+    )
+    radii = np.array([radius for _, radius in balls])
+    first, second = np.array([(pair.first, pair.second) for pair in cell.pairs]).T
+    gap = np.linalg.norm(centres[:, first] - centres[:, second], axis=2)
+    is_near = gap - radii[first] - radii[second] < np.array([pair.margin for pair in cell.pairs])
+    query, near = cell.distance_query(), set[int]()
+    for pose, candidates in zip(q, is_near, strict=True):
+        query.set_configuration(pose)
+        for pair in set(np.flatnonzero(candidates).tolist()) - near:
+            if query.distance(pair) < cell.pairs[pair].margin:
+                near.add(pair)
+    return sorted(near)
+
+
 def _bounding_ball(body: Body) -> tuple[FloatArray, float]:
     """Return centre, in the joint's frame, and radius of a ball around a body [m].
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from .._system.progress import Progress
 from .._types import FloatArray
-from ..collision import clearance_builder
+from ..collision import clearance_builder, continuous_check
 from ..collision.clearance_constraint import ClearanceConstraint
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import CheckFailed, Infeasible, UnusableInput
@@ -84,6 +84,9 @@ MAX_RESERVE = 0.3
 MAX_CLEARANCE_RAISE = 0.01
 """Largest missing distance for which a clearance is raised at once [m]: bodies that pass through
 each other between samples miss more than a wider clearance could prevent."""
+
+MAX_COLLISION_ROUNDS = 6
+"""Times that a motion is optimised again with the pairs of bodies that it brings too near [1]."""
 
 VIOLATION_FACTOR = 1.2
 """Increase of the share that is kept free, over the violation that the certificate found [1]."""
@@ -398,21 +401,11 @@ class _Search:
             CheckFailed: No motion is certified.
         """
         reserves, reason = list(FIRST_RESERVES), ""
-        x: FloatArray | None = None
-        for _ in range(MAX_TIGHTENINGS + 1):
+        x = self._apart(reserves, number)
+        for tightening in range(MAX_TIGHTENINGS + 1):
             problem = self._problem(*reserves)
-            evaluator = SupportEvaluator(problem)
-            if x is None:
-                state = self._optimised(
-                    evaluator, sqp.initial_state(self._start(evaluator, number))
-                )
-            else:  # the motion is slightly infeasible: short steps that weigh constraints heavily
-                state = sqp.SearchState(x, x, radius=sqp.RETURN_RADIUS, penalty=sqp.RETURN_PENALTY)
-                state = self._optimised(evaluator, state, REPAIR_ITERATIONS)
-                if not np.isfinite(state.best_value):
-                    state = sqp.initial_state(_shrink(evaluator, x))
-                    state = self._optimised(evaluator, state, REPAIR_ITERATIONS)
-            x = state.best
+            if tightening:
+                x = self._repaired(SupportEvaluator(problem), x)
             motion = problem.motion(x)
             certificate = support_certificate.certify_motion(self.constraints, motion, number)
             if certificate.ok:
@@ -430,6 +423,34 @@ class _Search:
             f"{self.robot.source}: no motion keeps all limits between its samples: {reason}; "
             f"{remedy}"
         )
+
+    def _apart(self, reserves: list[float], number: int) -> FloatArray:
+        """Return the variables of an optimised motion whose bodies keep apart at the samples.
+
+        Args:
+            reserves: Shares of joint limits and contact limits that are kept free.
+            number: Number of the motion.
+        """
+        evaluator = SupportEvaluator(self._problem(*reserves))
+        state = self._optimised(evaluator, sqp.initial_state(self._start(evaluator, number)))
+        for _ in range(MAX_COLLISION_ROUNDS):
+            if not self._clearance.add_near_pairs(evaluator.clearance_poses(state.best)):
+                break
+            evaluator = SupportEvaluator(self._problem(*reserves))
+            state = self._optimised(evaluator, sqp.initial_state(_shrink(evaluator, state.best)))
+        return state.best
+
+    def _repaired(self, evaluator: SupportEvaluator, x: FloatArray) -> FloatArray:
+        """Return variables near those of a slightly infeasible motion that keep all limits.
+
+        Short steps weigh the constraints heavily; where they do not suffice, the motion is shrunk
+        and optimised again.
+        """
+        state = sqp.SearchState(x, x, radius=sqp.RETURN_RADIUS, penalty=sqp.RETURN_PENALTY)
+        state = self._optimised(evaluator, state, REPAIR_ITERATIONS)
+        if not np.isfinite(state.best_value):
+            state = self._optimised(evaluator, sqp.initial_state(_shrink(evaluator, x)))
+        return state.best
 
     def _optimised(
         self,
@@ -493,7 +514,7 @@ def _raised(reserves: list[float], certificate: Certificate) -> list[float]:
 
 
 class _LazyClearance:
-    """Clearance constraint whose pairs of bodies enter once a certificate needs them.
+    """Clearance constraint whose pairs of bodies enter once a motion brings them too near.
 
     Of the hundreds of pairs of a humanoid few come near each other in a motion. Covers of capsules,
     which are cheap enough for all of them, leave hardly any room near the standing pose.
@@ -517,6 +538,22 @@ class _LazyClearance:
         return dataclasses.replace(
             built, extra=np.array([self._extra[name] for name in built.names])
         )
+
+    def add_near_pairs(self, poses: FloatArray) -> bool:
+        """Activate the pairs that are too near in some poses; return whether there are new ones.
+
+        Args:
+            poses: Poses (b, q). Shape (N, 6 + n).
+        """
+        if self._cell is None:
+            return False
+        names = {
+            self._cell.names(self._cell.pairs[i])
+            for i in continuous_check.find_near_pairs(self._cell, poses)
+        }
+        new = names - self._extra.keys()
+        self._extra |= dict.fromkeys(sorted(new), 0.0)
+        return bool(new)
 
     def tighten(self, certificate: Certificate) -> None:
         """Activate the pairs that violate their clearance, and widen those that were active."""

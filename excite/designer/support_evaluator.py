@@ -263,6 +263,10 @@ class SupportEvaluator:
             point.constraint_values = values
         return point.constraint_values
 
+    def clearance_poses(self, x: FloatArray) -> FloatArray:
+        """Return the poses (b, q) at which distances are constrained. Shape (M, 6 + n)."""
+        return self._at(x).motion[0][self._clear]
+
     def _clearances(self, point: _Point) -> ClearanceEvaluation:
         """Return the distances of all bodies at a point."""
         assert self.problem.clearance is not None

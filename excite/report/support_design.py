@@ -66,7 +66,7 @@ def support_design_page(
         subtitle="Whole-body motions for identification from the wrench of the ground: whether "
         "they may be run, and what they make visible.",
         banners=_banners(design, analysis, pictures),
-        cards=_cards(design),
+        cards=_cards(design, pictures),
         sections=[
             _pressure_section(design, pictures, samples),
             _limits_section(design),
@@ -162,19 +162,18 @@ def _margin_words(margin: LimitMargin) -> str:
     return f"{margin.limit} of {margin.joint}, {free} free"
 
 
-def _cards(design: SupportDesign) -> list[tuple[str, str]]:
+def _cards(design: SupportDesign, pictures: Sequence[SolePicture]) -> list[tuple[str, str]]:
     """Key figures."""
     both = design.analysis(Rows.BOTH)
-    pressure = [m for m in design.certificate.margins if m.limit == PRESSURE]
+    least = 1e3 * min(float(edge_distance(picture).min()) for picture in pictures)
     margin = 1e3 * design.stance.contact.margin
-    used = min(m.free_share for m in pressure)
     counts = design.identifiable_counts()
     each = design.duration / len(counts)
     return [
         (f"{counts[-1]} of {design.base.count}", "directions visible in the wrench of the ground"),
         (f"{both.identifiable_count} of {len(both.directions)}", "with joint torques as well"),
         (f"{plural(len(counts), 'motion')} of {each:g} s", "from rest to rest, in any order"),
-        (f"{margin:.0f} mm", f"kept from the edges of the soles, and {format_percent(used)} more"),
+        (f"{least:.0f} mm", f"from the pressure to the nearest edge; {margin:g} mm are required"),
     ]
 
 
@@ -185,27 +184,28 @@ def _pressure_section(
     nearest = {(m.limit, m.joint): m for m in design.certificate.margins}
     weight = design.stance.weight
     rows = []
-    for picture in pictures:
-        force, friction, turning = (
-            nearest[kind, picture.name] for kind in ("normal force", "friction", "turning friction")
+    for number, picture in enumerate(pictures):
+        friction, turning = (
+            nearest[kind, picture.name] for kind in ("friction", "turning friction")
         )
+        force = min(float(part.wrenches[:, number, 2].min()) for part in samples)
         rows.append(
             (
                 picture.name,
                 f"{2e3 * picture.half[0]:.0f} × {2e3 * picture.half[1]:.0f}",
                 f"{1e3 * edge_distance(picture).min():.1f}",
-                f"{100.0 * force.value / weight:.0f} %",
+                f"{100.0 * force / weight:.0f} % of the weight",
                 f"{abs(friction.value):.2f} of {abs(friction.bound):g}",
-                f"{100.0 * abs(turning.value):.0f} %",
+                f"{100.0 * abs(turning.value):.0f} % used",
             )
         )
     head = (
         "foot",
         "sole [mm]",
-        "least distance to an edge [mm]",
-        "normal force nearest to its limit, of the weight",
-        "friction used",
-        "turning friction used",
+        "to an edge [mm]",
+        "least normal force",
+        "friction",
+        "turning friction",
     )
     count = len(design.stance.feet)
     answer = (

@@ -94,7 +94,7 @@ def weak_stand(tmp_path_factory):
     (folder / "stand.toml").write_text(STAND, encoding="utf-8")
     options = DesignOptions(starts=1, jobs=1, iterations=25)
 
-    def made(limits):
+    def designed(limits):
         return design(
             folder / "legs.urdf",
             period=3.0,
@@ -105,7 +105,7 @@ def weak_stand(tmp_path_factory):
             progress=lambda text: None,
         )
 
-    free, limited = made(None), made(folder / "stand.toml")
+    free, limited = designed(None), designed(folder / "stand.toml")
     limited.save(folder)
     return folder, free, limited
 

@@ -222,7 +222,7 @@ def export(
     if stated_schema(document) == SUPPORT_SCHEMA:
         raise UnusableInput(
             f"{trajectory}: motions of a robot on its feet are not exported; play the "
-            "trajectory.csv beside it, which has positions, torques and wrenches of the feet"
+            "trajectory.csv of its folder, which has positions, torques and wrenches of the feet"
         )
     certificate, motion, loaded, truth = _verify_arm(
         document, path_of_motion, robot, limits, packages

@@ -52,7 +52,7 @@ clearance of a pair [1]: the optimiser needs room to begin with."""
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a robot on its feet keeps clear of, besides itself and the ground.
+    """Surroundings that a robot on its feet keeps clear of, apart from itself and the ground.
 
     Attributes:
         scene: Shapes fixed in the world or to a link, clearance, and pairs that may touch.

@@ -184,11 +184,11 @@ def _pressure_section(
     nearest = {(m.limit, m.joint): m for m in design.certificate.margins}
     weight = design.stance.weight
     rows = []
-    for number, picture in enumerate(pictures):
+    for index, picture in enumerate(pictures):
         friction, turning = (
             nearest[kind, picture.name] for kind in ("friction", "turning friction")
         )
-        force = min(float(part.wrenches[:, number, 2].min()) for part in samples)
+        force = min(float(part.wrenches[:, index, 2].min()) for part in samples)
         rows.append(
             (
                 picture.name,

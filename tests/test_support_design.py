@@ -15,6 +15,7 @@ from excite.api.support_design_result import design_support as design_files
 from excite.cli.main import main
 from excite.designer import support_certificate
 from excite.designer.criteria import Criterion
+from excite.designer.support_certificate import SupportConstraints
 from excite.designer.support_design import SupportOptions, _Search, design_support
 from excite.designer.support_evaluator import SupportEvaluator
 from excite.designer.support_kinematics import support_samples
@@ -239,9 +240,8 @@ def designed(walker, walker_limits):
 
 def test_designed_motions_are_certified_and_inform(designed, walker, walker_limits):
     assert designed.certificate.ok
-    again = support_certificate.certify(
-        walker, walker_limits, designed.stance, designed.parameters, designed.motions
-    )
+    constraints = SupportConstraints(walker, walker_limits, designed.stance, designed.parameters)
+    again = support_certificate.certify(constraints, designed.motions)
     assert again.ok
     kinds = {margin.limit for margin in again.margins}
     assert {"position", "torque", "centre of pressure", "friction", "normal force"} <= kinds
@@ -262,9 +262,8 @@ def test_the_centre_of_pressure_keeps_its_margin(designed, walker):
 
 def test_a_motion_beyond_its_limits_is_not_certified(designed, walker, walker_limits):
     slow = dataclasses.replace(walker_limits, velocity=0.1 * walker_limits.velocity)
-    certificate = support_certificate.certify(
-        walker, slow, designed.stance, designed.parameters, designed.motions
-    )
+    constraints = SupportConstraints(walker, slow, designed.stance, designed.parameters)
+    certificate = support_certificate.certify(constraints, designed.motions)
     assert not certificate.ok
     assert certificate.worst().limit == "velocity"
 
@@ -307,6 +306,29 @@ def test_a_margin_wider_than_the_sole_is_refused(walker, walker_limits):
             (SOLE,),
             ContactLimits(margin=0.07),
         )
+
+
+def test_a_stand_and_feet_do_not_go_together(walker, walker_limits):
+    clamped = dataclasses.replace(walker_limits, stand=limits.Stand(force=1e3, source="s.toml"))
+    with pytest.raises(UnusableInput, match="limits the load of a clamped base"):
+        design_support(walker, clamped, options("left_sole"))
+
+
+def test_jerk_limits_are_refused(walker, walker_limits):
+    jerky = dataclasses.replace(walker_limits, jerk=np.full(walker.n, 1e3))
+    with pytest.raises(UnusableInput, match="jerk limits are not supported with --support"):
+        design_support(walker, jerky, options("left_sole"))
+
+
+def test_mimic_joints_are_refused(tmp_path):
+    text = walker_urdf().replace(
+        '<child link="arm_link"/>', '<child link="arm_link"/><mimic joint="torso"/>'
+    )
+    path = tmp_path / "mimic.urdf"
+    path.write_text(text)
+    robot = floating_base.load(path)
+    with pytest.raises(UnusableInput, match="mimic joints; lock torso with --lock"):
+        design_support(robot, limits.resolve(robot.joint_robot), options("left_sole"))
 
 
 def test_a_robot_too_weak_to_stand_is_infeasible(walker, walker_limits):

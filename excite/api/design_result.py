@@ -16,6 +16,7 @@ from .. import _json, recordings
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..collision import clearance_builder, scene_file
+from ..collision.scene_file import Scene
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..designer import (
     experiment_comparison,
@@ -95,18 +96,25 @@ class CellOptions:
         """
         if not self.check:
             return None, f"{NOT_CHECKED} (--no-collision)"
-        scene = scene_file.Scene() if self.scene is None else scene_file.read(Path(self.scene))
-        scene = scene.overridden(self.floor, self.clearance)
-        if self.srdf is not None:
-            scene = scene.with_srdf(Path(self.srdf))
-        stated = (
-            self.scene,
-            self.srdf,
-            None if self.floor is False else self.floor,
-            self.clearance,
+        return scene_file.find_cell(
+            robot, limits, self.read_scene(), self.packages, required=self.is_required
         )
-        required = any(value is not None for value in stated)
-        return scene_file.find_cell(robot, limits, scene, self.packages, required=required)
+
+    def read_scene(self) -> Scene:
+        """Read the scene file and the SRDF, with the floor and the clearance that are stated.
+
+        Raises:
+            UnusableInput: A file cannot be used.
+        """
+        scene = Scene() if self.scene is None else scene_file.read(Path(self.scene))
+        scene = scene.overridden(self.floor, self.clearance)
+        return scene if self.srdf is None else scene.with_srdf(Path(self.srdf))
+
+    @property
+    def is_required(self) -> bool:
+        """True if an option is stated that has no meaning without shapes."""
+        floor = None if self.floor is False else self.floor
+        return any(value is not None for value in (self.scene, self.srdf, floor, self.clearance))
 
 
 @dataclass(frozen=True)

@@ -229,7 +229,7 @@ def check_robot(
             require_mass=False,
         )
         document = urdf.read(locate(str(source)))
-        table, _ = robot_limits.stated_limits(robot, None if limits is None else Path(limits))
+        table, *_ = robot_limits.stated_limits(robot, None if limits is None else Path(limits))
         faults = [*mass_faults(robot)]
         for follower in robot.followers:
             try:

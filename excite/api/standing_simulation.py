@@ -28,7 +28,7 @@ from ..robot.inertial_parameters import DRIVE, Parameters
 from ..schemas.document_file import DocumentFile
 from ..schemas.support_trajectory import (
     SCHEMA,
-    SupportFootDocument,
+    FootDocument,
     SupportTrajectoryDocument,
 )
 from ..trajectory.trajectory_file import load_designed_robot
@@ -232,7 +232,7 @@ def _read_design(
 
 
 def _sole_centres(
-    robot: FloatingRobot, feet: Sequence[SupportFootDocument], motion: Recording
+    robot: FloatingRobot, feet: Sequence[FootDocument], motion: Recording
 ) -> list[FloatArray]:
     """Return the centre of each sole in the frame of its foot.
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,26 +15,24 @@ from .. import _json
 from .._system.output_files import output_folder
 from .._system.progress import Progress, logger
 from .._types import FloatArray
+from ..designer.certificate import CELL_KEY
+from ..designer.sole_geometry import find_sole
+from ..designer.support_cell import Surroundings
 from ..designer.support_design import SupportDesign, SupportOptions
 from ..designer.support_design import design_support as find_motions
 from ..designer.support_kinematics import SupportSamples, support_samples
-from ..designer.support_problem import motion_duration, rest_to_rest_phase
+from ..designer.support_trajectory import StatedFoot, SupportTrajectory
 from ..recordings.floating_signals import COMPONENTS, POSE
 from ..robot.floating_base import FloatingRobot, Rows
 from ..robot.inertial_parameters import COULOMB_WIDTH
 from ..robot.limits import Limits
 from ..trajectory.trajectory_file import package_versions
+from .design_result import CellOptions
 from .floating_result import load_floating_robot
 from .robots import RobotSource, resolve_limits
 
-SCHEMA = "excite.support_trajectory/1"
-"""Schema of the `trajectory.json` of a design in support."""
-
-SUPPORT_FILES = ("trajectory.json", "trajectory.csv", "identifiability.json")
+SUPPORT_FILES = ("trajectory.json", "trajectory.csv", "identifiability.json", "report.html")
 """Files of a design in support."""
-
-BASE_NAMES = tuple(f"base.{name}" for name in ("x", "y", "z", "roll", "pitch", "yaw"))
-"""Names of the base coordinates of the Fourier series."""
 
 
 @dataclass(frozen=True)
@@ -46,69 +45,75 @@ class SupportDesignResult:
 
     design: SupportDesign
 
-    def document(self) -> dict[str, Any]:
-        """Return the content of `trajectory.json`; floats read back exactly."""
+    @cached_property
+    def trajectory(self) -> SupportTrajectory:
+        """The content of `trajectory.json`."""
         design = self.design
         robot, stance, options = design.robot, design.stance, design.options
-        series = [motion.fourier for motion in design.motions]
-        first = series[0]
-        names = [*BASE_NAMES, *robot.joints]
-        legs = {len(BASE_NAMES) + int(joint) for joint in stance.leg_joints}
         certificate = design.certificate
-        return {
-            "schema": SCHEMA,
-            "robot": {
+        return SupportTrajectory(
+            robot={
                 "name": robot.name,
                 "source": robot.source,
                 "sha256": robot.joint_robot.sha256,
                 **robot.joint_robot.options,
             },
-            "joints": list(robot.joints),
-            "support": [
-                {
-                    "frame": foot.frame,
-                    "joints": [robot.joints[joint] for joint in foot.joints],
-                    "half_length": foot.half_length,
-                    "half_width": foot.half_width,
-                    "centre": np.array(foot.in_world.translation).tolist(),
-                }
-                for foot in stance.feet
-            ],
-            "contact": {
-                "friction": stance.contact.friction,
-                "cop_margin": stance.contact.margin,
-                "least_share": stance.contact.least_share,
+            joints=robot.joints,
+            feet=tuple(
+                StatedFoot(
+                    foot.frame,
+                    tuple(robot.joints[joint] for joint in foot.joints),
+                    foot.half_length,
+                    foot.half_width,
+                    _triple(foot.in_world.translation),
+                    _triple(sole.pose().translation),
+                    sole.source,
+                    sole.outline,
+                )
+                for foot, sole in zip(stance.feet, design.soles, strict=True)
+            ),
+            contact=stance.contact,
+            base=stance.base,
+            pose=stance.pose,
+            motions=design.motions,
+            rate=options.rate,
+            limits=design.limits,
+            noise=design.noise,
+            criterion=options.criterion.value,
+            identifiable=tuple(design.identifiable_counts()),
+            base_parameters=design.base.count,
+            design={
+                "margin": dict(design.limits.margin),
+                "starts": options.starts,
+                "iterations": options.iterations,
+                "prior_deviation": options.prior_deviation,
+                **({} if design.cell is None else {CELL_KEY: design.cell.document()}),
             },
-            "standing": {
-                "base": dict(zip(BASE_NAMES, stance.base.tolist(), strict=True)),
-                "joints": dict(zip(robot.joints, stance.pose.tolist(), strict=True)),
-            },
-            "coordinates": [name for i, name in enumerate(names) if i not in legs],
-            "base_frequency": first.omega,
-            "harmonics": first.harmonics,
-            "period": first.period,
-            "duration": motion_duration(first.period),
-            "phase": [list(piece) for piece in rest_to_rest_phase(first.period).pieces[0]],
-            "motions": [
-                {
-                    "sine": fourier.sine.tolist(),
-                    "cosine": fourier.cosine.tolist(),
-                    "offset": fourier.offset.tolist(),
-                }
-                for fourier in series
-            ],
-            "rate": options.rate,
-            "limits": design.limits.document(),
-            "wrench_noise": {"force": design.noise.force, "moment": design.noise.moment},
-            "torque_noise": dict(zip(robot.joints, design.noise.torque.tolist(), strict=True)),
-            "criterion": options.criterion.value,
-            "identifiable": design.identifiable_counts(),
-            "base_parameters": design.base.count,
-            "margins": [margin.document() for margin in certificate.margins],
-            "collision": certificate.collision,
-            "seed": options.seed,
-            "versions": package_versions(),
-        }
+            margins=[margin.document() for margin in certificate.margins],
+            collision=certificate.collision,
+            seed=options.seed,
+            versions=package_versions(),
+        )
+
+    @cached_property
+    def samples(self) -> tuple[SupportSamples, ...]:
+        """The motions at the rate of the table, both ends included."""
+        design = self.design
+        t = np.arange(design.samples_per_motion + 1) / design.options.rate
+        return tuple(
+            support_samples(design.robot, design.stance, design.parameters, motion, t)
+            for motion in design.motions
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of `trajectory.json`; floats read back exactly."""
+        return self.trajectory.document()
+
+    def html(self) -> str:
+        """Return the report as HTML."""
+        from ..report.support_design import support_design_page
+
+        return support_design_page(self.trajectory, self.design, self.samples)
 
     def csv(self) -> str:
         """Return `trajectory.csv`: all motions one after the other.
@@ -117,15 +122,12 @@ class SupportDesignResult:
         `tau.<joint>` …, and `wrench.<frame>.fx` … of each foot, in the axes of the frame and about
         its origin.
         """
-        design = self.design
+        design, last = self.design, len(self.samples) - 1
         rows = []
-        for number, motion in enumerate(design.motions):
-            is_last = number == len(design.motions) - 1
-            count = design.samples_per_motion + is_last
-            t = np.arange(count) / design.options.rate
-            samples = support_samples(design.robot, design.stance, design.parameters, motion, t)
+        for number, samples in enumerate(self.samples):
             start = number * design.samples_per_motion / design.options.rate
-            rows.append(self._table(samples, start))
+            table = self._table(samples, start)
+            rows.append(table if number == last else table[:-1])
         joints = design.robot.joints
         header = [
             "t",
@@ -173,6 +175,7 @@ class SupportDesignResult:
             "trajectory.json": _json.dumps(self.document()),
             "trajectory.csv": self.csv(),
             "identifiability.json": _json.dumps(analysis.document()),
+            "report.html": self.html(),
         }
 
     def save(self, folder: str | Path) -> list[Path]:
@@ -191,19 +194,29 @@ class SupportDesignResult:
         )
 
 
+def _triple(point: FloatArray) -> tuple[float, float, float]:
+    """Return the coordinates of a point."""
+    x, y, z = (float(value) for value in point)
+    return x, y, z
+
+
 def design_support(
     robot: RobotSource | FloatingRobot,
     options: SupportOptions,
     *,
     limits: str | Path | Limits | None = None,
+    cell: CellOptions = CellOptions(),  # noqa: B008  # immutable
     progress: Progress | None = None,
 ) -> SupportDesignResult:
     """Design motions of a robot that stands on one or two feet.
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
-        options: Feet, contact, number and duration of the motions.
+        options: Feet, contact, number and duration of the motions. Without soles, these are found
+            from the shapes of the feet.
         limits: Limits file, or limits; None: those of the robot.
+        cell: What the bodies keep clear of, besides each other and the ground z = 0; positions
+            are in the world.
         progress: Called with a line of text now and then; None: the log.
 
     Raises:
@@ -213,6 +226,16 @@ def design_support(
     """
     loaded = load_floating_robot(robot)
     table = limits if isinstance(limits, Limits) else resolve_limits(loaded.joint_robot, limits)
-    return SupportDesignResult(
-        find_motions(loaded, table, options, logger.info if progress is None else progress)
+    if not options.soles:
+        soles = (
+            find_sole(loaded.joint_robot, frame, tuple(map(str, cell.packages)))
+            for frame in options.frames
+        )
+        options = replace(options, soles=tuple(soles))
+    surroundings = (
+        Surroundings(cell.read_scene(), tuple(map(str, cell.packages)), cell.is_required)
+        if cell.check
+        else None
     )
+    report = logger.info if progress is None else progress
+    return SupportDesignResult(find_motions(loaded, table, options, report, surroundings))

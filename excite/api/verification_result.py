@@ -11,16 +11,24 @@ from typing import Any
 from .. import _json, exporters
 from .._system.output_files import output_files, output_folder
 from ..designer import certificate as certificates
+from ..designer import support_trajectory
 from ..designer.certificate import Certificate, CertificateVerdict
+from ..designer.support_trajectory import SupportTrajectory, parse_support_trajectory
 from ..errors import CheckFailed, UnusableInput
 from ..exporters import file_format
 from ..exporters.goal_options import GoalOptions
 from ..exporters.next_steps import next_steps
 from ..robot import inertial_parameters
+from ..robot.floating_base import FloatingRobot
 from ..robot.limits import Limits, from_sources
 from ..robot.robot import Robot
-from ..trajectory import trajectory_file
-from ..trajectory.trajectory_file import Trajectory
+from ..schemas.support_trajectory import SCHEMA as SUPPORT_SCHEMA
+from ..trajectory.trajectory_file import (
+    Trajectory,
+    parse_trajectory,
+    read_document,
+    stated_schema,
+)
 from .design_result import nominal_torque
 
 
@@ -31,13 +39,13 @@ class VerificationResult:
     Attributes:
         certificate: Verdicts on limits and clearance, with every margin.
         trajectory: Content of the file.
-        robot: The robot.
+        robot: The robot, with a floating base for motions in support.
         limits: Limits, read from their sources.
     """
 
     certificate: Certificate
-    trajectory: Trajectory
-    robot: Robot
+    trajectory: Trajectory | SupportTrajectory
+    robot: Robot | FloatingRobot
     limits: Limits
 
     @property
@@ -47,9 +55,17 @@ class VerificationResult:
 
     def text(self) -> str:
         """Return the table of margins and both verdicts, as `excite verify` prints them."""
-        rows = [f"{'limit':13}{'joint':25}{'worst':>12}{'bound':>12}{'free':>9}{'time [s]':>10}"]
+        margins = self.certificate.margins
+        limit, joint = (
+            max(width, *(len(getattr(m, name)) + 1 for m in margins))
+            for name, width in (("limit", 13), ("joint", 25))
+        )
+        rows = [
+            f"{'limit':{limit}}{'joint':{joint}}{'worst':>12}{'bound':>12}{'free':>9}"
+            f"{'time [s]':>10}"
+        ]
         rows += [
-            f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}"
+            f"{m.limit:{limit}}{m.joint:{joint}}{m.value:12.5g}{m.bound:12.5g}"
             f"{certificates.format_percent(m.free_share):>9}{m.time:10.3f}"
             for m in self.certificate.margins
         ]
@@ -91,7 +107,8 @@ def verify(
 ) -> VerificationResult:
     """Recompute limits, clearance and criteria of a trajectory file, as `excite verify` does.
 
-    Limits are compared with their sources, and the cell is built again from its files.
+    Limits are compared with their sources, and the cell is built again from its files. Motions of a
+    robot on its feet are verified likewise, with the contact of the feet.
 
     Args:
         trajectory: Path of a `trajectory.json`.
@@ -103,12 +120,31 @@ def verify(
         UnusableInput: A file is missing or malformed.
     """
     path = Path(trajectory)
-    content = trajectory_file.read_trajectory(path)
-    loaded = content.load_robot(None if robot is None else str(robot))
+    content = read_document(path)
+    if stated_schema(content) != SUPPORT_SCHEMA:
+        return VerificationResult(*_verify_arm(content, path, robot, limits, packages))
+    motions = parse_support_trajectory(content, path)
+    loaded = motions.load_robot(None if robot is None else str(robot))
     file = None if limits is None else Path(limits)
-    truth = from_sources(loaded, content.limits, file, path.resolve().parent)
-    certificate = certificates.verify_with_cell_on_disk(content, loaded, truth, packages)
-    return VerificationResult(certificate, content, loaded, truth)
+    truth = from_sources(loaded.joint_robot, motions.limits, file, path.resolve().parent)
+    certificate = support_trajectory.verify(motions, loaded, truth, packages)
+    return VerificationResult(certificate, motions, loaded, truth)
+
+
+def _verify_arm(
+    content: Any,
+    path: Path,
+    robot: str | Path | None,
+    limits: str | Path | None,
+    packages: Sequence[str],
+) -> tuple[Certificate, Trajectory, Robot, Limits]:
+    """Verify the content of the trajectory file of a robot with a fixed base; see `verify`."""
+    trajectory = parse_trajectory(content, path)
+    loaded = trajectory.load_robot(None if robot is None else str(robot))
+    file = None if limits is None else Path(limits)
+    truth = from_sources(loaded, trajectory.limits, file, path.resolve().parent)
+    certificate = certificates.verify_with_cell_on_disk(trajectory, loaded, truth, packages)
+    return certificate, trajectory, loaded, truth
 
 
 @dataclass(frozen=True)
@@ -181,29 +217,35 @@ def export(
     file_format.check_options(speed, rate)
     # checked before the certificate is computed, which takes time
     output_files(Path(path), inputs=[Path(trajectory)])
-    verified = verify(trajectory, robot=robot, limits=limits, packages=packages)
-    certificate, verdict = verified.certificate, list(verified.certificate.verdict_lines())
-    broken = None
-    if speed != 1.0:
-        broken = certificates.broken_when_slowed(
-            verified.trajectory, verified.robot, verified.limits, speed
+    path_of_motion = Path(trajectory)
+    document = read_document(path_of_motion)
+    if stated_schema(document) == SUPPORT_SCHEMA:
+        raise UnusableInput(
+            f"{trajectory}: motions of a robot on its feet are not exported; play the "
+            "trajectory.csv of its folder, which has positions, torques and wrenches of the feet"
         )
+    certificate, motion, loaded, truth = _verify_arm(
+        document, path_of_motion, robot, limits, packages
+    )
+    verdict, broken = list(certificate.verdict_lines()), None
+    if speed != 1.0:
+        broken = certificates.broken_when_slowed(motion, loaded, truth, speed)
     if broken is not None:
         verdict.append(f"at --speed {speed:g} the {broken.describe()}")
-    is_safe = verified.ok and broken is None
+    is_safe = certificate.ok and broken is None
     if not is_safe and not force:
         raise CheckFailed(f"{trajectory}: {'; '.join(verdict)}; design it again, or --force")
     # the exported file states the values that were computed now
     content = dataclasses.replace(
-        verified.trajectory,
+        motion,
         criteria=certificate.criteria,
         margins=[margin.document() for margin in certificate.margins],
         collision=certificate.collision,
         forced=not is_safe,
     )
     kinds = content.design.get("drive", inertial_parameters.DRIVE)
-    standard = inertial_parameters.standard_parameters(verified.robot, verified.limits, kinds)
-    torque = nominal_torque(verified.robot, standard)
+    standard = inertial_parameters.standard_parameters(loaded, truth, kinds)
+    torque = nominal_torque(loaded, standard)
     written = exporters.write(
         content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal
     )

@@ -305,9 +305,10 @@ def _support_options(sub: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--sole",
-        type=Numbers(ranges.LENGTH, (2, 4)),
-        metavar="LENGTH,WIDTH[,X,Y]",
-        help="size of a sole along x and y of its frame, and its centre [m]",
+        type=Numbers(ranges.LENGTH, (2, 4, 5)),
+        metavar="LENGTH,WIDTH[,X,Y[,Z]]",
+        help="size of a sole along x and y of its frame, and its centre [m] (default: the lowest "
+        "points of the foot's shapes)",
     )
     group.add_argument(
         "--cop-margin",

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from .._system.output_files import output_folder
+from ..api.design_result import CellOptions
 from ..api.support_design_result import SUPPORT_FILES, SupportDesignResult, design_support
 from ..designer.criteria import Criterion
 from ..designer.options import DesignOptions
@@ -34,10 +35,8 @@ UNSUPPORTED = {
     "--samples": "samples",
     "--start": "start",
     "--box": "box",
-    "--scene": "scene",
-    "--srdf": "srdf",
     "--floor": "floor",
-    "--clearance": "clearance",
+    "--no-floor": "no_floor",
     "--force": "force",
 }
 """Options of `excite design` that a design in support does not have."""
@@ -79,7 +78,14 @@ def run(arguments: argparse.Namespace) -> Outcome:
     options = replace(options, torque_noise=shared.noise(arguments, robot.joint_robot))
     limits = shared.limits(arguments, robot.joint_robot)
     output = output_folder(Path(arguments.out), SUPPORT_FILES)
-    result = design_support(robot, options, limits=limits)
+    cell = CellOptions(
+        scene=arguments.scene,
+        clearance=arguments.clearance,
+        srdf=arguments.srdf,
+        packages=arguments.packages,
+        check=not arguments.no_collision,
+    )
+    result = design_support(robot, options, limits=limits, cell=cell)
     written = output.replace(result.contents())
     document = with_files(result.document(), written)
     return 0, document, "\n".join([*_lines(result), *written_lines(written)])
@@ -89,7 +95,7 @@ def _options(arguments: argparse.Namespace) -> SupportOptions:
     """Return the options of the design.
 
     Raises:
-        UnusableInput: Feet or soles are not stated, or there are other than one or two feet.
+        UnusableInput: Feet are not stated, or there are other than one or two.
     """
     if arguments.support is None:
         raise UnusableInput(
@@ -98,10 +104,6 @@ def _options(arguments: argparse.Namespace) -> SupportOptions:
     frames = tuple(name.strip() for name in arguments.support.split(","))
     if len(frames) > 2 or not all(frames):
         raise UnusableInput(f"--support {arguments.support}: name one or two frames")
-    if arguments.sole is None:
-        raise UnusableInput("--support: state the size of a sole with --sole LENGTH,WIDTH[,X,Y]")
-    length, width, *centre = arguments.sole
-    x, y = centre or (0.0, 0.0)
     default, contact = SupportOptions(frames, ()), ContactLimits()
     if arguments.cop_margin is not None:
         contact = ContactLimits(contact.friction, arguments.cop_margin)
@@ -109,7 +111,7 @@ def _options(arguments: argparse.Namespace) -> SupportOptions:
         contact = ContactLimits(arguments.friction, contact.margin)
     return SupportOptions(
         frames=frames,
-        soles=(SoleSize(0.5 * length, 0.5 * width, (x, y)),) * len(frames),
+        soles=_soles(arguments.sole, len(frames)),
         contact=contact,
         count=arguments.motions or 1,
         duration=arguments.duration or default.duration,
@@ -121,6 +123,15 @@ def _options(arguments: argparse.Namespace) -> SupportOptions:
         iterations=arguments.iterations,
         seed=arguments.seed,
     )
+
+
+def _soles(stated: tuple[float, ...] | None, count: int) -> tuple[SoleSize, ...]:
+    """Return the stated sole of each foot; none where they are to be found from its shapes."""
+    if stated is None:
+        return ()
+    length, width, *centre = stated
+    x, y, z = (*centre, 0.0, 0.0, 0.0)[:3]
+    return (SoleSize(0.5 * length, 0.5 * width, (x, y), z, source="--sole"),) * count
 
 
 def _lines(result: SupportDesignResult) -> list[str]:
@@ -137,6 +148,11 @@ def _lines(result: SupportDesignResult) -> list[str]:
         "those of the joints included",
         f"{motions} of {design.duration / len(counts):g} s from rest to rest on "
         f"{' and '.join(foot.frame for foot in design.stance.feet)}",
+        *(
+            f"sole of {foot.frame}: {2e3 * foot.half_length:.0f} mm by "
+            f"{2e3 * foot.half_width:.0f} mm, from {sole.source}"
+            for foot, sole in zip(design.stance.feet, design.soles, strict=True)
+        ),
         *design.certificate.verdict_lines(),
         f"designed in {design.seconds:.1f} s",
     ]

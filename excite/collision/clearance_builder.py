@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from .._types import FloatArray, IntArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..robot.inertial_parameters import spread_poses
 from . import capsule_cover
 from .batch_kinematics import KinematicTree
@@ -32,6 +32,12 @@ EXACT_POSES = 15
 MAX_FALSE_HULL_SHARE = 0.2
 """Share of poses in which hulls may violate a clearance that the meshes keep [1]; meshes take about
 a hundred times longer."""
+
+
+POSE_RATIO = 1.7
+"""Distance of hulls in `Cell.pose` over the margin of their pair below which they are too loose:
+the bodies keep twice the margin there, and the optimiser asks for up to 1.6 times of it before a
+constraint leaves its working set."""
 
 
 @dataclass
@@ -109,19 +115,8 @@ def build_constraint(cell: Cell) -> ClearanceConstraint | None:
     if not rows:
         return None
     kind, first, second, pair = np.array(rows, int).T
-    capsules = [capsule for capsule, _ in covers.capsules]
-    constraint = ClearanceConstraint(
-        tree=KinematicTree.from_robot(cell.robot),
-        joint=np.array([joint for _, joint in covers.capsules], int),
-        begin=np.array([capsule.begin for capsule in capsules]),
-        end=np.array([capsule.end for capsule in capsules]),
-        radius=np.array([capsule.radius for capsule in capsules]),
-        box_pose=np.array([rotation for rotation, _, _ in covers.boxes]).reshape(-1, 3, 3),
-        box_centre=np.array([centre for _, centre, _ in covers.boxes]).reshape(-1, 3),
-        box_half=np.array([half for _, _, half in covers.boxes]).reshape(-1, 3),
-        normal=np.array([normal for normal, _ in covers.planes]).reshape(-1, 3),
-        height=np.array([height for _, height in covers.planes], float),
-        hulls=(),
+    constraint = dataclasses.replace(
+        _without_pairs(cell, covers),
         kind=kind,
         first=first,
         second=second,
@@ -129,6 +124,39 @@ def build_constraint(cell: Cell) -> ClearanceConstraint | None:
         names=tuple(cell.names(cell.pairs[k]) for k in pair),
     )
     return _select_pairs(constraint, cell, pair)
+
+
+def build_hull_constraint(cell: Cell, pairs: Sequence[BodyPair]) -> ClearanceConstraint:
+    """Build the constraint of some pairs of bodies, with their convex hulls or meshes.
+
+    Args:
+        cell: The cell.
+        pairs: Pairs of it.
+    """
+    return _with_hulls(_without_pairs(cell, _Covers()), cell, pairs)
+
+
+def _without_pairs(cell: Cell, covers: _Covers) -> ClearanceConstraint:
+    """Return a constraint with the covers of a cell, but no pairs of them."""
+    capsules = [capsule for capsule, _ in covers.capsules]
+    return ClearanceConstraint(
+        tree=KinematicTree.from_robot(cell.robot),
+        joint=np.array([joint for _, joint in covers.capsules], int),
+        begin=np.array([capsule.begin for capsule in capsules]).reshape(-1, 3),
+        end=np.array([capsule.end for capsule in capsules]).reshape(-1, 3),
+        radius=np.array([capsule.radius for capsule in capsules], float),
+        box_pose=np.array([rotation for rotation, _, _ in covers.boxes]).reshape(-1, 3, 3),
+        box_centre=np.array([centre for _, centre, _ in covers.boxes]).reshape(-1, 3),
+        box_half=np.array([half for _, _, half in covers.boxes]).reshape(-1, 3),
+        normal=np.array([normal for normal, _ in covers.planes]).reshape(-1, 3),
+        height=np.array([height for _, height in covers.planes], float),
+        hulls=(),
+        kind=np.zeros(0, int),
+        first=np.zeros(0, int),
+        second=np.zeros(0, int),
+        required=np.zeros(0),
+        names=(),
+    )
 
 
 def _select_pairs(
@@ -163,6 +191,14 @@ def _select_pairs(
     return selected if len(selected) else None
 
 
+def _too_near_in_pose(constraint: ClearanceConstraint, cell: Cell) -> BoolArray:
+    """Return which hulls are too loose in the pose of a cell, none without one. Shape (P,)."""
+    if cell.pose is None:
+        return np.zeros(len(constraint), bool)
+    distances = constraint.evaluate(cell.pose[None]).distances()[0]
+    return np.asarray(distances < POSE_RATIO * constraint.required)
+
+
 def _with_hulls(
     constraint: ClearanceConstraint, cell: Cell, pairs: Sequence[BodyPair]
 ) -> ClearanceConstraint:
@@ -193,8 +229,12 @@ def _with_hulls(
     poses = spread_poses(cell.limits, HULL_POSES)
     violated = extended.evaluate(poses).distances() - extended.required < 0.0
     kind = extended.kind.copy()
-    for row in np.flatnonzero((kind == CoverPairKind.HULLS) & violated.any(axis=0)):
+    too_near = _too_near_in_pose(extended, cell)
+    for row in np.flatnonzero((kind == CoverPairKind.HULLS) & (violated.any(axis=0) | too_near)):
         if not any(hulls[i].has_mesh for i in (extended.first[row], extended.second[row])):
+            continue
+        if too_near[row]:
+            kind[row] = CoverPairKind.MESHES
             continue
         exact = _with_meshes_only(extended, int(row))
         sample = poses[violated[:, row]][:: max(int(violated[:, row].sum()) // EXACT_POSES, 1)]

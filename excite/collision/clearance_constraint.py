@@ -89,6 +89,7 @@ class ClearanceConstraint:
         required: Required clearance. Shape (P,) [m].
         names: Names of the bodies of each pair.
         extra: Clearance added where SAMPLING_ALLOWANCE was not enough. Shape () or (P,) [m].
+        scale_ratio: Scale of a constraint over the required clearance [1].
     """
 
     tree: KinematicTree
@@ -108,6 +109,7 @@ class ClearanceConstraint:
     required: FloatArray
     names: tuple[str, ...]
     extra: float | FloatArray = 0.0
+    scale_ratio: float = SCALE_RATIO
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -115,7 +117,7 @@ class ClearanceConstraint:
     @property
     def scale(self) -> FloatArray:
         """Distance by which each constraint is divided. Shape (P,) [m]."""
-        return np.clip(SCALE_RATIO * self.required, MIN_SCALE, MAX_SCALE)
+        return np.clip(self.scale_ratio * self.required, MIN_SCALE, MAX_SCALE)
 
     @cached_property
     def asked(self) -> FloatArray:

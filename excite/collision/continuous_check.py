@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,7 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..trajectory.fourier import oversampling_bound
 from ..trajectory.rest_to_rest import Motion, MotionSegment
+from .batch_kinematics import KinematicTree
 from .distance_query import Body, BodyPair, DistanceQuery
 from .geometry import ShapeKind
 from .workcell import Cell
@@ -79,6 +80,24 @@ class PairDistance:
         }
 
 
+@dataclass(frozen=True)
+class SampledPath:
+    """A stretch of a motion at ascending times.
+
+    Attributes:
+        time: Times. Shape (N,) [s].
+        q: Poses at these times. Shape (N, n).
+        approach: Upper bounds of the distance by which the bodies of each pair approach each other
+            over each step. Shape (N − 1, pairs) [m].
+        poses: Function from times within the stretch, shape (m,), to the poses, shape (m, n).
+    """
+
+    time: FloatArray
+    q: FloatArray
+    approach: FloatArray
+    poses: Callable[[FloatArray], FloatArray]
+
+
 def least_distances(cell: Cell, motion: Motion) -> list[PairDistance]:
     """Bound the distance of every pair along a motion.
 
@@ -88,48 +107,45 @@ def least_distances(cell: Cell, motion: Motion) -> list[PairDistance]:
     Raises:
         UnusableInput: At the start, a body is inside the closed mesh of another.
     """
-    best, query = dict[int, PairDistance](), cell.distance_query()
-    for segment in motion.segments:
-        for index, entry in _segment_distances(cell, query, motion, segment):
-            previous = best.get(index, entry)
-            nearer = entry if entry.observed < previous.observed else previous
-            proven = min(entry.proven, previous.proven)
-            best[index] = dataclasses.replace(nearer, proven=proven)
+    distances = least_distances_along(
+        cell, (_segment_path(cell, motion, segment) for segment in motion.segments)
+    )
     contained = find_contained_pair(cell, motion.at(np.zeros(1))[0])
     if contained is not None:
         raise UnusableInput(
             f"{cell.names(contained)}: one is inside the other's mesh; the motion cannot begin "
             "there"
         )
+    return distances
+
+
+def least_distances_along(cell: Cell, paths: Iterable[SampledPath]) -> list[PairDistance]:
+    """Bound the distance of every pair along stretches of a motion.
+
+    Args:
+        cell: The cell.
+        paths: The stretches.
+
+    Returns:
+        One entry for each pair, the one with the least proven excess over its margin first.
+    """
+    best, query = dict[int, PairDistance](), cell.distance_query()
+    for path in paths:
+        for index, entry in _path_distances(cell, query, path):
+            previous = best.get(index, entry)
+            nearer = entry if entry.observed < previous.observed else previous
+            proven = min(entry.proven, previous.proven)
+            best[index] = dataclasses.replace(nearer, proven=proven)
     return sorted(best.values(), key=lambda entry: entry.proven - entry.pair.margin)
 
 
-@dataclass(frozen=True)
-class _Grid:
-    """Configurations of a segment at equal time steps.
-
-    Attributes:
-        time: Times. Shape (N,) [s].
-        q: Joint positions. Shape (N, n).
-        speed: Upper bounds of |q̇| over each step. Shape (N − 1, n).
-    """
-
-    time: FloatArray
-    q: FloatArray
-    speed: FloatArray
-
-
-def _segment_distances(
-    cell: Cell, query: DistanceQuery, motion: Motion, segment: MotionSegment
+def _path_distances(
+    cell: Cell, query: DistanceQuery, stretch: SampledPath
 ) -> Iterator[tuple[int, PairDistance]]:
-    """Yield the index and the least distance of every pair along a segment."""
-    grid, robot = _grid(motion, segment), cell.robot
-    lever_arms = _lever_arms(cell, np.abs(robot.expand(grid.q)).max(axis=0))
-    speeds = grid.speed @ np.abs(robot.spread).T
-    # upper bound of the distance that each pair has approached since the segment began
-    steps = speeds @ lever_arms.T * np.diff(grid.time)[:, None]
-    path = np.vstack([np.zeros(len(cell.pairs)), np.cumsum(steps, axis=0)])
-    last = len(grid.time) - 1
+    """Yield the index and the least distance of every pair along a stretch."""
+    # upper bound of the distance that each pair has approached since the stretch began
+    path = np.vstack([np.zeros(len(cell.pairs)), np.cumsum(stretch.approach, axis=0)])
+    last = len(stretch.time) - 1
     observed, proven = np.full(len(cell.pairs), np.inf), np.full(len(cell.pairs), np.inf)
     index_of_least = np.zeros(len(cell.pairs), int)
     previous = [(0, np.inf)] * len(cell.pairs)
@@ -138,7 +154,7 @@ def _segment_distances(
     while queue:
         index, k = heapq.heappop(queue)
         if index != current:
-            query.set_configuration(grid.q[index])
+            query.set_configuration(stretch.q[index])
             current = index
         distance = query.distance(k)
         if distance < observed[k]:
@@ -152,8 +168,7 @@ def _segment_distances(
             step = path[index, k] - path[start, k]
             bound = 0.5 * (distance_before + distance - step)
             if bound < level and index == start + 1 and distance > 0.0:
-                times = grid.time[start : index + 1]
-                poses = _subdivided_step(motion, segment, times, level, bound)
+                poses = _subdivided_step(stretch, start, level, bound)
                 bound = max(bound, _subdivided_bound(query, k, poses, step))
                 current = -1
             proven[k] = min(proven[k], bound)
@@ -171,8 +186,8 @@ def _segment_distances(
                 cell.names(pair),
                 float(observed[k]),
                 float(proven[k]),
-                float(grid.time[index_of_least[k]]),
-                grid.q[index_of_least[k]],
+                float(stretch.time[index_of_least[k]]),
+                stretch.q[index_of_least[k]],
             ),
         )
 
@@ -193,20 +208,13 @@ def _subdivided_bound(query: DistanceQuery, pair: int, poses: FloatArray, path: 
     return float((0.5 * (d[:-1] + d[1:] - path / (len(poses) - 1))).min())
 
 
-def _subdivided_step(
-    motion: Motion, segment: MotionSegment, times: FloatArray, level: float, bound: float
-) -> FloatArray:
+def _subdivided_step(stretch: SampledPath, index: int, level: float, bound: float) -> FloatArray:
     """Poses that divide a step, the more the further its bound is below the level. Shape (m, n)."""
     count = int(np.clip(2.0 + (level - bound) / ABSOLUTE_TOLERANCE, 2, MAX_SUBDIVISIONS))
-    return _poses(motion, segment, np.linspace(times[0], times[-1], count + 1))
+    return stretch.poses(np.linspace(stretch.time[index], stretch.time[index + 1], count + 1))
 
 
-def _poses(motion: Motion, segment: MotionSegment, times: FloatArray) -> FloatArray:
-    local = times - segment.start
-    return motion.fourier.at(local) if segment.profile is None else segment.profile.at(local)
-
-
-def _grid(motion: Motion, segment: MotionSegment) -> _Grid:
+def _segment_path(cell: Cell, motion: Motion, segment: MotionSegment) -> SampledPath:
     """Sample a segment; the Fourier part over a single period."""
     fourier = motion.fourier
     duration = fourier.period if segment.profile is None else segment.end - segment.start
@@ -220,9 +228,96 @@ def _grid(motion: Motion, segment: MotionSegment) -> _Grid:
     else:
         velocity = segment.profile.at(local, 1)
         max_acceleration = segment.profile.max_acceleration(duration)
+
+    def poses(times: FloatArray) -> FloatArray:
+        part = fourier if segment.profile is None else segment.profile
+        return part.at(times - segment.start)
+
     highest = np.maximum(np.abs(velocity[:-1]), np.abs(velocity[1:]))
     speed = highest + 0.5 * (duration / count) * max_acceleration
-    return _Grid(time, _poses(motion, segment, time), speed)
+    robot, q = cell.robot, poses(time)
+    lever_arms = _lever_arms(cell, np.abs(robot.expand(q)).max(axis=0))
+    approach = speed @ np.abs(robot.spread).T @ lever_arms.T * np.diff(time)[:, None]
+    return SampledPath(time, q, approach, poses)
+
+
+def approach_speeds(cell: Cell, q: FloatArray, dq: FloatArray) -> FloatArray:
+    """Bound the speed at which each pair of bodies approaches at single poses.
+
+    Seen from one of the bodies, each point of the other moves at most at |u| + |ω| ρ, with the
+    relative velocity u of the centre of a ball of radius ρ around it and the relative angular
+    velocity ω. The lesser bound of both bodies counts.
+
+    Args:
+        cell: The cell.
+        q: Poses. Shape (N, n).
+        dq: Their rates. Shape (N, n).
+
+    Returns:
+        Speeds. Shape (N, pairs) [m/s].
+    """
+    tree = KinematicTree.from_robot(cell.robot)
+    R, p = tree.poses(q)
+    rates = np.hstack([np.zeros((len(q), 1)), dq @ tree.spread.T])
+    twists = tree.support @ (tree.joint_twists(R, p) * rates[:, :, None])
+    out = np.empty((len(q), len(cell.pairs)))
+    balls = [_bounding_ball(body) for body in cell.bodies]
+    for number, pair in enumerate(cell.pairs):
+        bounds = []
+        joints = [cell.bodies[i].joint for i in (pair.first, pair.second)]
+        relative = twists[:, joints[0]] - twists[:, joints[1]]
+        turn = np.linalg.norm(relative[:, :3], axis=1)
+        for joint, (centre, radius) in zip(
+            joints, (balls[pair.first], balls[pair.second]), strict=True
+        ):
+            if np.isfinite(radius):
+                at = R[:, joint] @ centre + p[:, joint]
+                u = relative[:, 3:] + np.cross(relative[:, :3], at)
+                bounds.append(np.linalg.norm(u, axis=1) + radius * turn)
+        out[:, number] = np.minimum.reduce(bounds)
+    return out
+
+
+def find_near_pairs(cell: Cell, q: FloatArray) -> list[int]:
+    """Return the indices of the pairs that violate their margin at one of some poses.
+
+    Args:
+        cell: The cell.
+        q: Poses. Shape (N, n).
+    """
+    R, p = KinematicTree.from_robot(cell.robot).poses(q)
+    balls = [_bounding_ball(body) for body in cell.bodies]
+    joints = [body.joint for body in cell.bodies]
+    centres = np.stack(
+        [R[:, j] @ centre + p[:, j] for j, (centre, _) in zip(joints, balls, strict=True)], axis=1
+    )
+    radii = np.array([radius for _, radius in balls])
+    first, second = np.array([(pair.first, pair.second) for pair in cell.pairs]).T
+    gap = np.linalg.norm(centres[:, first] - centres[:, second], axis=2)
+    is_near = gap - radii[first] - radii[second] < np.array([pair.margin for pair in cell.pairs])
+    query, near = cell.distance_query(), set[int]()
+    for pose, candidates in zip(q, is_near, strict=True):
+        query.set_configuration(pose)
+        for pair in set(np.flatnonzero(candidates).tolist()) - near:
+            if query.distance(pair) < cell.pairs[pair].margin:
+                near.add(pair)
+    return sorted(near)
+
+
+def _bounding_ball(body: Body) -> tuple[FloatArray, float]:
+    """Return centre, in the joint's frame, and radius of a ball around a body [m].
+
+    The radius is infinite for a half space.
+    """
+    if any(shape.kind is ShapeKind.FLOOR for shape in body.shapes):
+        return np.zeros(3), np.inf
+    centres, radii = [], []
+    for solid, placement in zip(body.solids, body.placements, strict=True):
+        solid.computeLocalAABB()
+        centres.append(placement.act(np.array(solid.aabb_center)))
+        radii.append(float(solid.aabb_radius))
+    middle = np.mean(centres, axis=0)
+    return middle, float(np.max(np.linalg.norm(centres - middle, axis=1) + radii))
 
 
 def _lever_arms(cell: Cell, max_position: FloatArray) -> FloatArray:

@@ -196,7 +196,11 @@ def build_cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[st
 
 
 def rebuild_cell(
-    robot: Robot, limits: Limits, document: Mapping[str, Any], packages: Sequence[str] = ()
+    robot: Robot,
+    limits: Limits,
+    document: Mapping[str, Any],
+    packages: Sequence[str] = (),
+    ignored: Sequence[tuple[str, str]] = (),
 ) -> tuple[Cell | None, str | None]:
     """Build the cell that a trajectory states again, from the files as they are now.
 
@@ -208,13 +212,14 @@ def rebuild_cell(
         limits: Its limits, from their sources.
         document: `Cell.document` of the cell that the motion was designed for.
         packages: Further folders of `package://` meshes.
+        ignored: Pairs of bodies that may touch whatever the files say.
 
     Returns:
         The cell and None; or None and a sentence that says why it cannot be built or how it differs
         from the stated one.
     """
     try:
-        cell = _rebuild(robot, limits, document, packages)
+        cell = _rebuild(robot, limits, document, packages, ignored)
     except UnusableInput as error:
         return None, f"the cell cannot be rebuilt: {error}"
     difference = _difference(document, cell.document())
@@ -226,7 +231,11 @@ def rebuild_cell(
 
 
 def _rebuild(
-    robot: Robot, limits: Limits, document: Mapping[str, Any], packages: Sequence[str]
+    robot: Robot,
+    limits: Limits,
+    document: Mapping[str, Any],
+    packages: Sequence[str],
+    ignored: Sequence[tuple[str, str]],
 ) -> Cell:
     stated = [geometry.from_document(entry) for entry in document["shapes"]]
     disabled = tuple((str(a), str(b)) for a, b in document.get("disabled", ()))
@@ -254,6 +263,7 @@ def _rebuild(
     else:  # the file is of a version that did not store recipes
         floors = [shape.position[2] for shape in stated if shape.kind is ShapeKind.FLOOR]
         scene = scene.overridden(floors[0] if floors else False, float(document["margin"]))
+    scene = replace(scene, ignored=(*scene.ignored, *ignored))
     return _build(robot, limits, scene, link_shapes, recipe)
 
 

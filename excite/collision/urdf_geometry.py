@@ -34,8 +34,8 @@ class MissingMesh(UnusableInput):
         super().__init__(f"{source}: link '{link}': its mesh {mesh} is not found; {remedy}")
 
 
-def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
-    """Read the collision shapes of all links.
+def read(source: str, packages: Sequence[str] = (), element: str = "collision") -> list[Shape]:
+    """Read the shapes of all links.
 
     A `<collision_checking>` element turns the cylinder that it names into a capsule, as in
     Pinocchio.
@@ -43,9 +43,10 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
     Args:
         source: Path of a URDF or name of a built-in robot.
         packages: Folders in which `package://` meshes are searched.
+        element: Element of the shapes, collision or visual.
 
     Returns:
-        Shapes in the frames of their links; none where the URDF has no `<collision>`.
+        Shapes in the frames of their links; none where the URDF has no such element.
 
     Raises:
         MissingMesh: A mesh file does not exist.
@@ -57,11 +58,11 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
     for link in root.findall("link"):
         name = str(link.get("name"))
         rounded = {capsule.get("name") for capsule in link.findall("collision_checking/capsule")}
-        for collision in link.findall("collision"):
+        for collision in link.findall(element):
             geometry = collision.find("geometry")
             if geometry is None or not len(geometry) or _has_no_extent(geometry[0]):
                 warnings.warn(
-                    f"{path}: link '{name}': a <collision> shape without extent is left out",
+                    f"{path}: link '{name}': a <{element}> shape without extent is left out",
                     ExciteWarning,
                     stacklevel=2,
                 )

@@ -98,6 +98,8 @@ class Cell:
         notes: Remarks for the user.
         recipe: Files and options that it was built from; None if it cannot be built again.
         assumed_floor: True if the height of the floor was not stated.
+        pose: Pose in which all pairs keep twice their margin, near which the robot moves; None:
+            anywhere in its ranges. Shape (n,).
     """
 
     robot: Robot
@@ -110,6 +112,7 @@ class Cell:
     notes: tuple[str, ...] = ()
     recipe: Recipe | None = None
     assumed_floor: bool = False
+    pose: FloatArray | None = None
 
     def floor_is_assumed(self, bodies: Sequence[Body]) -> bool:
         """Return True if one of the bodies is a floor whose height was not stated."""

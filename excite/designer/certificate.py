@@ -21,7 +21,7 @@ from ..collision import continuous_check, scene_file
 from ..collision.continuous_check import PairDistance
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..robot import base_parameters, dynamics, inertial_parameters
-from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
+from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, Stand, from_sources
 from ..robot.robot import Robot, require_possible_bodies
 from ..robot.samples import Samples
 from ..trajectory.fourier import VERIFICATION_DENSITY, oversampling_bound
@@ -262,10 +262,10 @@ def verify(
     constraints = motion_constraints(trajectory, robot, truth)
     margins = limit_margins(trajectory, constraints)
     clearance, collision, distances = _clearance(trajectory, cell, unchecked_reason, cell_fault)
-    margins += [_distance_margin(distance) for distance in distances[:MAX_LISTED_PAIRS]]
+    margins += [distance_margin(distance) for distance in distances[:MAX_LISTED_PAIRS]]
     scores = recompute_criteria(trajectory, robot, truth, constraints.parameters)
     faults = (
-        *_limit_faults(trajectory.limits, truth),
+        *limit_faults(trajectory.limits, truth),
         *_motion_faults(trajectory),
         *_criteria_faults(trajectory, scores),
     )
@@ -517,7 +517,7 @@ def nearest_margins(
             )
 
 
-def _limit_faults(stated: Limits, truth: Limits) -> Iterator[str]:
+def limit_faults(stated: Limits, truth: Limits) -> Iterator[str]:
     """Yield a sentence for each limit of the file that differs from its source."""
     for quantity in QUANTITIES:
         for i, joint in enumerate(truth.joints):
@@ -533,6 +533,13 @@ def _limit_faults(stated: Limits, truth: Limits) -> Iterator[str]:
     ):
         if stated_value != true_value:
             yield f"the braking limit of '{joint}' in the file is not that of its source"
+    if _loads(stated.stand) != _loads(truth.stand):
+        yield "the load that the stand takes in the file is not that of its source"
+
+
+def _loads(stand: Stand | None) -> Stand | None:
+    """Return the limits of a stand without their source, which may have been moved."""
+    return None if stand is None else replace(stand, source="")
 
 
 def _limit_text(value: FloatArray) -> str:
@@ -559,17 +566,23 @@ def _clearance(
             [],
         )
     distances = continuous_check.least_distances(cell, trajectory.motion)
+    return (*distance_verdict(cell, distances), distances)
+
+
+def distance_verdict(
+    cell: Cell, distances: Sequence[PairDistance]
+) -> tuple[CertificateVerdict, str]:
+    """Return the verdict on the least distances of all pairs, and a sentence."""
     context = "".join(f"; {note}" for note in (cell.floor_words(), *cell.notes))
     if not distances:
-        return CertificateVerdict.CERTIFIED, f"collision checked: nothing can meet{context}", []
+        return CertificateVerdict.CERTIFIED, f"collision checked: nothing can meet{context}"
     worst = min(distances, key=lambda near: near.proven)
     if worst.proven <= 0.0:
         return (
             CertificateVerdict.FAILED,
             f"COLLISION: {worst.names} at {worst.time:.2f} s{context}",
-            distances,
         )
-    kept = all(_distance_margin(near).free_share >= -RELATIVE_ROUNDING for near in distances)
+    kept = all(distance_margin(near).free_share >= -RELATIVE_ROUNDING for near in distances)
     wide = [near for near in distances if near.pair.margin >= cell.margin]
     parts = (
         [f"never less than {_distance_text(min(wide, key=lambda near: near.proven))}"]
@@ -583,7 +596,6 @@ def _clearance(
     return (
         CertificateVerdict.CERTIFIED if kept else CertificateVerdict.FAILED,
         f"collision checked: {'; '.join(parts)}{context}",
-        distances,
     )
 
 
@@ -592,7 +604,7 @@ def _distance_text(near: PairDistance) -> str:
     return f"{1e3 * near.proven:.1f} mm, {near.names} at {near.time:.2f} s"
 
 
-def _distance_margin(near: PairDistance) -> LimitMargin:
+def distance_margin(near: PairDistance) -> LimitMargin:
     """Return the margin of a pair to its clearance."""
     bound = near.pair.margin
     return LimitMargin(

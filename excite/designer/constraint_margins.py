@@ -16,10 +16,14 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory.fourier import VERIFICATION_DENSITY
 from ..trajectory.rest_to_rest import PhaseProfile
+from . import stand_load
 from .options import WorkspaceBox
 
 MIN_STEPS_PER_PIECE = 4
 """Least number of steps over one cubic of a ramp for quantities without a closed form [1]."""
+
+STAND = "stand load"
+"""Name of the load on the stand among the kinds of limits."""
 
 KNOT_INSET = 1e-12
 """Distance of the samples from the knots of a phase over the length of a piece [1], as the jerk
@@ -211,6 +215,24 @@ def box_quantities(
     return out
 
 
+def stand_quantity(
+    constraints: MotionConstraints, motion: Samples, blocks: IntArray | None = None
+) -> BoundedQuantity | None:
+    """Bound the load on the stand of the nominal robot's base; see `torque_quantity`.
+
+    Returns:
+        The bounded quantity; None without a limit.
+    """
+    stand = constraints.limits.stand
+    if stand is None:
+        return None
+    loads = stand_load.stand_loads(constraints.robot, stand, motion)
+    rise = intersample_bound(loads, blocks)
+    # magnitudes: the range is symmetric, so that the free share is that of the limit itself
+    bound = np.array([stand.force, stand.moment])
+    return BoundedQuantity(STAND, stand_load.LOADS, loads - rise, loads + rise, -bound, bound)
+
+
 def joint_quantity(
     limit: str, constraints: MotionConstraints, low: FloatArray, high: FloatArray
 ) -> BoundedQuantity:
@@ -230,11 +252,13 @@ def joint_quantity(
 def model_quantities(
     constraints: MotionConstraints, motion: Samples, blocks: IntArray | None = None
 ) -> list[BoundedQuantity]:
-    """Bound torques, braking limits and boxes along a motion; see `torque_quantity`."""
-    brake = braking_quantity(constraints, motion, blocks)
+    """Bound torques, braking limits, loads on the stand and boxes; see `torque_quantity`."""
+    others = (
+        quantity(constraints, motion, blocks) for quantity in (braking_quantity, stand_quantity)
+    )
     return [
         torque_quantity(constraints, motion, blocks),
-        *([] if brake is None else [brake]),
+        *(quantity for quantity in others if quantity is not None),
         *box_quantities(constraints, motion, blocks),
     ]
 

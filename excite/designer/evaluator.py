@@ -16,9 +16,11 @@ from ..collision.clearance_constraint import ClearanceEvaluation
 from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
 from .casadi_batch import MappedFunction, PaddedFunction
+from .constraint_margins import STAND
 from .design_objective import DesignObjective, SampledMotion
 from .options import DesignOptions
 from .problem import DesignProblem
+from .stand_load import LOADS, load_function
 
 NEARLY_ACTIVE = 0.98
 """Constraint value from which a constraint is named as one that leaves no room [1]."""
@@ -158,6 +160,8 @@ class Evaluator:
         self._regressor = MappedFunction(functions.regressor, count, functions.library)
         self._adjoint = MappedFunction(functions.adjoint, count, functions.library)
         self._row = PaddedFunction(functions.row, functions.library)
+        stand = problem.limits.stand
+        self._stand = None if stand is None else load_function(problem.robot, stand)
         self._frames = [
             casadi_model.frame_position(problem.robot, box.frame) for box in problem.boxes
         ]
@@ -182,6 +186,7 @@ class Evaluator:
             if np.isfinite(getattr(limits, k)).any()
         ]
         kinds += ["braking"] * any(b is not None for b in limits.braking)
+        kinds += [STAND] * (limits.stand is not None)
         kinds += ["clearance"] * (self.problem.clearance is not None)
         return (*kinds, *(f"box{i}" for i in range(len(self._frames))))
 
@@ -288,7 +293,7 @@ class Evaluator:
 
         Returns:
             For each kind an array of shape (2, N, n), first for the sign +, then −; (2, N, 3) for
-            boxes and (1, N, pairs) for the clearance.
+            boxes, (1, N, 2) for the load on the stand and (1, N, pairs) for the clearance.
         """
         point = self._at(x)
         if not point.constraint_values:
@@ -326,8 +331,8 @@ class Evaluator:
             return np.stack([nominal + width, width - nominal]) / self._torque_bound
         if kind == "braking":
             return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
-        if kind == "clearance":
-            return self._clearances(point).constraint_values()[None]
+        if kind in (STAND, "clearance"):
+            return self._one_sided(point, kind)[None]
         index = int(kind[3:])
         box = self.problem.boxes[index]
         centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
@@ -346,6 +351,37 @@ class Evaluator:
                 )
             point.spread = nominal, width
         return point.spread[0], self.problem.options.uncertainty * point.spread[1]
+
+    def _one_sided(self, point: _Point, kind: str) -> FloatArray:
+        """Return the values of constraints without sign: loads on the stand, clearances."""
+        if kind == STAND:
+            return self._stand_loads(*point.motion[:3])[0]
+        return self._clearances(point).constraint_values()
+
+    def _one_sided_slopes(
+        self, point: _Point, kind: str, sample: IntArray, joint: IntArray
+    ) -> list[tuple[int, FloatArray]]:
+        """Return the slopes of constraints without sign, see `_slopes`."""
+        if kind == "clearance":
+            return [(0, self._clearances(point).gradients(sample, joint))]
+        q, dq, ddq = (array[sample] for array in point.motion[:3])
+        _, gradients = self._stand_loads(q, dq, ddq)
+        return [(k, g[np.arange(len(sample)), joint]) for k, g in enumerate(gradients)]
+
+    def _stand_loads(
+        self, q: FloatArray, dq: FloatArray, ddq: FloatArray
+    ) -> tuple[FloatArray, list[FloatArray]]:
+        """Return the loads on the stand over their limits, and their gradients.
+
+        Returns:
+            Loads, shape (N, 2), and gradients by q, q̇ and q̈, shape (N, 2, n) each.
+        """
+        assert self._stand is not None
+        loads, *gradients = self._stand.map(len(q))(q.T, dq.T, ddq.T)
+        shape = (len(LOADS), len(q), q.shape[1])
+        return np.asarray(loads).T, [
+            np.asarray(g).reshape(shape).transpose(1, 0, 2) for g in gradients
+        ]
 
     def _clearances(self, point: _Point) -> ClearanceEvaluation:
         assert self.problem.clearance is not None
@@ -390,6 +426,8 @@ class Evaluator:
     def _constraint_name(self, kind: str, index: int) -> str:
         """Return the name of a constraint: of its pair of bodies, its frame or its joint."""
         problem = self.problem
+        if kind == STAND:
+            return f"the {LOADS[index]} of [stand]"
         if kind == "clearance":
             assert problem.clearance is not None
             return f"the clearance of {problem.clearance.names[index]}"
@@ -431,6 +469,8 @@ class Evaluator:
         p = self.problem
         if p.clearance is not None and kind == "clearance":
             return 1, p.options.samples, len(p.clearance)
+        if kind == STAND:
+            return 1, p.options.samples, len(LOADS)
         return 2, p.options.samples, 3 if kind.startswith("box") else p.robot.n
 
     def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
@@ -491,8 +531,8 @@ class Evaluator:
                 (order, np.stack([b[order + 1] for b in both])[pick, sample, joint])
                 for order in (0, 1)
             ]
-        if kind == "clearance":
-            return [(0, self._clearances(point).gradients(sample, joint))]
+        if kind in (STAND, "clearance"):
+            return self._one_sided_slopes(point, kind, sample, joint)
         index = int(kind[3:])
         box = self.problem.boxes[index]
         half = 0.5 * (np.array(box.upper) - np.array(box.lower))

@@ -18,7 +18,7 @@ from ..robot.base_parameters import Base
 from ..robot.limits import Limits
 from ..robot.robot import Robot, require_possible_bodies
 from ..trajectory.fourier import FourierSeries
-from . import criteria, design_cost, initial_guess, multistart, problem, sqp
+from . import criteria, design_cost, initial_guess, multistart, problem, sqp, stand_load
 from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .evaluator import Evaluator
@@ -158,6 +158,7 @@ def set_up(
     ):
         raise UnusableInput(f"--torque-noise should be {robot.n} positive numbers, one per joint")
     require_possible_bodies(robot)
+    stand_load.require_weight(robot, limits)
     standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     base = base_parameters.find(robot, standard, limits)
     noise = torque_noise_levels(limits, options.noise)

@@ -26,8 +26,9 @@ from .motion_overlap import OverlapPenalty
 from .options import DesignOptions, WorkspaceBox
 
 LIMIT_RESERVE = 2e-3
-"""Share of torque, braking and box limits kept free for the solver's tolerance and for what happens
-between samples [1]. The certificate decides whether it suffices; `pipeline` enlarges it if not."""
+"""Share of torque, braking, stand and box limits kept free for the solver's tolerance and for what
+happens between samples [1]. The certificate decides whether it suffices; `pipeline` enlarges it if
+not."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,13 @@ def build_problem(
         shrunk,
         position=position,
         braking=tuple(None if b is None else _shrink_braking(b, reserve) for b in free.braking),
+        stand=None
+        if free.stand is None
+        else dataclasses.replace(
+            free.stand,
+            force=(1.0 - reserve) * free.stand.force,
+            moment=(1.0 - reserve) * free.stand.moment,
+        ),
     )
     boxes = tuple(_shrink_box(box, reserve) for box in options.boxes)
     harmonics = np.arange(1, options.harmonics + 1)

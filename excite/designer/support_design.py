@@ -15,6 +15,9 @@ import numpy as np
 
 from .._system.progress import Progress
 from .._types import FloatArray
+from ..collision import clearance_builder, continuous_check
+from ..collision.clearance_constraint import ClearanceConstraint
+from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import CheckFailed, Infeasible, UnusableInput
 from ..robot import floating_base
 from ..robot.base_parameters import Base
@@ -22,16 +25,17 @@ from ..robot.floating_base import FloatingRobot, Rows
 from ..robot.inertial_parameters import DRIVE, Parameters
 from ..robot.limits import Limits
 from ..trajectory.rest_to_rest import PhaseProfile
-from . import floating_identifiability, sqp, support_certificate
-from .certificate import Certificate
+from . import floating_identifiability, sqp, support_cell, support_certificate
+from .certificate import CLEARANCE, Certificate
 from .criteria import Criterion
 from .floating_identifiability import RowNoise
 from .identifiability import Identifiability
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
 from .options import DesignOptions, samples_per_period
-from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS
+from .support_cell import Surroundings
+from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS, SupportConstraints
 from .support_evaluator import SupportEvaluator
-from .support_kinematics import support_samples
+from .support_information import added_root, exported_motion, identifiable_counts
 from .support_model import SupportFunctions, support_functions
 from .support_problem import (
     SupportProblem,
@@ -45,8 +49,8 @@ FIRST_RESERVES = (0.03, 0.06)
 """Shares of the joint limits, and of the weight in contact limits, that the optimiser keeps free
 for what happens between its samples [1]. Motions of Talos exceed limits there by 3 and 5 %."""
 
-MAX_TIGHTENINGS = 5
-"""Times that these shares are raised until the certificate holds [1]."""
+MAX_TIGHTENINGS = 8
+"""Times that these shares are raised, or pairs of bodies added, until the certificate holds [1]."""
 
 LEAST_RAISE = 1.4
 """Least factor by which a share is raised [1]."""
@@ -76,6 +80,18 @@ REPAIR_ITERATIONS = 15
 
 MAX_RESERVE = 0.3
 """Largest share that is kept free [1]."""
+
+MAX_CLEARANCE_RAISE = 0.01
+"""Largest missing distance for which a clearance is raised at once [m]: bodies that pass through
+each other between samples miss more than a wider clearance could prevent."""
+
+CLEARANCE_SCALE_RATIO = 4.0
+"""Scale of a clearance constraint over the clearance [1]. The working set of the optimiser takes up
+pairs within a quarter of the scale, 20 mm: with the 100 mm of arms, the hundred pairs of a humanoid
+would fill it (two thirds of the time of Talos)."""
+
+MAX_COLLISION_ROUNDS = 6
+"""Times that a motion is optimised again with the pairs of bodies that it brings too near [1]."""
 
 VIOLATION_FACTOR = 1.2
 """Increase of the share that is kept free, over the violation that the certificate found [1]."""
@@ -144,10 +160,12 @@ class SupportDesign:
         limits: Limits of its joints.
         options: Options of the design.
         stance: The feet and the standing pose.
+        soles: Sole of each foot.
         parameters: Standard parameters with those of the joints.
         inertial: Standard parameters of the bodies alone.
         base: Base parameters of the base rows.
         noise: Noise of the rows.
+        cell: Bodies that keep their distance; None: distances are not checked.
         motions: Motions of the independent coordinates.
         certificate: Certificate of all motions, played one after the other.
         roots: R with RᵀR the information of the base rows after each motion. Shape (r, P) each.
@@ -159,10 +177,12 @@ class SupportDesign:
     limits: Limits
     options: SupportOptions
     stance: Stance
+    soles: tuple[SoleSize, ...]
     parameters: Parameters
     inertial: Parameters
     base: Base
     noise: RowNoise
+    cell: Cell | None
     motions: tuple[PhaseProfile, ...]
     certificate: Certificate
     roots: tuple[FloatArray, ...]
@@ -181,10 +201,7 @@ class SupportDesign:
 
     def identifiable_counts(self, threshold: float = IDENTIFIABLE_VARIANCE) -> list[int]:
         """Return the number of identifiable directions of the base rows after each motion."""
-        return [
-            int(np.sum(np.linalg.svd(root @ self.base.geometric)[1] ** 2 >= 1.0 / threshold))
-            for root in self.roots
-        ]
+        return identifiable_counts(self.roots, self.base, threshold)
 
     def analysis(self, rows: Rows, threshold: float = IDENTIFIABLE_VARIANCE) -> Identifiability:
         """Return the identifiability by all motions.
@@ -217,6 +234,7 @@ def design_support(
     limits: Limits,
     options: SupportOptions,
     progress: Progress | None = None,
+    surroundings: Surroundings | None = Surroundings(),  # noqa: B008  # immutable
 ) -> SupportDesign:
     """Design and certify motions in single or double support.
 
@@ -225,26 +243,40 @@ def design_support(
         limits: Limits of its joints.
         options: Options of the design.
         progress: Called with a line of text after each motion.
+        surroundings: What the bodies of the robot keep clear of; None: distances are not checked.
 
     Raises:
         CheckFailed: A motion cannot be certified.
         Infeasible: The robot cannot stand within its limits.
-        UnusableInput: Options are inconsistent.
+        UnusableInput: Options are inconsistent, or bodies touch in the standing pose.
     """
     began = time.perf_counter()
     report = progress or (lambda text: None)
     _check_options(options)
+    if limits.stand is not None:
+        raise UnusableInput(
+            f"{limits.stand.source}: [stand] limits the load of a clamped base, but --floating "
+            "--support stands on its feet; remove the table, or design without --floating"
+        )
     usable = limits.reduced()
     stance = standing(robot.joint_robot, usable, options.frames, options.soles, options.contact)
-    search = _Search(robot, limits, options, stance)
+    cell, reason = (
+        (None, f"{NOT_CHECKED} (--no-collision)")
+        if surroundings is None
+        else support_cell.find_cell(robot, limits, stance, surroundings)
+    )
+    search = _Search(robot, limits, options, stance, cell, reason or NOT_CHECKED)
     motions: list[PhaseProfile] = []
+    certificates: list[Certificate] = []
     roots: list[FloatArray] = []
     report(
         f"{robot.name}: {robot.n} joints, {search.base.count} base parameters of the base rows, "
         f"{len(stance.feet)} feet on the ground"
     )
     for number in range(options.count):
-        motions.append(search.next_motion(number))
+        motion, certificate = search.next_motion(number)
+        motions.append(motion)
+        certificates.append(certificate)
         roots.append(search.root)
         eigenvalues = np.linalg.eigvalsh(search.information)
         known = int(np.sum(eigenvalues >= 1.0 / IDENTIFIABLE_VARIANCE))
@@ -252,18 +284,18 @@ def design_support(
             f"motion {number + 1} of {options.count}: {known} of {search.base.count} directions "
             "identifiable"
         )
-    certificate = support_certificate.certify(robot, limits, stance, search.parameters, motions)
-    if not certificate.ok:
-        raise CheckFailed(f"{robot.source}: {certificate.failure_reason()}")
+    certificate = support_certificate.joined(search.constraints, certificates)
     return SupportDesign(
         robot,
         limits,
         options,
         stance,
+        options.soles,
         search.parameters,
         search.inertial,
         search.base,
         search.noise,
+        cell,
         tuple(motions),
         certificate,
         tuple(roots),
@@ -299,7 +331,13 @@ class _Search:
     """
 
     def __init__(
-        self, robot: FloatingRobot, limits: Limits, options: SupportOptions, stance: Stance
+        self,
+        robot: FloatingRobot,
+        limits: Limits,
+        options: SupportOptions,
+        stance: Stance,
+        cell: Cell | None = None,
+        unchecked_reason: str = NOT_CHECKED,
     ) -> None:
         """Build the dynamics and count the base parameters."""
         self.robot, self.limits, self.options, self.stance = robot, limits, options, stance
@@ -312,6 +350,10 @@ class _Search:
         self.root = np.zeros((0, self.inertial.count))
         self.prior = np.eye(self.base.count) / options.prior_deviation**2
         self._functions = self._build_functions()
+        self.constraints = SupportConstraints(
+            robot, limits, stance, self.parameters, cell, unchecked_reason
+        )
+        self._clearance = _LazyClearance(cell)
         self._search_limits = without_singularities(robot.joint_robot, limits.reduced(), stance)
 
     @property
@@ -351,10 +393,11 @@ class _Search:
             variable_scale(self.robot.joint_robot, self.limits, self.stance, options),
             joint_reserve,
             contact_reserve,
+            self._clearance.constraint(),
         )
 
-    def next_motion(self, number: int) -> PhaseProfile:
-        """Find the next certified motion, and add its information.
+    def next_motion(self, number: int) -> tuple[PhaseProfile, Certificate]:
+        """Find the next certified motion with its certificate, and add its information.
 
         Args:
             number: Number of the motion, from 0.
@@ -363,34 +406,56 @@ class _Search:
             CheckFailed: No motion is certified.
         """
         reserves, reason = list(FIRST_RESERVES), ""
-        x: FloatArray | None = None
-        for _ in range(MAX_TIGHTENINGS + 1):
+        x = self._apart(reserves, number)
+        for tightening in range(MAX_TIGHTENINGS + 1):
             problem = self._problem(*reserves)
-            evaluator = SupportEvaluator(problem)
-            if x is None:
-                state = self._optimised(
-                    evaluator, sqp.initial_state(self._start(evaluator, number))
-                )
-            else:  # the motion is slightly infeasible: short steps that weigh constraints heavily
-                state = sqp.SearchState(x, x, radius=sqp.RETURN_RADIUS, penalty=sqp.RETURN_PENALTY)
-                state = self._optimised(evaluator, state, REPAIR_ITERATIONS)
-                if not np.isfinite(state.best_value):
-                    state = sqp.initial_state(_shrink(evaluator, x))
-                    state = self._optimised(evaluator, state, REPAIR_ITERATIONS)
-            x = state.best
+            if tightening:
+                x = self._repaired(SupportEvaluator(problem), x)
             motion = problem.motion(x)
-            certificate = support_certificate.certify(
-                self.robot, self.limits, self.stance, self.parameters, [motion]
-            )
+            certificate = support_certificate.certify_motion(self.constraints, motion, number)
             if certificate.ok:
                 self.root = self._with_motion(self.root, motion, self.inertial, Rows.BASE)
-                return motion
+                return motion, certificate
             reason = certificate.failure_reason()
             reserves = _raised(reserves, certificate)
+            self._clearance.tighten(certificate)
+        remedy = (
+            "lower --clearance or clear the scene"
+            if certificate.worst().limit == CLEARANCE
+            else "lengthen --duration or widen that limit"
+        )
         raise CheckFailed(
             f"{self.robot.source}: no motion keeps all limits between its samples: {reason}; "
-            "lengthen --period or widen that limit"
+            f"{remedy}"
         )
+
+    def _apart(self, reserves: list[float], number: int) -> FloatArray:
+        """Return the variables of an optimised motion whose bodies keep apart at the samples.
+
+        Args:
+            reserves: Shares of joint limits and contact limits that are kept free.
+            number: Number of the motion.
+        """
+        evaluator = SupportEvaluator(self._problem(*reserves))
+        state = self._optimised(evaluator, sqp.initial_state(self._start(evaluator, number)))
+        for _ in range(MAX_COLLISION_ROUNDS):
+            if not self._clearance.add_near_pairs(evaluator.clearance_poses(state.best)):
+                break
+            evaluator = SupportEvaluator(self._problem(*reserves))
+            state = self._optimised(evaluator, sqp.initial_state(_shrink(evaluator, state.best)))
+        return state.best
+
+    def _repaired(self, evaluator: SupportEvaluator, x: FloatArray) -> FloatArray:
+        """Return variables near those of a slightly infeasible motion that keep all limits.
+
+        Short steps weigh the constraints heavily; where they do not suffice, the motion is shrunk
+        and optimised again.
+        """
+        state = sqp.SearchState(x, x, radius=sqp.RETURN_RADIUS, penalty=sqp.RETURN_PENALTY)
+        state = self._optimised(evaluator, state, REPAIR_ITERATIONS)
+        if not np.isfinite(state.best_value):
+            state = self._optimised(evaluator, sqp.initial_state(_shrink(evaluator, x)))
+        return state.best
 
     def _optimised(
         self,
@@ -427,17 +492,10 @@ class _Search:
         self, root: FloatArray, motion: PhaseProfile, parameters: Parameters, rows: Rows
     ) -> FloatArray:
         """Return a root of information to which that of a motion as exported is added."""
-        exported = self._exported(motion)
-        added = floating_identifiability.information_root(
-            self.robot, parameters, exported, self.noise, rows
+        exported = exported_motion(
+            self.robot, self.stance, self.parameters, motion, self.options.rate
         )
-        return np.asarray(np.linalg.qr(np.vstack([root, added]), mode="r"))
-
-    def _exported(self, motion: PhaseProfile) -> floating_base.FloatingMotion:
-        """Return the rows of a motion as exported."""
-        duration = motion_duration(motion.fourier.period)
-        t = np.arange(round(duration * self.options.rate)) / self.options.rate
-        return support_samples(self.robot, self.stance, self.parameters, motion, t).motion
+        return added_root(root, self.robot, parameters, exported, self.noise, rows)
 
     def root_of_all_rows(self, motions: list[PhaseProfile]) -> FloatArray:
         """Return a root of the information of base and joint rows of all motions."""
@@ -458,6 +516,57 @@ def _raised(reserves: list[float], certificate: Certificate) -> list[float]:
                 MAX_RESERVE,
             )
     return out
+
+
+class _LazyClearance:
+    """Clearance constraint whose pairs of bodies enter once a motion brings them too near.
+
+    Of the hundreds of pairs of a humanoid few come near each other in a motion. Covers of capsules,
+    which are cheap enough for all of them, leave hardly any room near the standing pose.
+    """
+
+    def __init__(self, cell: Cell | None) -> None:
+        """Begin without pairs.
+
+        Args:
+            cell: The cell; None: there is no constraint.
+        """
+        self._cell = cell
+        self._extra: dict[str, float] = {}
+
+    def constraint(self) -> ClearanceConstraint | None:
+        """Return the constraint of the pairs that are active; None without one."""
+        if self._cell is None or not self._extra:
+            return None
+        pairs = [pair for pair in self._cell.pairs if self._cell.names(pair) in self._extra]
+        built = clearance_builder.build_hull_constraint(self._cell, pairs)
+        return dataclasses.replace(
+            built,
+            extra=np.array([self._extra[name] for name in built.names]),
+            scale_ratio=CLEARANCE_SCALE_RATIO,
+        )
+
+    def add_near_pairs(self, poses: FloatArray) -> bool:
+        """Activate the pairs that are too near in some poses; return whether there are new ones.
+
+        Args:
+            poses: Poses (b, q). Shape (N, 6 + n).
+        """
+        if self._cell is None:
+            return False
+        names = {
+            self._cell.names(self._cell.pairs[i])
+            for i in continuous_check.find_near_pairs(self._cell, poses)
+        }
+        new = names - self._extra.keys()
+        self._extra |= dict.fromkeys(sorted(new), 0.0)
+        return bool(new)
+
+    def tighten(self, certificate: Certificate) -> None:
+        """Activate the pairs that violate their clearance, and widen those that were active."""
+        for pair, deficit in certificate.clearance_deficits().items():
+            raised = VIOLATION_FACTOR * min(deficit, MAX_CLEARANCE_RAISE)
+            self._extra[pair] = self._extra[pair] + raised if pair in self._extra else 0.0
 
 
 def _shrink(evaluator: SupportEvaluator, x: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
+from ..collision.clearance_constraint import ClearanceEvaluation
 from . import criteria
 from .casadi_batch import MappedFunction, PaddedFunction
 from .evaluator import ConstraintRows, centred, selected_rows
@@ -25,6 +26,9 @@ NEWTON_ITERATIONS = 12
 CLOSURE_TOLERANCE = 1e-12
 """Error of a foot's pose at which Newton's method ends [m and rad]."""
 
+CLEARANCE_STRIDE = 3
+"""Samples of the constraints for each sample of the distances [1]: these vary with the motion, not
+with its second derivative, and the certificate has every distance in between."""
 
 INFORMATION_STRIDE = 2
 """Samples of the constraints for each sample of the information [1]: forces between samples exceed
@@ -41,6 +45,7 @@ class _Point:
         slopes: For each leg ∂z/∂y. Shape (N, 18, 18).
         is_reachable: Whether all feet can be reached at all samples.
         states: States of the bodies. Shape (N, n + 1, BODY_STATE).
+        clearances: Distances of the bodies.
         constraint_values: Values of the constraints.
     """
 
@@ -49,6 +54,7 @@ class _Point:
     slopes: list[FloatArray]
     is_reachable: bool
     states: FloatArray | None = None
+    clearances: ClearanceEvaluation | None = None
     constraint_values: dict[str, FloatArray] = field(default_factory=dict)
 
 
@@ -108,6 +114,7 @@ class SupportEvaluator:
         functions, count = problem.functions, problem.options.samples
         library = functions.library
         self._informative = np.arange(0, count, INFORMATION_STRIDE)
+        self._clear = np.arange(0, count, CLEARANCE_STRIDE)
         some = len(self._informative)
         bodies = some * (problem.robot.n + 1)
         self._bodies = MappedFunction(functions.bodies, some, library)
@@ -124,6 +131,7 @@ class SupportEvaluator:
             *["acceleration"] * bool(np.isfinite(limits.acceleration).any()),
             "torque",
             "contact",
+            *["clearance"] * (problem.clearance is not None),
         )
         self._independent, self._home = problem.independent, problem.home
         self._row_scale = np.sqrt(
@@ -229,8 +237,9 @@ class SupportEvaluator:
         """Return the values of all constraints; the motion is feasible where they are at most 1.
 
         Returns:
-            For each kind an array of shape (2, N, n), first for the sign +, then −, and
-            (1, N, rows) for the contact.
+            For each kind an array of shape (2, N, n), first for the sign +, then −; (1, N, rows)
+            for the contact, and (1, M, pairs) for the clearance, of every `CLEARANCE_STRIDE`-th
+            sample.
         """
         point, limits = self._at(x), self.problem.limits
         if not point.constraint_values:
@@ -249,8 +258,21 @@ class SupportEvaluator:
                 if kind in self.kinds
             }
             values["contact"] = rows[None, :, self.problem.robot.n :] + self.problem.contact_reserve
+            if self.problem.clearance is not None:
+                values["clearance"] = self._clearances(point).constraint_values()[None]
             point.constraint_values = values
         return point.constraint_values
+
+    def clearance_poses(self, x: FloatArray) -> FloatArray:
+        """Return the poses (b, q) at which distances are constrained. Shape (M, 6 + n)."""
+        return self._at(x).motion[0][self._clear]
+
+    def _clearances(self, point: _Point) -> ClearanceEvaluation:
+        """Return the distances of all bodies at a point."""
+        assert self.problem.clearance is not None
+        if point.clearances is None:
+            point.clearances = self.problem.clearance.evaluate(point.motion[0][self._clear])
+        return point.clearances
 
     def max_constraint_value(self, x: FloatArray) -> float:
         """Return the largest value of all constraints; infinite where a foot is out of reach."""
@@ -266,11 +288,12 @@ class SupportEvaluator:
 
     def rows(self, mask: BoolArray) -> ConstraintRows:
         """Return the constraints that a flat mask selects."""
-        count, n = self.problem.options.samples, self.problem.robot.n
-        contacts = len(self.problem.functions.contact_names)
-        return selected_rows(
-            mask, [(1, count, contacts) if k == "contact" else (2, count, n) for k in self.kinds]
-        )
+        p = self.problem
+        count = p.options.samples
+        shapes = {"contact": (1, count, len(p.functions.contact_names))}
+        if p.clearance is not None:
+            shapes["clearance"] = (1, len(self._clear), len(p.clearance))
+        return selected_rows(mask, [shapes.get(k, (2, count, p.robot.n)) for k in self.kinds])
 
     def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
         """Return the values of selected constraints. Shape (m,)."""
@@ -281,6 +304,7 @@ class SupportEvaluator:
         point, p = self._at(x), self.problem
         size = BASE_COORDINATES + p.robot.n
         gradients = [np.zeros((len(rows), size)) for _ in range(3)]
+        samples = rows.sample.copy()
         half = 0.5 * (p.limits.position[:, 1] - p.limits.position[:, 0])
         bounds = {
             "position": (0, half),
@@ -296,6 +320,10 @@ class SupportEvaluator:
                 order, bound = bounds[kind]
                 gradients[order][at, BASE_COORDINATES + joint] = sign / bound[joint]
                 continue
+            if kind == "clearance":
+                samples[at] = self._clear[sample]
+                gradients[0][at] = self._clearances(point).gradients(sample, joint)
+                continue
             weights = np.zeros((len(at), p.functions.rows.size1_out(0)))
             if kind == "contact":
                 weights[np.arange(len(at)), joint + p.robot.n] = sign
@@ -304,22 +332,23 @@ class SupportEvaluator:
             motion = [array[sample] for array in point.motion]
             for gradient, part in zip(gradients, self._rows_adjoint(*motion, weights), strict=True):
                 gradient[at] = part
-        table = self._by_independent(point, rows.sample, gradients)
+        table = self._by_independent(point, samples, gradients)
         out = np.zeros((len(rows), *p.scale.shape))
         for gradient, basis in zip(table, self.bases, strict=True):
-            out += gradient[:, :, None] * basis[rows.sample][:, None, :]
+            out += gradient[:, :, None] * basis[samples][:, None, :]
         return np.asarray((out * p.scale).reshape(len(rows), p.size))
 
     def worst_constraint(self, x: FloatArray) -> str:
         """Return the name of the largest constraint, and its value."""
         kind, values = max(self.constraint_values(x).items(), key=lambda item: item[1].max())
         index = int(np.unravel_index(np.argmax(values), values.shape)[2])
-        names = self.problem.functions.contact_names
-        label = (
-            names[index]
-            if kind == "contact"
-            else f"the {kind} limit of '{self.problem.robot.joints[index]}'"
-        )
+        p = self.problem
+        if kind == "contact":
+            label = p.functions.contact_names[index]
+        elif kind == "clearance" and p.clearance is not None:
+            label = f"the clearance of {p.clearance.names[index]}"
+        else:
+            label = f"the {kind} limit of '{p.robot.joints[index]}'"
         return f"{label} ({values.max():.3g})"
 
 

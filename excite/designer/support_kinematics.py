@@ -27,6 +27,8 @@ class SupportSamples:
 
     Attributes:
         t: Times [s]. Shape (N,).
+        base: Base coordinates. Shape (N, 6).
+        base_rate: Their time derivatives. Shape (N, 6).
         motion: Poses, velocities and accelerations of base and joints.
         torque: Nominal joint torques without Coulomb friction, which jumps between samples.
             Shape (N, n) [N m].
@@ -36,6 +38,8 @@ class SupportSamples:
     """
 
     t: FloatArray
+    base: FloatArray
+    base_rate: FloatArray
     motion: FloatingMotion
     torque: FloatArray
     wrenches: FloatArray
@@ -109,7 +113,9 @@ def support_samples(
             local = foot.in_body.act(pin.Force(wrenches[i, k])).vector
             force[i, BASE:] -= (jacobian.T @ local)[BASE:]
     torque = force[:, BASE:] + _drive_torque(parameters, v[:, BASE:], a[:, BASE:])
-    return SupportSamples(t, FloatingMotion(q[:, :7], q[:, 7:], v, a), torque, wrenches, worst)
+    motion = FloatingMotion(q[:, :7], q[:, 7:], v, a)
+    base, base_rate = x[0, :, :BASE], x[1, :, :BASE]
+    return SupportSamples(t, base, base_rate, motion, torque, wrenches, worst)
 
 
 def _drive_torque(parameters: Parameters, dq: FloatArray, ddq: FloatArray) -> FloatArray:

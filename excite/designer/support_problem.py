@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray, IntArray
+from ..collision.clearance_constraint import ClearanceConstraint
 from ..errors import UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
@@ -49,6 +50,7 @@ class SupportProblem:
             Shape (m, 2K).
         torque_reserve: Share of the torque limits of `functions` that is kept free [1].
         contact_reserve: Share of the weight that contact constraints keep free [1].
+        clearance: Bodies that keep their distance at poses (b, q); None: distances are free.
         objective: None: the criterion of the options.
     """
 
@@ -63,6 +65,7 @@ class SupportProblem:
     scale: FloatArray
     torque_reserve: float = 0.0
     contact_reserve: float = 0.0
+    clearance: ClearanceConstraint | None = None
     objective: DesignObjective | None = None
 
     @property
@@ -125,6 +128,11 @@ def ramp_duration(period: float) -> float:
 def motion_duration(period: float) -> float:
     """Return the duration of a motion whose Fourier series has this period [s]."""
     return period / (1.0 - RAMP_SHARE)
+
+
+def profile_duration(profile: PhaseProfile) -> float:
+    """Return the duration of a motion, that of all pieces of its phase [s]."""
+    return float(sum(duration for duration, _ in profile.phase.pieces[0]))
 
 
 def series_period(duration: float) -> float:

@@ -68,11 +68,22 @@ class SoleSize:
         half_length: Half of its length along x [m].
         half_width: Half of its width along y [m].
         centre: Centre of the rectangle (x, y) [m].
+        height: Height of the sole in the contact frame [m].
+        outline: Corners (x, y) of the sole about this centre, which enclose the rectangle; none:
+            the rectangle [m].
+        source: Where the size comes from.
     """
 
     half_length: float
     half_width: float
     centre: tuple[float, float] = (0.0, 0.0)
+    height: float = 0.0
+    outline: tuple[tuple[float, float], ...] = ()
+    source: str = "stated"
+
+    def pose(self) -> pin.SE3:
+        """Return the pose of the centre of the sole in the contact frame."""
+        return pin.SE3(np.eye(3), np.array([*self.centre, self.height]))
 
 
 @dataclass(frozen=True)
@@ -248,7 +259,7 @@ def standing(
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, np.clip(np.zeros(robot.n), lower, upper))
     in_base = [
-        data.oMf[robot.frame(frame)] * pin.SE3(np.eye(3), np.array([*sole.centre, 0.0]))
+        data.oMf[robot.frame(frame)] * sole.pose()
         for frame, sole in zip(frames, soles, strict=True)
     ]
     for frame, sole, contact_pose in zip(frames, soles, in_base, strict=True):
@@ -268,8 +279,7 @@ def standing(
         Foot(
             frame,
             leg,
-            robot.model.frames[robot.frame(frame)].placement
-            * pin.SE3(np.eye(3), np.array([*sole.centre, 0.0])),
+            robot.model.frames[robot.frame(frame)].placement * sole.pose(),
             pin.SE3(np.eye(3), np.array([0.0, pose.translation[1] - middle[1], 0.0])),
             sole.half_length,
             sole.half_width,

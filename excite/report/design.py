@@ -12,14 +12,17 @@ from markupsafe import Markup
 from ..collision.continuous_check import PairDistance
 from ..collision.workcell import Cell
 from ..designer.certificate import CLEARANCE
+from ..designer.constraint_margins import STAND
 from ..designer.discrimination_result import DiscriminationResult
 from ..designer.experiment_comparison import Scenario, compare_scenarios
 from ..designer.identifiability import Identifiability
 from ..designer.isolability_forecast import PairForecast
+from ..designer.stand_load import stand_loads
 from ..designer.task_variance import TaskPrediction
 from ..robot.base_parameters import Base
 from ..robot.dynamics import torque_band
 from ..robot.inertial_parameters import Parameters
+from ..robot.limits import Stand
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
@@ -36,6 +39,7 @@ from .figures import time_budget as time_budget_figure
 from .figures import trajectory as trajectory_figures
 from .figures import validation_motion as validation_figure
 from .figures.drawing import COMPACT_LAYOUT_JOINTS
+from .figures.small_multiples import CurvePanel, draw_curves
 from .figures.trajectory import MotionScene
 from .formatting import capitalized, number, plural
 from .identifiability import identifiability_sections, key_figures
@@ -60,6 +64,7 @@ _UNITS = {
     "torque": "N m",
     "braking": "rad",
 }
+_STAND_UNITS = {"force": "N", "moment": "N m"}
 _CRITERIA = {
     "a": "A, sum of variances (lower is better)",
     "d": "D, log volume (higher is better)",
@@ -132,9 +137,11 @@ def design_page(
             rate=trajectory.rate,
             threshold=identifiability.threshold,
         )
+    stand = trajectory.limits.stand
     sections = [
         _limits_section(subject),
         _torque_section(subject),
+        *([] if stand is None else [_stand_section(subject, stand)]),
         _collision_section(trajectory, cell, near),
         *identifiability_sections(identifiability, parameters, cases),
         _path_section(subject),
@@ -331,7 +338,7 @@ def _margin_row(
 ) -> tuple[str | TableCell, ...]:
     """Row of the table of margins."""
     limit, joint = str(margin["limit"]), str(margin["joint"])
-    unit = _UNITS.get(limit, "m")
+    unit = _STAND_UNITS[joint] if limit == STAND else _UNITS.get(limit, "m")
     if joint in robot.joints:
         unit = robot.entries[robot.joints.index(joint)].unit(unit)
     is_violated = relative < -ROUNDING
@@ -379,6 +386,41 @@ def _torque_section(subject: _Subject) -> Section:
         data,
         "bad" if ratio[worst] > 1 else "",
     )
+
+
+def _stand_section(subject: _Subject, stand: Stand) -> Section:
+    """Load on the stand that holds the base."""
+    motion, robot = subject.trajectory.motion, subject.robot
+    t = trajectory_figures.sample_times(motion, 1000)
+    loads = stand_loads(robot, stand, motion.samples(t))
+    bounds = {"force": stand.force, "moment": stand.moment}
+    panels, used = [], []
+    for values, (name, bound) in zip(loads.T, bounds.items(), strict=True):
+        unit = _STAND_UNITS[name]
+        panels.append(CurvePanel(f"{name} on the stand [{unit}]", t, values, (-np.inf, bound)))
+        if np.isfinite(bound):
+            peak = float(values.max())
+            used.append(
+                f"{number(peak, 3)} of {number(bound, 3)} {unit} ({100.0 * peak / bound:.0f} %)"
+            )
+    is_exceeded = any(
+        margin["limit"] == STAND and relative < -ROUNDING
+        for relative, margin in relative_margins(subject.trajectory)
+    )
+    answer = (
+        f"{'No' if is_exceeded else 'Yes'}: its load reaches {' and '.join(used)}, the weight of "
+        "the robot included."
+    )
+    point = ", ".join(f"{value:g}" for value in stand.point)
+    data = {
+        "figure": Markup(
+            draw_curves("Load on the stand over time", panels, motion, columns=2, height=80.0)
+        ),
+        "point": point,
+        "source": stand.source,
+    }
+    question = "Does the stand take the load?"
+    return Section("stand", question, answer, data, "bad" if is_exceeded else "")
 
 
 def _path_section(subject: _Subject) -> Section:

@@ -27,6 +27,7 @@ from ..schemas.limits import (
     MoveItSwitchesFile,
     MoveItValues,
     MoveItValuesFile,
+    StandLimits,
     StatedLimits,
 )
 from ..schemas.quantities import shown
@@ -92,6 +93,29 @@ class Braking:
 
 
 @dataclass(frozen=True)
+class Stand:
+    """Load that the stand of a robot's base takes, the robot's weight included.
+
+    Attributes:
+        force: Largest magnitude of the force on it [N].
+        moment: Largest magnitude of the moment about its point [N m].
+        point: Point of the base link, in its frame [m].
+        source: File that states it.
+    """
+
+    force: float = math.inf
+    moment: float = math.inf
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    source: str = ""
+
+    def document(self) -> dict[str, Any]:
+        """The entry of a trajectory file; an absent limit is absent."""
+        loads = {"force": self.force, "moment": self.moment}
+        stated = {name: value for name, value in loads.items() if math.isfinite(value)}
+        return {**stated, "point": list(self.point), "source": self.source}
+
+
+@dataclass(frozen=True)
 class Limits:
     """Limits of n joints, ±inf where nothing is stated.
 
@@ -106,6 +130,7 @@ class Limits:
         sources: Per quantity n texts saying where each value came from ("" where there is none).
         margin: Share of each limit of `WITH_MARGIN` that a design keeps free [1]; a kind that is
             absent keeps none.
+        stand: Load that the stand of the base takes; None: any.
     """
 
     joints: tuple[str, ...]
@@ -117,6 +142,7 @@ class Limits:
     braking: tuple[Braking | None, ...]
     sources: Mapping[str, tuple[str, ...]]
     margin: Mapping[str, float] = field(default_factory=dict)
+    stand: Stand | None = None
 
     def reduced(self) -> Limits:
         """The limits that a design uses: the margin is taken off, braking included, and none is
@@ -151,6 +177,8 @@ class Limits:
         }
         if stated:
             out["braking"] = stated
+        if self.stand is not None:
+            out["stand"] = self.stand.document()
         return out
 
 
@@ -172,7 +200,20 @@ def from_document(document: StatedLimits, joints: tuple[str, ...]) -> Limits:
         joints=joints,
         braking=braking,
         sources=sources,
+        stand=None
+        if document.stand is None
+        else _stand(document.stand, str(document.stand.source)),
         **arrays,  # type: ignore[arg-type]
+    )
+
+
+def _stand(document: StandLimits, source: str) -> Stand:
+    x, y, z = (float(value) for value in document.point)
+    return Stand(
+        math.inf if document.force is None else float(document.force),
+        math.inf if document.moment is None else float(document.moment),
+        (x, y, z),
+        source,
     )
 
 
@@ -191,7 +232,8 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
     Args:
         robot: The robot whose moving joints need limits.
         file: TOML (`[joints.<name>] position = [lower, upper]`, velocity, acceleration, jerk,
-            torque, braking, and `[margin] velocity = 0.05`, …) or a MoveIt `joint_limits.yaml`.
+            torque, braking, `[margin] velocity = 0.05`, …, and `[stand] force, moment, point`) or a
+            MoveIt `joint_limits.yaml`.
         margin: Share of every limit of `WITH_MARGIN` to keep free [1]; None: as the file says, else
             `DEFAULT_MARGIN`.
 
@@ -204,7 +246,7 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
         raise UnusableInput(
             f"--margin {margin:g} should be a share of the limits, at least 0 and below 1"
         )
-    table, shares = stated_limits(robot, file)
+    table, shares, stand = stated_limits(robot, file)
     for follower in robot.followers:
         tighten(robot, table[follower.master], follower)
     missing = missing_limits(robot, table)
@@ -212,12 +254,14 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
         raise MissingLimit(robot.source, missing)
     if margin is not None:
         shares = dict.fromkeys(WITH_MARGIN, margin)
-    return dataclasses.replace(_assemble(robot, table), margin=shares)
+    return dataclasses.replace(_assemble(robot, table), margin=shares, stand=stand)
 
 
-def stated_limits(robot: Robot, file: Path | None = None) -> tuple[LimitTable, dict[str, float]]:
+def stated_limits(
+    robot: Robot, file: Path | None = None
+) -> tuple[LimitTable, dict[str, float], Stand | None]:
     """Limits that the URDF, a built-in model's own table and a limits file state, the later
-    overriding, and the shares of them to keep free; see `resolve`."""
+    overriding, the shares of them to keep free, and the load that a stand takes; see `resolve`."""
     table: LimitTable = {joint: {} for joint in robot.joints}
     for entry in robot.entries:
         for quantity in REQUIRED:
@@ -235,16 +279,18 @@ def stated_limits(robot: Robot, file: Path | None = None) -> tuple[LimitTable, d
             _read_toml(table_file, BuiltinLimitsFile).joints,
             table_file.name,
         )
-    shares = dict.fromkeys(WITH_MARGIN, DEFAULT_MARGIN)
+    shares, stand = dict.fromkeys(WITH_MARGIN, DEFAULT_MARGIN), None
     if file is not None:
         stated = LimitsFile(_read_yaml(file)) if _is_yaml(file) else _read_toml(file, LimitsFile)
         _merge(robot, table, file, stated.joints, str(file.resolve()))
+        if stated.stand is not None:
+            stand = _stand(stated.stand, str(file.resolve()))
         shares |= {
             kind: float(share)
             for kind in WITH_MARGIN
             if (share := getattr(stated.margin, kind, None)) is not None
         }
-    return table, shares
+    return table, shares, stand
 
 
 def resolve_with_assumptions(robot: Robot, file: Path | None = None) -> Limits:
@@ -259,7 +305,7 @@ def resolve_with_assumptions(robot: Robot, file: Path | None = None) -> Limits:
     Raises:
         UnusableInput: The file cannot be read, names an unknown joint or contradicts itself.
     """
-    table, _ = stated_limits(robot, file)
+    table, *_ = stated_limits(robot, file)
     mass = sum(body.mass for body in robot.model.inertias)
     weight = float(np.linalg.norm(robot.model.gravity.linear)) * mass
     assumed: dict[str, Any] = {
@@ -299,10 +345,11 @@ def from_sources(
         UnusableInput: The limits file that a source names is not there, or cannot be read.
     """
     known = {"", URDF, SOFT_LIMITS, DERIVED, f"{robot.source}.toml"}
+    stand_sources = () if stated.stand is None else ((stated.stand.source,),)
     named = sorted(
         {
             text
-            for texts in stated.sources.values()
+            for texts in (*stated.sources.values(), *stand_sources)
             for text in texts
             if text not in known and not text.startswith(MIMIC)
         }

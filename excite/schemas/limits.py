@@ -75,6 +75,30 @@ class TorqueEntry(msgspec.Struct):
     source: Text = Text("")
 
 
+class StandLimits(msgspec.Struct, forbid_unknown_fields=True):
+    """The load that the stand of the base takes, the robot's weight included.
+
+    Attributes:
+        force: Largest magnitude of the force [N].
+        moment: Largest magnitude of the moment about `point` [N m].
+        point: Point in the frame of the base link [m].
+    """
+
+    force: TorqueLimit | None = None
+    moment: TorqueLimit | None = None
+    point: tuple[Length, Length, Length] = (Length(0.0), Length(0.0), Length(0.0))
+
+    def __post_init__(self) -> None:
+        if self.force is None and self.moment is None:
+            raise ValueError("has neither force [N] nor moment [N m]; say what the stand takes")
+
+
+class StatedStand(StandLimits):
+    """The load that a stand takes in a trajectory, with its source."""
+
+    source: Text = Text("")
+
+
 class StatedLimits(msgspec.Struct):
     """The limits in a trajectory, joint by joint; a missing key means no limit.
 
@@ -87,6 +111,7 @@ class StatedLimits(msgspec.Struct):
     jerk: dict[str, JerkEntry] = {}
     torque: dict[str, TorqueEntry] = {}
     braking: dict[str, BrakingDocument] = {}
+    stand: StatedStand | None = None
 
 
 class JointLimits(msgspec.Struct, forbid_unknown_fields=True):
@@ -114,13 +139,16 @@ class Margin(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class LimitsFile(msgspec.Struct, forbid_unknown_fields=True):
-    """A TOML limits file: `[joints.<name>] velocity = 2.0`, …, and `[margin] torque = 0.05`."""
+    """A TOML limits file: `[joints.<name>] velocity = 2.0`, …, `[margin] torque = 0.05`, and
+    `[stand] moment = 80.0`.
+    """
 
     joints: dict[str, JointLimits] = {}
     margin: Margin | None = None
+    stand: StandLimits | None = None
 
     def __post_init__(self) -> None:
-        if not self.joints and self.margin is None:
+        if not self.joints and self.margin is None and self.stand is None:
             raise ValueError(
                 "has no [joints.<name>] tables; write one per joint, "
                 "e.g. [joints.elbow] velocity = 2.0"

@@ -109,13 +109,13 @@ def load_designed_robot(
     *,
     require_mass: bool = True,
 ) -> Robot:
-    """Load the robot of a design as it was designed for.
+    """Load the robot that a trajectory file states.
 
     Args:
-        stated: Content of the key "robot".
-        joints: Names of the moving joints.
-        source: Path of the URDF, or name of a built-in model; None: as stated.
-        require_mass: Refuse bodies without mass.
+        stated: The entry of the robot.
+        joints: Names of its joints.
+        source: Path of the URDF, or name of a built-in model; None: as the file says.
+        require_mass: Whether every joint has to move a mass.
 
     Raises:
         UnusableInput: The URDF is not the one of the design (its sha256 differs).
@@ -168,7 +168,22 @@ def read_trajectory(path: Path) -> Trajectory:
         UnusableInput: The file is missing, is of another schema, or breaks a rule of
             `schemas.trajectory`.
     """
-    return parse_trajectory(_document_file(path).json(), path)
+    return parse_trajectory(read_document(path), path)
+
+
+def read_document(path: Path) -> Any:
+    """Read the JSON of a trajectory file of any schema, as plain values.
+
+    Raises:
+        UnusableInput: The file is missing, or is no JSON.
+    """
+    return _document_file(path).json()
+
+
+def stated_schema(content: Any) -> str | None:
+    """Return the schema that the content of a file states; None without one."""
+    schema = content.get("schema") if isinstance(content, Mapping) else None
+    return schema if isinstance(schema, str) else None
 
 
 def parse_trajectory(content: Any, path: Path) -> Trajectory:

@@ -22,7 +22,7 @@ from test_report import answer, check_page, section
 
 from excite.api.diagnosis_result import withhold_findings
 from excite.cli.diagnose import diagnosis_text
-from excite.diagnosis import diagnosis
+from excite.diagnosis import diagnosis, rejection
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.recordings import Remark, RemarkKind
@@ -130,9 +130,11 @@ def test_small_contributions_are_summed() -> None:
         for name, share in (("stribeck", 0.9), ("delay", 0.02), ("drag", 0.01), ("residual", 0.07))
     }
     joint = joint_budgets(stated, result.identified.model.robot)[1]
-    half = dataclasses.replace(joint, before=1.0, after=0.5, torque=2.0)
+    half = dataclasses.replace(
+        joint, before=1.0, after=0.5, torque=2.0, changed=0.0, unknown=False, absent=()
+    )
     assert half.causes == "Stribeck friction −48 %, others −2 %"
-    worse = dataclasses.replace(joint, after=1.1 * joint.before)
+    worse = dataclasses.replace(half, after=1.1)
     assert "→" in worse.error and worse.causes == "the effects of the model do not hold here"
     useless = dataclasses.replace(half, torque=0.5).causes
     assert useless.endswith("worse than predicting no torque (200 % of the torque)")
@@ -185,7 +187,7 @@ def test_unknown_torque_and_session_changes_have_sections() -> None:
     assert "30 % of the remaining squared error, by past load" in lines
     banners = text[: text.index('<section id="budget"')]
     assert "torque at joint_1 repeats with the motion" in banners
-    assert "Use: load model.json" in banners
+    assert "Use: " in banners and "model.json" in banners
     assert "coulomb 0.200 ± 0.050 N m (+50 %)" in lines
 
 
@@ -216,14 +218,35 @@ def test_error_by_a_change_between_recordings_is_said_first() -> None:
     assert "in one session" not in report_of(0.0)
 
 
-def test_considered_effects_have_reasons_and_undetermined_exponents_no_value() -> None:
-    stated = document(diagnosis_of(2.0))
-    assert stated["considered"]
+def test_effects_that_are_no_findings_have_reasons() -> None:
+    result = diagnosis_of(2.0)
+    stated = document(result)
     assert all(entry["reason"] for entry in stated["considered"])
     assert all("reason" not in finding for finding in stated["findings"])
-    for entry in (*stated["findings"], *stated["considered"]):
-        if exponent := entry["parameters"].get("exponent"):
-            assert abs(exponent["value"] - 1.0) > 1.6 * exponent["std"]
+    effect = next(e for e in result.effects if e.effect == "stribeck" and e.needed)
+    small = dataclasses.replace(effect, needed=False, unique_severity=0.1)
+    assert rejection.reason(result, small) == rejection.TOO_SMALL
+    unneeded = dataclasses.replace(effect, needed=False, probability=0.9, unique_severity=2.0)
+    assert rejection.reason(result, unneeded) == rejection.EXPLAINED_AS_WELL
+    rare = dataclasses.replace(
+        effect, effect="spring", needed=False, probability=0.01, unique_severity=5.0
+    )
+    weak = dataclasses.replace(rare, log_bayes_factor=1.0)
+    assert rejection.reason(result, weak) == rejection.WEAK_EVIDENCE
+    strong = dataclasses.replace(rare, log_bayes_factor=500.0)
+    assert rejection.reason(result, strong) == rejection.EXPLAINED_AS_WELL
+
+
+def test_exponent_that_may_be_one_has_no_value() -> None:
+    result = diagnosis_of(2.0)
+    effect = dataclasses.replace(result.findings[0], effect="nonlinear_viscous")
+    stated = []
+    for std in (0.05, 0.2):
+        parameters = {"coefficient": (5.0, 1.0), "exponent": (0.8, std)}
+        changed = dataclasses.replace(effect, parameters=parameters)
+        finding = document(dataclasses.replace(result, effects=(changed,)))["findings"][0]
+        stated.append(set(finding["parameters"]))
+    assert stated == [{"coefficient", "exponent"}, set()]
 
 
 def test_delay_is_said_in_words() -> None:

@@ -22,13 +22,14 @@ from test_report import answer, check_page, section
 
 from excite.api.diagnosis_result import withhold_findings
 from excite.cli.diagnose import diagnosis_text
-from excite.diagnosis import diagnosis
+from excite.diagnosis import diagnosis, rejection
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.recordings import Remark, RemarkKind
 from excite.report import diagnosis_page
+from excite.report.figures.trajectory import short_names
 from excite.report.formatting import number, significant, value_with_error
-from excite.report.torque_budget import joint_budgets
+from excite.report.torque_budget import joint_budgets, parameter_words
 
 DOUBT = {"recording": "out/train.csv", "kind": "torque sign", "text": "the sign is inverted"}
 
@@ -111,10 +112,14 @@ def test_uncertain_effect_of_the_model_is_marked() -> None:
     result = diagnosis_of(2.0)
     stated = document(result)
     doubtful = [f for f in stated["findings"] if f["effect"] == "stribeck"]
+    doubtful = [{**f, "reason": "weak evidence"} for f in doubtful]
     certain = [f for f in stated["findings"] if f["effect"] != "stribeck"]
     text = report_of(2.0, findings=certain, considered=[*doubtful, *stated["considered"]])
     assert "perhaps Stribeck friction" in section(text, "budget")
     assert "Pale, “perhaps”" in section(text, "budget")
+    considered = section(text, "considered")
+    assert "weak evidence, yet in the saved model" in considered
+    assert "needs a probability of 0.5" in answer(text, "considered")
 
 
 def test_small_contributions_are_summed() -> None:
@@ -125,9 +130,16 @@ def test_small_contributions_are_summed() -> None:
         for name, share in (("stribeck", 0.9), ("delay", 0.02), ("drag", 0.01), ("residual", 0.07))
     }
     joint = joint_budgets(stated, result.identified.model.robot)[1]
-    assert joint.causes == "Stribeck friction (97 %), others (3 %)"
-    worse = dataclasses.replace(joint, after=1.1 * joint.before)
+    half = dataclasses.replace(
+        joint, before=1.0, after=0.5, torque=2.0, changed=0.0, unknown=False, absent=()
+    )
+    assert half.causes == "Stribeck friction −48 %, others −2 %"
+    worse = dataclasses.replace(half, after=1.1)
     assert "→" in worse.error and worse.causes == "the effects of the model do not hold here"
+    useless = dataclasses.replace(half, torque=0.5).causes
+    assert useless.endswith("worse than predicting no torque (200 % of the torque)")
+    absent = dataclasses.replace(half, absent=("hysteresis",)).causes
+    assert absent.endswith("presliding hysteresis hardly matters here")
 
 
 def test_alternatives_come_with_the_experiment_that_separates_them() -> None:
@@ -160,6 +172,7 @@ def test_unknown_torque_and_session_changes_have_sections() -> None:
     }
     change = {"value": 0.2, "std": 0.05, "unit": "N m", "relative": 0.5}
     session = {"recording": "out/validate.csv", "joint": "joint_2", "coulomb": change}
+    session["error_share"] = 0.9
     session |= {"viscous": {**change, "relative": 1e5}, "offset": change}
     changes = {"unknown": [unknown], "between_recordings": [session], "verdict": "partly-explained"}
     text = report_of(2.0, **changes)
@@ -172,7 +185,83 @@ def test_unknown_torque_and_session_changes_have_sections() -> None:
         {**document(diagnosis_of(2.0)), **changes}, diagnosis_of(2.0).identified.model.robot, []
     )
     assert "30 % of the remaining squared error, by past load" in lines
+    banners = text[: text.index('<section id="budget"')]
+    assert "torque at joint_1 repeats with the motion" in banners
+    assert "Use: " in banners and "model.json" in banners
     assert "coulomb 0.200 ± 0.050 N m (+50 %)" in lines
+
+
+def test_error_by_a_change_between_recordings_is_said_first() -> None:
+    result = diagnosis_of(0.0)
+    stated = copy.deepcopy(document(result))
+    change = {"value": -0.2, "std": 0.01, "unit": "N m", "relative": -0.15}
+    stated["between_recordings"] = [
+        {
+            "recording": "out/validate.csv",
+            "joint": "joint_2",
+            "error_share": 0.96,
+            **dict.fromkeys(("coulomb", "viscous", "offset"), change),
+        }
+    ]
+    for key in ("rmse_before", "rmse_after"):
+        stated["joints"]["joint_2"][key] = 10.0 * stated["joints"]["joint_2"]["noise_floor"]
+    robot = result.identified.model.robot
+    joint = joint_budgets(stated, robot)[1]
+    expected = "friction or offset changed between the recordings: 96 % of its square"
+    assert joint.causes == expected and expected in diagnosis_text(stated, robot, [])
+    assert np.isclose(joint.unchanged, 0.2 * joint.after)
+    text = diagnosis_page(result, stated)
+    check_page(text)
+    banners = text[: text.index('<section id="budget"')]
+    assert "most of the error of joint_2 is friction or offset that changed" in banners
+    assert "Next: warm up alike" in banners and "in one session" in section(text, "next")
+    assert "in one session" not in report_of(0.0)
+
+
+def test_effects_that_are_no_findings_have_reasons() -> None:
+    result = diagnosis_of(2.0)
+    stated = document(result)
+    assert all(entry["reason"] for entry in stated["considered"])
+    assert all("reason" not in finding for finding in stated["findings"])
+    effect = next(e for e in result.effects if e.effect == "stribeck" and e.needed)
+    small = dataclasses.replace(effect, needed=False, unique_severity=0.1)
+    assert rejection.reason(result, small) == rejection.TOO_SMALL
+    unneeded = dataclasses.replace(effect, needed=False, probability=0.9, unique_severity=2.0)
+    assert rejection.reason(result, unneeded) == rejection.EXPLAINED_AS_WELL
+    rare = dataclasses.replace(
+        effect, effect="spring", needed=False, probability=0.01, unique_severity=5.0
+    )
+    weak = dataclasses.replace(rare, log_bayes_factor=1.0)
+    assert rejection.reason(result, weak) == rejection.WEAK_EVIDENCE
+    strong = dataclasses.replace(rare, log_bayes_factor=500.0)
+    assert rejection.reason(result, strong) == rejection.EXPLAINED_AS_WELL
+
+
+def test_exponent_that_may_be_one_has_no_value() -> None:
+    result = diagnosis_of(2.0)
+    effect = dataclasses.replace(result.findings[0], effect="nonlinear_viscous")
+    stated = []
+    for std in (0.05, 0.2):
+        parameters = {"coefficient": (5.0, 1.0), "exponent": (0.8, std)}
+        changed = dataclasses.replace(effect, parameters=parameters)
+        finding = document(dataclasses.replace(result, effects=(changed,)))["findings"][0]
+        stated.append(set(finding["parameters"]))
+    assert stated == [{"coefficient", "exponent"}, set()]
+
+
+def test_delay_is_said_in_words() -> None:
+    early = {"seconds": {"value": -0.000808, "std": 2e-5, "unit": "s"}}
+    assert parameter_words(early) == "torque early by 0.808 ± 0.020 ms"
+    late = {"seconds": {"value": 0.004, "std": 0.001, "unit": "s"}}
+    assert parameter_words(late) == "torque late by 4.0 ± 1.0 ms"
+
+
+def test_shortened_names_stay_different() -> None:
+    names = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
+    assert short_names(names, 14) == ["shoulder_pan", "shoulder_lift", "elbow"]
+    assert short_names(["a1", "b2"], 14) == ["a1", "b2"]
+    alike = [f"arm_{side}_of_the_robot_{k}" for side in ("left", "right") for k in "12"]
+    assert len(set(short_names(alike, 10))) == 4
 
 
 def test_text_of_the_command() -> None:

@@ -40,6 +40,8 @@ from .saved_result import SavedResult
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
 """Files of a diagnosis."""
+WITHHELD = "withheld: a recording is in doubt"
+"""Why an effect is no finding if a recording may not hold what its columns say."""
 
 
 @dataclass(frozen=True)
@@ -141,13 +143,15 @@ def withhold_findings(
         "verdict": "unexplained" if verdict == "no-mismatch" else verdict,
         "findings": kept,
         "considered": [
-            {**entry, "modelled": False} for entry in (*withheld, *document["considered"])
+            *({**entry, "modelled": False, "reason": WITHHELD} for entry in withheld),
+            *({**entry, "modelled": False} for entry in document["considered"]),
         ],
         "unknown": [],
         "between_recordings": [],
         **({"decisions": []} if "decisions" in document else {}),
         "joints": {
-            joint: joint_entry(
+            joint: entry
+            | joint_entry(
                 entry["noise_floor"],
                 entry["noise_floor_method"],
                 entry["rmse_before"],

@@ -9,12 +9,21 @@ import numpy as np
 from scipy import special
 
 from ..effects import EFFECTS_BY_NAME
+from ..effects.recorded_motion import split_by_motion
 from ..robot.parameter_names import percent
-from . import effect_curves, motion_rows, rival_evidence, session_changes, unmodelled
+from . import (
+    effect_curves,
+    motion_rows,
+    rejection,
+    rival_evidence,
+    session_changes,
+    unmodelled,
+)
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .gear_encoders import GearEstimate
 from .motion_rows import MotionRows
+from .regression import rms
 from .session_changes import SessionChange
 from .unmodelled import UnmodelledTorque
 
@@ -43,6 +52,12 @@ REGIMES = {
 """Quantity over which an effect shows, by effect."""
 CONSIDERED = 20
 """Effects that are listed though they are not asserted."""
+NEUTRAL_VALUES = {"exponent": 1.0}
+"""Values of parameters at which there is no effect, where that is not zero."""
+INTERVAL = 1.645
+"""Half width of a 90 % interval over the standard deviation."""
+SINGLE_JOINT_REPETITION = "the same positions at half the speed, then with another load"
+"""Experiment on torque that repeats with the motion of a robot of one joint."""
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -53,6 +68,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     """
     joints = diagnosis.identified.model.robot.joints
     held_out, floor = diagnosis.held_out, diagnosis.floor
+    torque_rms = rms(held_out.torque, held_out.moving)
     motion = motion_rows.motion_rows(diagnosis.model.motions)
     rows = {
         joint: joint_entry(
@@ -61,6 +77,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
             float(held_out.rmse_before[i]),
             float(held_out.rmse_after[i]),
         )
+        | {"torque_rms": float(torque_rms[i])}
         for i, joint in enumerate(joints)
     }
     return {
@@ -118,11 +135,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
     }
     if shape.interval is not None:
         where["recording"] = shape.source
-    shown = {
-        key: value
-        for key, value in estimate.parameters.items()
-        if np.isfinite(value[0]) and value[1] < abs(value[0])
-    }
+    shown = _determined(estimate.parameters)
     out: dict[str, Any] = {
         "effect": estimate.effect,
         "joint": _joint(diagnosis, estimate.joint),
@@ -146,8 +159,28 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
         out["from"] = _joint(diagnosis, shape.other)
     if hidden := sorted(set(estimate.parameters) - set(shown)):
         out["not_shown"] = hidden
+    if not estimate.asserted:
+        out["reason"] = rejection.reason(diagnosis, estimate)
     if estimate.asserted and (rivals := _rivals(diagnosis, estimate)):
         out["rivals"] = rivals
+    return out
+
+
+def _determined(
+    parameters: Mapping[str, tuple[float, float]],
+) -> dict[str, tuple[float, float]]:
+    """Parameters that are worth stating: those that differ from their neutral value.
+
+    A coefficient means nothing without its exponent, so that both are left to the curve.
+    """
+    out = {
+        key: (value, std)
+        for key, (value, std) in parameters.items()
+        if np.isfinite(value) and std < abs(value)
+    }
+    for key, neutral in NEUTRAL_VALUES.items():
+        if key in parameters and INTERVAL * parameters[key][1] >= abs(parameters[key][0] - neutral):
+            return {}
     return out
 
 
@@ -243,7 +276,24 @@ def _change(diagnosis: Diagnosis, change: SessionChange) -> dict[str, Any]:
     for kind in ("coulomb", "viscous"):
         mean = float(fitted.psi[fitted.model.parameters.block(kind)][change.joint])
         changes[kind]["relative"] = changes[kind]["value"] / mean if mean > 0.0 else None
-    return {"recording": change.source, "joint": _joint(diagnosis, change.joint), **changes}
+    return {
+        "recording": change.source,
+        "joint": _joint(diagnosis, change.joint),
+        "error_share": _error_share(diagnosis, change),
+        **changes,
+    }
+
+
+def _error_share(diagnosis: Diagnosis, change: SessionChange) -> float:
+    """Share of a joint's squared held-out error that a change in one recording explains."""
+    held_out, j = diagnosis.held_out, change.joint
+    parts = split_by_motion(np.where(held_out.moving, held_out.final, 0.0), held_out.motions)
+    powers = [
+        (motion.segment.source, float(np.sum(part[:, j] ** 2)))
+        for motion, part in zip(held_out.motions, parts, strict=True)
+    ]
+    power = sum(value for source, value in powers if source == change.source)
+    return change.share * power / max(sum(value for _, value in powers), 1e-300)
 
 
 def _gear(diagnosis: Diagnosis, gear: GearEstimate) -> dict[str, Any]:
@@ -324,5 +374,8 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         },
         "share": entry.share,
         "probability": entry.probability,
-        "experiment": entry.experiment,
+        "experiment": SINGLE_JOINT_REPETITION
+        if len(diagnosis.identified.model.robot.joints) == 1
+        and entry.regime == unmodelled.REPETITION
+        else entry.experiment,
     }

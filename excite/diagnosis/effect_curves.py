@@ -16,6 +16,8 @@ BINS = 40
 """Bins of a curve."""
 LOW_QUANTILE = 0.01
 """Quantile of a quantity at which its logarithmic bins begin."""
+MIN_SHOWN_POWER = 0.5
+"""Share of the power of an effect's torque that its curve must hold to show the effect."""
 DISSIPATIVE_EFFECTS = ("position_friction",)
 """Effects that oppose the motion though their regime is that of conservative ones too."""
 
@@ -43,7 +45,7 @@ class EffectCurve:
 
 @dataclass(frozen=True)
 class _Abscissa:
-    """Quantity over which a regime shows; `{}` in the unit stands for rad or m."""
+    """Quantity over which a regime shows; `{}` in the unit stands for rad or m, `N m` for N."""
 
     over: str
     unit: str
@@ -100,8 +102,14 @@ def effect_curve(
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
     count = np.bincount(place, minlength=BINS)
     kept = count >= MIN_BIN_ROWS
-    mean = (np.bincount(place, y, minlength=BINS) / np.maximum(count, 1))[kept]
+    mean_of_all = np.bincount(place, y, minlength=BINS) / np.maximum(count, 1)
+    mean = mean_of_all[kept]
+    power = float(np.sum(torque[rows.moving[:, j]] ** 2))
+    if float(np.sum(mean_of_all[place] ** 2)) < MIN_SHOWN_POWER * power:
+        return None
     unit = abscissa.unit.format("m" if rows.linear[j] else "rad")
+    if rows.linear[j]:
+        unit = unit.replace("N m", "N")
     relative = estimate.relative_std
     centres = (0.5 * (edges[1:] + edges[:-1]))[kept]
     return EffectCurve(abscissa.over, unit, along, centres, mean, np.abs(mean) * relative)

@@ -42,7 +42,7 @@ MIN_COLUMN_SHARE = 1e-3
 EXPERIMENTS: Mapping[str, str] = {
     "position": "that joint alone, slowly back and forth over its range",
     "place": "that joint alone, slowly past the place, both ways",
-    "position and direction": "that joint alone, slowly back and forth, between ends that shift",
+    "position and direction": "that joint alone, slowly, with reversals at varied positions",
     "position and speed": "that joint alone over its range, at several constant speeds",
     "position and load": "that joint alone over its range, with and without a load",
     "speed and load": "constant speeds of that joint, with and without a load",

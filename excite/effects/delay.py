@@ -124,7 +124,7 @@ DELAY = Effect(
     {"seconds": "s"},
     "residual like the slope of torque",
     ("hysteresis", "elasticity", "stribeck"),
-    "fast, jerky motion; the same delay on all joints is the logging's",
+    "fast, jerky motion",
     form_std={"seconds": 0.1},
     predicted_torque=_predicted_torque,
 )

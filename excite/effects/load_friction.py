@@ -56,7 +56,7 @@ LOAD_FRICTION = Effect(
     {"mu": "1"},
     "friction grows with the torque carried",
     ("position_friction", "coupling"),
-    "repeat the same trajectory with another load at the flange",
+    "repeat the same trajectory with another load",
     form_std={"mu": 0.35},
 )
 """Load-dependent gear friction, torque-dependent losses."""

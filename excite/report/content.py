@@ -79,7 +79,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Banner:
-    """A line at the head of a report that must not be overlooked; tone: "good", "warn" or "bad"."""
+    """A line at the head of a report; tone: "good", "warn", "bad", or "" for none."""
 
     text: str
     tone: str

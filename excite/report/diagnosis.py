@@ -10,9 +10,10 @@ import numpy as np
 from markupsafe import Markup
 
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
+from ..diagnosis.rejection import MIN_PROBABILITY
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
-from ..robot.parameter_names import listed, some
+from ..robot.parameter_names import listed
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .decisions import decisions_section
@@ -31,6 +32,7 @@ from .torque_budget import (
     JointBudget,
     effect_words,
     joint_budgets,
+    joint_words,
     parameter_words,
     probability_words,
     sorted_findings,
@@ -50,15 +52,18 @@ CURVE_POINTS = 3
 SURE_PROBABILITY = 0.9
 """Probability from which no experiment to confirm a finding is proposed."""
 _VERDICTS = {
-    "no-mismatch": ("the base model lacks nothing that these recordings show.", "good"),
-    "explained": ("the effects below explain what the base model lacks.", "good"),
-    "partly-explained": ("the effects below explain a part of what the base model lacks.", "warn"),
-    "unexplained": ("the base model lacks something that no known effect explains.", "bad"),
+    "no-mismatch": ("the base model lacks nothing that these recordings show", "good"),
+    "explained": ("the effects below explain what the base model lacks", "good"),
+    "partly-explained": ("the effects below explain a part of what the base model lacks", "warn"),
+    "unexplained": ("the base model lacks something that no known effect explains", "bad"),
 }
+_ONE_SESSION = (
+    "warm up alike, or record temp.<joint>, and record training and validation again in one session"
+)
 _NOISE_FLOORS = {
     "periods": "the difference between repeated periods",
-    "differences": "the torque's spectrum above that of the motion, assumed white below it; no "
-    "period was recorded twice, so it may be too low",
+    "differences": "estimated from the torque's spectrum above that of the motion; no period was "
+    "recorded twice",
 }
 
 
@@ -77,7 +82,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
     content = ReportContent(
         title=f"Diagnosis of {robot.name}",
         subtitle="What the base model (rigid links, rotor inertia, viscous and Coulomb friction, "
-        "offset) lacks, found in the torque that it does not predict.",
+        "offset) lacks.",
         banners=_banners(document, budgets),
         cards=(),
         sections=[
@@ -109,12 +114,68 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
         )
         doubts = [f"{Path(d['recording']).name}: {d['text']}" for d in document["doubts"]]
         return [Banner(text, "bad"), *(Banner(doubt, "warn") for doubt in doubts)]
-    text, tone = _VERDICTS[document["verdict"]]
-    above = [b.joint for b in budgets if b.noise_ratio > EXPLAINED_RMSE_RATIO]
-    if document["verdict"] == "partly-explained" and above:
+    verdict, (text, tone) = document["verdict"], _VERDICTS[document["verdict"]]
+    unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
+    changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
+    above = [b.joint for b in budgets if not (b.is_explained or b.is_changed or b.unknown)]
+    if unknown:
+        places = joint_words(unknown, len(budgets))
+        remains = f"torque at {places} repeats with the motion and resembles no known effect"
+        text = remains if verdict == "unexplained" else f"{text}; {remains}"
+    if changed:
+        text += (
+            f"; most of the error of {joint_words(changed, len(budgets))} is friction or offset "
+            "that changed between the recordings"
+        )
+    if verdict == "partly-explained" and above:
         ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
-        text += f" The error is still more than {ratio} at {some(above)}."
-    return [Banner(f"{capitalized(document['verdict'].replace('-', ' '))}: {text}", tone)]
+        text += f"; the error is still more than {ratio} at {joint_words(above, len(budgets))}"
+    return [
+        Banner(f"{capitalized(verdict.replace('-', ' '))}: {text}.", tone),
+        Banner(f"Use: {_use(budgets)}. Next: {_next_action(document, budgets)}.", ""),
+    ]
+
+
+def _use(budgets: Sequence[JointBudget]) -> str:
+    """Say whether the saved model is of use, and which file to load."""
+    improved = [b.joint for b in budgets if b.is_improved]
+    worse = [b.joint for b in budgets if b.is_worse]
+    if worse:
+        return (
+            f"model.json with care; it predicts {joint_words(worse, len(budgets))} worse than the "
+            "base model, its field without_effects"
+        )
+    if improved:
+        none_worse = ", worse at none" if budgets[1:] else ""
+        return (
+            "load model.json; it predicts unseen motion better than the base model at "
+            f"{joint_words(improved, len(budgets))}{none_worse}"
+        )
+    if all(b.is_explained for b in budgets):
+        return "load model.json; it predicts unseen motion down to the noise"
+    worst = max(budgets, key=lambda b: b.noise_ratio)
+    text = (
+        f"model.json is no better than the base model, with errors up to "
+        f"{significant(worst.noise_ratio)} × noise ({worst.joint})"
+    )
+    if any(b.is_changed for b in budgets):
+        text += "; its friction holds only in the session that it was fitted to"
+    return text
+
+
+def _next_action(document: Document, budgets: Sequence[JointBudget]) -> str:
+    """First actions on what these recordings leave open."""
+    actions = [_ONE_SESSION] if any(b.is_changed for b in budgets) else []
+    actions += [
+        f"for the unknown torque at {entry['joint']}, {entry['experiment']}"
+        for entry in document["unknown"][:1]
+    ]
+    if not actions and any(len(names) > 1 for names in _open_effects(document)):
+        actions = [
+            "excite design ROBOT --discriminate diagnosis.json designs the motion that decides "
+            "between the effects that resemble each other"
+        ]
+    return "; ".join(actions) or "nothing is needed"
 
 
 def _budget_section(
@@ -122,23 +183,43 @@ def _budget_section(
 ) -> Section:
     """The torque budget of every joint, as a picture and in words."""
     improved = sorted((b for b in budgets if b.is_improved), key=lambda b: b.after / b.before)
+    changed = [b.joint for b in budgets if b.is_changed]
+    unknown = [b.joint for b in budgets if b.unknown]
     answer, tone = "Not known: no effect found reduces the error.", "warn"
     if "doubts" in document:
         answer = "Not known while findings are withheld: only the error is shown."
     elif improved:
-        count = f"{len(improved)} of {plural(len(budgets), 'joint')}"
-        answer, tone = (
-            f"The effects found reduce the error on unseen recordings at {count}, most at "
-            f"{improved[0].joint}: {improved[0].error}.",
-            "",
+        most = (
+            f", most at {improved[0].joint}: {improved[0].error}"
+            if budgets[1:]
+            else f": {improved[0].error}"
         )
-    elif all(b.noise_ratio <= EXPLAINED_RMSE_RATIO for b in budgets):
+        places = joint_words([b.joint for b in improved], len(budgets))
+        answer = f"The effects found reduce the error on unseen recordings at {places}{most}."
+        tone = ""
+    elif all(b.is_explained for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"
+    elif changed or unknown:
+        causes = {
+            "friction or offset that changed between the recordings": changed,
+            "torque that no known effect explains": unknown,
+        }
+        texts = [
+            f"{cause} ({joint_words(joints, len(budgets))})"
+            for cause, joints in causes.items()
+            if joints
+        ]
+        answer = f"Mostly from {listed(texts)}."
+    seconds = sum(float(m.time[-1] - m.time[0]) for m in diagnosis.held_out.motions)
     data = {
         "figure": Markup(diagnosis_figures.draw_budget(budgets)),
-        "sentences": [f"{b.joint}: error {b.error}; {b.causes}." for b in budgets],
+        "sentences": [
+            f"{b.joint}: error {b.error}{'; ' if b.causes else ''}{b.causes}." for b in budgets
+        ],
         "shown": SHOWN_SENTENCES,
+        "seconds": number(seconds, 2 if seconds < 100.0 else 3),
         "is_noise_known": diagnosis.method == "periods",
+        "has_changed": bool(changed),
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),
     }
     return Section("budget", "Where does the torque error come from?", answer, data, tone)
@@ -175,6 +256,7 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
     curves = [f for f in findings if _is_drawn(f) and f["evidence"]["severity"] >= smallest]
     data = {
         "table": Table(head, rows, (2, 3)),
+        "has_alternatives": any(finding["equivalents"] for finding in findings),
         "effects": Table(("effect", "how it shows", "equation"), signatures),
         "curves": Markup(diagnosis_figures.draw_effect_curves(curves, units)) if curves else "",
     }
@@ -185,15 +267,15 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
 def _findings_answer(document: Document) -> tuple[str, str]:
     """The findings in a sentence, and its tone."""
     groups: dict[str, list[str]] = {}
-    for finding in document["findings"]:
+    for finding in sorted_findings(document):
         groups.setdefault(finding["effect"], []).append(finding["joint"] or "the whole robot")
     if groups:
+        count = len(document["joints"])
         texts = [
-            f"{effect_words(effect)} ({some(joints, 2)})"
+            f"{effect_words(effect)} ({joint_words(joints, count)})"
             for effect, joints in sorted(groups.items(), key=lambda group: -len(group[1]))
         ]
-        count = plural(len(document["findings"]), "finding")
-        return f"{count}: {listed(texts)}.", ""
+        return f"{plural(len(document['findings']), 'finding')}: {listed(texts)}.", ""
     if "doubts" in document:
         return "Not stated: findings at single joints are withheld; see above.", "warn"
     if document["unknown"]:
@@ -229,20 +311,34 @@ def _is_drawn(finding: Document) -> bool:
 # -- next experiment -------------------------------------------------------------------------------
 
 
-def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
-    """Experiments that separate or confirm effects."""
+def _open_effects(document: Document) -> dict[tuple[str, ...], list[str]]:
+    """Findings that are unsure or resemble others: the joints of each group of effects."""
     groups: dict[tuple[str, ...], list[str]] = {}
-    for finding in document["findings"]:
+    for finding in sorted_findings(document):
         rivals = (rival["effect"] for rival in finding.get("rivals", ()))
         key = tuple(sorted({finding["effect"], *finding["equivalents"], *rivals}))
         if key[1:] or finding["probability"] < SURE_PROBABILITY:
             groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
-    lines = []
+    return groups
+
+
+def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
+    """Experiments that separate or confirm effects."""
+    groups, count = _open_effects(document), len(document["joints"])
+    changed = list(dict.fromkeys(c["joint"] for c in document["between_recordings"]))
+    lines = (
+        [
+            f"{capitalized(_ONE_SESSION)}: friction or offset changed at "
+            f"{joint_words(changed, count)}."
+        ]
+        if changed
+        else []
+    )
     for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
         purpose = "To tell apart" if names[1:] else "To be surer of"
         effects = listed([effect_words(name) for name in names])
         experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
-        place = some(list(dict.fromkeys(joints)), 2)
+        place = joint_words(list(dict.fromkeys(joints)), count)
         lines.append(f"{purpose} {effects} ({place}): {experiments}.")
     lines += [
         f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
@@ -279,23 +375,25 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
             entry["joint"] or "whole robot",
             probability_words(entry["probability"]),
             number(entry["evidence"]["log_bayes_factor"], 3),
-            "yes" if entry["modelled"] else "no",
+            f"{entry['reason']}{', yet in the saved model' if entry['modelled'] else ''}",
         )
         for entry in document["considered"]
     ]
     wanted = () if diagnosis.options.trusted else EFFECTS
     absorbed = [effect_words(effect.name) for effect in wanted if effect.prior_only]
-    reason = "withheld, or too uncertain" if "doubts" in document else "too uncertain"
     data = {
         "table": Table(
-            ("effect", "joint", "probability", "log Bayes factor", "in the saved model"),
+            ("effect", "joint", "probability", "log Bayes factor", "why it is no finding"),
             rows,
             (2, 3),
         ),
         "absorbed": listed(absorbed) if absorbed else "",
     }
     verb = "is" if len(rows) == 1 else "are"
-    answer = f"{plural(len(rows), 'effect')} had some evidence and {verb} not reported: {reason}."
+    answer = (
+        f"{plural(len(rows), 'effect')} had some evidence but {verb} no finding, which needs a "
+        f"probability of {MIN_PROBABILITY:g} and a place in the model."
+    )
     if not rows:
         answer = "No other effect had evidence."
     return Section("considered", "What else was considered?", answer, data)

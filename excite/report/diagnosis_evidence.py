@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
-from ..robot.parameter_names import percent, some
+from ..diagnosis.diagnosis import Diagnosis
+from ..robot.parameter_names import listed, percent
 from .content import Section, Table, TableCell
 from .figures import gear_encoders as encoder_figure
 from .figures import session_changes as session_figure
@@ -20,7 +20,7 @@ from .figures.diagnosis import held_out_predictions
 from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
 from .formatting import number, significant, value_with_error
-from .torque_budget import JointBudget, change_words, probability_words
+from .torque_budget import JointBudget, change_words, joint_words, probability_words
 
 DRAWN_UNKNOWN = 6
 """Unmodelled residuals that are drawn."""
@@ -52,18 +52,28 @@ def prediction_section(
 
 def _prediction_answer(budgets: Sequence[JointBudget]) -> tuple[str, str]:
     """How near the held-out error is to noise, and its tone."""
-    above = [b.joint for b in budgets if b.noise_ratio > EXPLAINED_RMSE_RATIO]
+    above = [b.joint for b in budgets if not b.is_explained]
     worse = [b.joint for b in budgets if b.is_worse]
-    worst = max(budgets, key=lambda b: b.noise_ratio)
-    answer, tone = "Yes, down to the noise at every joint", "good"
+    furthest = max(budgets, key=lambda b: b.noise_ratio)
+    answer, tone = "Yes, down to the noise" + (" at every joint" if budgets[1:] else ""), "good"
     if above:
-        answer, tone = f"Not down to the noise at {some(above)}", "warn"
-        answer += f"; the largest error, of {worst.joint}, is {worst.error}"
-    if worst.is_withheld:
+        answer, tone = f"Not down to the noise at {joint_words(above, len(budgets))}", "warn"
+        ratio = f"{significant(furthest.noise_ratio)} × noise"
+        answer += (
+            f"; furthest from it is {furthest.joint}: {ratio}" if budgets[1:] else f": {ratio}"
+        )
+    if furthest.is_withheld:
         return f"{answer}. While findings are withheld, the base model is saved.", "warn"
     if worse:
-        return f"{answer}. It predicts {some(worse)} worse than the base model.", "bad"
-    return f"{answer}. No joint is predicted worse than by the base model.", tone
+        return (
+            f"{answer}. It predicts {joint_words(worse, len(budgets))} worse than the base model.",
+            "bad",
+        )
+    if not any(b.is_improved for b in budgets):
+        return f"{answer}. The saved model predicts as the base model does.", tone
+    return f"{answer}." + (
+        " No joint is worse than by the base model." if budgets[1:] else ""
+    ), tone
 
 
 def _error_table(diagnosis: Diagnosis, budgets: Sequence[JointBudget]) -> Table:
@@ -99,17 +109,18 @@ def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
     recordings = list(dict.fromkeys(Path(change["recording"]).name for change in changes))
     rows = [
         (
-            change["joint"],
-            Path(change["recording"]).name,
+            change["joint"] + (f", {Path(change['recording']).name}" if recordings[1:] else ""),
+            percent(change["error_share"]),
             *(change_words(change[kind]).replace(" ", "\u00a0") for kind in KIND_WORDS),
         )
         for change in changes
     ]
     data = {
-        "table": Table(("joint", "recording", *KIND_WORDS.values()), rows),
+        "table": Table(("joint", "share of error", *KIND_WORDS.values()), rows, (1,)),
         "figure": Markup(session_figure.draw_session_changes(changes)),
     }
-    answer = f"No: friction or torque offset of {some(joints)} differs in {some(recordings)}."
+    places = joint_words(joints, len(document["joints"]))
+    answer = f"No. Friction or torque offset changed in {listed(recordings)} at {places}."
     yield Section("changes", "Is the robot the same in all recordings?", answer, data, "warn")
 
 
@@ -152,9 +163,15 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
         for entry in unknown
     ]
     figure = Markup(unmodelled_figure.draw_responses(unknown[:DRAWN_UNKNOWN], units))
-    joints = some([entry["joint"] for entry in unknown])
+    joints = joint_words([entry["joint"] for entry in unknown], len(document["joints"]))
     answer = f"Torque at {joints} that repeats with the motion and that no known effect explains."
-    data = {"lines": lines, "figure": figure, "drawn": DRAWN_UNKNOWN}
+    drawn = unknown[:DRAWN_UNKNOWN]
+    data = {
+        "lines": lines,
+        "figure": figure,
+        "omitted": len(unknown) - len(drawn),
+        "has_response": any(entry["where"]["response"]["relative"] for entry in drawn),
+    }
     yield Section("unknown", "What remains unknown?", answer, data, "warn")
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
+from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
 from .formatting import significant, value_with_error
 
@@ -17,8 +18,12 @@ MAX_RELATIVE_CHANGE = 2.0
 """Relative change between recordings up to which it is stated."""
 NAMED_OTHERS = 0.01
 """Share of all small effects together from which they are mentioned."""
-MAIN_SHARE = 0.6
-"""Share of the removed error from which it is mostly due to one effect."""
+NAMED_JOINTS = 5
+"""Joints that are named before they are only counted."""
+CHANGED_SHARE = 0.5
+"""Share of the squared error from which it is mostly a change between the recordings."""
+_MILLISECONDS = 1e3
+_PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
 _WORDS = {
     "asymmetric_viscous": "viscous friction that differs by direction",
     "drag": "drag (square of speed)",
@@ -66,6 +71,11 @@ class JointBudget:
         parts: Effects that remove at least `MIN_SHARE` of before − after, the largest first.
         others: Share of all other effects together [1].
         is_withheld: Whether findings are withheld, so that the saved model is the base model.
+        torque: RMS of the measured torque.
+        changed: Share of the saved model's squared error that friction and offsets explain which
+            differ from those of the fitted recordings [1].
+        unknown: Whether the joint has torque that no effect explains.
+        absent: Findings at the joint that remove no notable part of its error.
     """
 
     joint: str
@@ -76,6 +86,30 @@ class JointBudget:
     parts: tuple[BudgetPart, ...]
     others: float
     is_withheld: bool
+    torque: float = float("inf")
+    changed: float = 0.0
+    unknown: bool = False
+    absent: tuple[str, ...] = ()
+
+    @property
+    def removed(self) -> float:
+        """Share of the base model's error that the saved model removes [1]."""
+        return 1.0 - self.after / max(self.before, 1e-300)
+
+    @property
+    def is_explained(self) -> bool:
+        """True if the error is near that of noise."""
+        return self.noise_ratio <= EXPLAINED_RMSE_RATIO
+
+    @property
+    def is_changed(self) -> bool:
+        """True if most of the squared error is friction or offset that changed."""
+        return self.changed > CHANGED_SHARE and not self.is_explained
+
+    @property
+    def unchanged(self) -> float:
+        """RMSE of the saved model without what changed between the recordings."""
+        return float(self.after * (1.0 - self.changed) ** 0.5) if self.is_changed else self.after
 
     @property
     def is_improved(self) -> bool:
@@ -102,25 +136,64 @@ class JointBudget:
 
     @property
     def causes(self) -> str:
-        """Effects that remove the error: 'mostly load friction (95 %), some delay (5 %)'."""
+        """Effects that remove the error, by how much of it, and causes of the remaining error."""
         if self.is_withheld:
             return "findings are withheld"
+        texts = [*self._removed(), *self._remaining()]
+        if self.before > self.torque:
+            ratio = f"{100.0 * self.before / self.torque:.0f} %"
+            texts.append(
+                f"the base model alone is worse than predicting no torque ({ratio} of the torque)"
+            )
+        return "; ".join(texts)
+
+    def _removed(self) -> list[str]:
+        """Effects that remove the error: 'load friction −30 %, delay −5 %'."""
         if self.is_worse:
-            return "the effects of the model do not hold here"
+            return ["the effects of the model do not hold here"]
         if not self.is_improved:
-            is_noise = self.noise_ratio <= EXPLAINED_RMSE_RATIO
-            return "nothing notable is missing" if is_noise else "no effect found reduces it"
+            if self.is_explained:
+                return ["nothing notable is missing"]
+            return [] if self.unknown or self.is_changed else ["no effect found reduces it"]
         texts = [
             f"{'' if part.is_certain else 'perhaps '}{effect_words(part.effect)} "
-            f"({100.0 * part.share:.0f} %)"
+            f"−{100.0 * part.share * self.removed:.0f} %"
             for part in self.parts
         ]
-        if self.parts[0].share >= MAIN_SHARE and len(texts) > 1:
-            texts[0] = f"mostly {texts[0]}"
-            texts[1] = f"some {texts[1]}" if self.parts[1].is_certain else texts[1]
-        if self.others >= NAMED_OTHERS:
-            texts.append(f"others ({100.0 * self.others:.0f} %)")
-        return ", ".join(texts)
+        if self.others * self.removed >= NAMED_OTHERS:
+            texts.append(f"others −{100.0 * self.others * self.removed:.0f} %")
+        if self.absent:
+            names = listed([effect_words(name) for name in self.absent])
+            texts.append(f"{names} hardly matter{'' if self.absent[1:] else 's'} here")
+        return [", ".join(texts)]
+
+    def _remaining(self) -> list[str]:
+        """Causes of the remaining error."""
+        texts = []
+        if self.unknown and not self.is_explained:
+            texts.append("torque that repeats and that no known effect explains remains")
+        if self.is_changed:
+            start = "of the remaining squared error" if self.is_improved else "of its square"
+            texts.append(
+                f"{100.0 * self.changed:.0f} % {start} may be friction or offset that changed "
+                "between the recordings"
+                if self.unknown
+                else f"friction or offset changed between the recordings: "
+                f"{100.0 * self.changed:.0f} % {start}"
+            )
+        return texts
+
+
+def joint_words(joints: Sequence[str], count: int) -> str:
+    """Return joints in a sentence by name, or how many there are if they are all or many.
+
+    Args:
+        joints: Names of the joints.
+        count: Number of joints of the robot.
+    """
+    if len(joints) == count > 1:
+        return f"all {count} joints"
+    return some(joints, NAMED_JOINTS)
 
 
 def probability_words(probability: float) -> str:
@@ -141,8 +214,19 @@ def change_words(change: Mapping[str, Any]) -> str:
 
 def parameter_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     """Return parameters of `diagnosis.json` with standard errors."""
-    texts = [f"{key.replace('_', ' ')} {value_with_error(**v)}" for key, v in parameters.items()]
-    return ", ".join(texts) or "uncertain"
+    return ", ".join(_parameter(*entry) for entry in parameters.items()) or "not determined"
+
+
+def _parameter(name: str, entry: Mapping[str, Any]) -> str:
+    """Return a parameter; a delay says which of torque and motion is late."""
+    if name != "seconds":
+        return f"{_PARAMETER_WORDS.get(name, name.replace('_', ' '))} {value_with_error(**entry)}"
+    value, std = entry["value"], entry["std"]
+    direction = "late" if value > 0.0 else "early"
+    size = value_with_error(
+        _MILLISECONDS * abs(value), None if std is None else _MILLISECONDS * std, "ms"
+    )
+    return f"torque {direction} by {size}"
 
 
 def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -161,6 +245,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
         robot: The robot.
     """
     uncertain = {(e["effect"], e["joint"]) for e in document["considered"] if e["modelled"]}
+    unknown = {entry["joint"] for entry in document["unknown"]}
     out = []
     for entry, (joint, errors) in zip(robot.entries, document["joints"].items(), strict=True):
         budget = document["budget"][joint]
@@ -171,6 +256,11 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
             is_certain = not uncertain & {(name, joint), (name, None)}
             share, std = value["share"] / total, value["std"] / total
             parts.append(BudgetPart(name, share, std, is_certain))
+        shown = tuple(part for part in parts if part.share >= MIN_SHARE)
+        effects = (f["effect"] for f in document["findings"] if f["joint"] == joint)
+        changed = sum(
+            c["error_share"] for c in document["between_recordings"] if c["joint"] == joint
+        )
         out.append(
             JointBudget(
                 joint,
@@ -178,9 +268,13 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 errors["rmse_before"],
                 errors["rmse_after"],
                 errors["noise_floor"],
-                tuple(part for part in parts if part.share >= MIN_SHARE),
+                shown,
                 sum(part.share for part in parts if part.share < MIN_SHARE),
                 "doubts" in document,
+                errors["torque_rms"],
+                changed,
+                joint in unknown,
+                tuple(name for name in effects if name not in {part.effect for part in shown}),
             )
         )
     return out

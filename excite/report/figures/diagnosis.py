@@ -15,20 +15,25 @@ from ...identification.identification import Prediction
 from ..torque_budget import JointBudget, effect_words
 from . import drawing
 from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT
-from .trajectory import short
+from .trajectory import short, short_names
 
 _EFFECT_COLORS = (BLUE, ORANGE, GREEN, "#8e5ea2", "#c9a227", "#4aa8a4", "#b5651d", "#d16ba5")
 """Colours of the effects in the torque budget, the largest effect of the robot first."""
 _OTHERS_COLOR = "#cfd6dd"
 _REMAINING_COLOR = "#5b6775"
-_BAR_HEIGHT = 0.3
+_CHANGED_COLOR = "#a9b4c0"
+_BAR_HEIGHT = 0.36
 """Height of a joint in the torque budget [in]."""
-_LETTER_WIDTH = 0.075
+_FONT_SIZE = 9.0
+"""Size of its texts [pt]."""
+_LETTER_WIDTH = 0.085
 """Mean width of a letter of a joint's name [in]."""
-_TEXT_WIDTH = 2.2
+_TEXT_WIDTH = 2.6
 """Width of the text at the end of a bar [in]."""
 _LABELLED_WIDTH = 0.07
 """Width of a part over the base model's error from which its share is written on it."""
+_WHISKER_PLACES = (0.37, 0.43, 0.49)
+"""Where below the middle of a bar the whiskers of its parts are, so that they cross no label."""
 _INTERVAL = 1.645
 """Standard deviations of a 90 % interval on either side."""
 _END = 1.08
@@ -53,11 +58,11 @@ def draw_budget(budgets: Sequence[JointBudget]) -> str:
         totals[part.effect] = totals.get(part.effect, 0.0) + part.share
     ranked = sorted(totals, key=lambda effect: -totals[effect])
     colors = dict(zip(ranked, _EFFECT_COLORS, strict=False))
-    names = [short(budget.joint, 24) for budget in budgets]
+    names = short_names([budget.joint for budget in budgets], 24)
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
-        left, bottom, top = 0.3 + _LETTER_WIDTH * max(map(len, names)), 0.42, 0.62
+        left, bottom, top = 0.3 + _LETTER_WIDTH * max(map(len, names)), 0.48, 0.62
         across, up = (width - left - _TEXT_WIDTH) / width, (height - bottom - top) / height
         axes = figure.add_axes((left / width, bottom / height, across, up))
         for y, budget in enumerate(budgets):
@@ -66,12 +71,15 @@ def draw_budget(budgets: Sequence[JointBudget]) -> str:
         axes.set_ylim(len(budgets) - 0.5, -0.5)
         axes.set_yticks(range(len(budgets)), names)
         axes.set_xticks(np.arange(0.0, 1.01, 0.2), [f"{20 * k} %" for k in range(6)])
-        axes.tick_params(axis="y", length=0, labelsize=8, labelcolor=INK)
-        axes.set_xlabel("held-out torque error (RMS), over that of the base model")
+        axes.tick_params(labelsize=_FONT_SIZE)
+        axes.tick_params(axis="y", length=0, labelcolor=INK)
+        axes.set_xlabel(
+            "held-out torque error (RMS), over that of the base model", fontsize=_FONT_SIZE
+        )
         _budget_legend(figure, colors, budgets)
 
     label = "Torque budget of every joint"
-    return drawing.render_svg(label, 1.1 + _BAR_HEIGHT * len(budgets), draw)
+    return drawing.render_svg(label, 1.15 + _BAR_HEIGHT * len(budgets), draw)
 
 
 def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str]) -> None:
@@ -79,7 +87,10 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
     bar = functools.partial(axes.barh, y, height=0.62)
     scale = max(budget.before, 1e-300)
     remaining, floor = min(budget.after / scale, _END), budget.floor / scale
-    bar(remaining, color=_REMAINING_COLOR)
+    unchanged = min(budget.unchanged / scale, _END)
+    bar(unchanged, color=_REMAINING_COLOR)
+    if budget.is_changed:
+        bar(remaining - unchanged, left=unchanged, color=_CHANGED_COLOR)
     if budget.is_worse:
         bar(remaining - 1.0, left=1.0, color=RED)
     at, removed = remaining, 1.0 - remaining
@@ -87,16 +98,17 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
         size, alpha = part.share * removed, 1.0 if part.is_certain else 0.45
         bar(size, left=at, color=colors.get(part.effect, _OTHERS_COLOR), alpha=alpha)
         if size >= _LABELLED_WIDTH:
-            text = f"{100.0 * part.share:.0f} %"
-            axes.text(at + 0.5 * size, y, text, ha="center", va="center", color="white", fontsize=7)
+            text = f"−{100.0 * size:.0f} %"
+            axes.text(at + 0.5 * size, y, text, ha="center", va="center", color="white", fontsize=8)
         at += size
-        reach, place = min(_INTERVAL * part.std * removed, 1.0), y + (0.08, 0.16, 0.24)[k % 3]
-        axes.errorbar(at, place, xerr=reach, color=INK, elinewidth=0.7, capsize=1.8, capthick=0.7)
+        reach, place = _INTERVAL * part.std * removed, y + _WHISKER_PLACES[k % 3]
+        ends = max(at - reach, remaining), min(at + reach, 1.0)
+        axes.plot(ends, (place, place), color=INK, linewidth=0.8, marker="|", markersize=3.0)
     if budget.is_improved:
         bar(max(1.0 - at, 0.0), left=at, color=_OTHERS_COLOR)
     if floor <= _END:
         axes.plot([floor, floor], [y - 0.42, y + 0.42], color=RED, linewidth=1.4)
-    axes.text(_END + 0.01, y, budget.error, va="center", fontsize=7.5)
+    axes.text(1.02, y, budget.error, va="center", fontsize=_FONT_SIZE)
 
 
 def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[JointBudget]) -> None:
@@ -105,6 +117,8 @@ def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[Joi
     from matplotlib.patches import Patch
 
     patches = {"error that remains": _REMAINING_COLOR}
+    if any(budget.is_changed for budget in budgets):
+        patches["friction or offset changed between recordings"] = _CHANGED_COLOR
     patches |= {effect_words(effect): color for effect, color in colors.items()}
     if any(budget.is_improved and budget.others > 0.0 for budget in budgets):
         patches["other effects"] = _OTHERS_COLOR
@@ -115,11 +129,12 @@ def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[Joi
         handles,
         ["noise floor", *patches],
         loc="upper left",
-        ncols=min(len(handles), 5),
+        ncols=min(len(handles), 4),
         bbox_to_anchor=(0.0, 1.0),
         borderaxespad=0.0,
         handlelength=1.2,
         columnspacing=1.2,
+        fontsize=_FONT_SIZE,
     )
 
 
@@ -138,15 +153,15 @@ def draw_effect_curves(findings: Sequence[Mapping[str, Any]], units: Mapping[str
         low, high = torque - _INTERVAL * std, torque + _INTERVAL * std
         axes.fill_between(x, low, high, color=BLUE, alpha=0.22, linewidth=0)
         axes.plot(x, torque, color=BLUE, linewidth=1.1)
-        title = f"{short(finding['joint'], 20)} [{units[finding['joint']]}]"
-        axes.set_title(title, loc="left", fontweight="bold", pad=3)
-        axes.set_title(effect_words(finding["effect"]), loc="right", fontsize=7, color=SOFT, pad=3)
-        note = ", positive: against the motion" if curve["opposes_motion"] else ""
-        axes.set_xlabel(f"{curve['over']} [{curve['unit']}]{note}")
+        axes.set_title(short(finding["joint"], 20), loc="left", fontweight="bold", pad=3)
+        axes.set_title(effect_words(finding["effect"]), loc="right", fontsize=8, color=SOFT, pad=3)
+        kind = "resistance" if curve["opposes_motion"] else "torque"
+        axes.set_ylabel(f"{kind} [{units[finding['joint']]}]")
+        axes.set_xlabel(f"{curve['over']} [{curve['unit']}]")
         drawing.limit_ticks(axes, 5, 4)
         if curve["over"] == LOGARITHMIC_QUANTITY:  # from a fraction of a milliradian to a turn
             axes.set_xscale("log")
-            drawing.set_decade_ticks(axes)
+            drawing.set_decade_ticks(axes, divided=x.max() < 100.0 * x[x > 0.0].min(initial=np.inf))
 
     return drawing.render_panels("Torque of the effects", findings, draw, _CURVE_HEIGHT)
 

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..._types import FloatArray
-from ..formatting import power_of_ten
+from ..formatting import number, power_of_ten
 from . import svg
 
 T = TypeVar("T")
@@ -43,6 +43,8 @@ FIGURE_WIDTH = 10.6
 """Width of a figure [in]."""
 PANELS_PER_ROW = 3
 """Small panels side by side in `render_panels`."""
+PANEL_FONT_SIZE = 9.0
+"""Size of the texts at the axes of `render_panels` [pt]."""
 COMPACT_LAYOUT_JOINTS = 10
 """Robots with more joints than this get smaller panels and one figure per quantity."""
 
@@ -151,14 +153,17 @@ def render_panels(
 
     def draw_all(figure: Any) -> None:
         cells = axes_grid(
-            figure, rows, PANELS_PER_ROW, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)
+            figure, rows, PANELS_PER_ROW, margins=(0.7, 0.1, 0.25, 0.5), gaps=(0.75, 0.75)
         ).ravel()
         for axes, entry in zip(cells, entries, strict=False):
             draw(axes, entry)
+            axes.tick_params(labelsize=PANEL_FONT_SIZE)
+            axes.xaxis.label.set_size(PANEL_FONT_SIZE)
+            axes.yaxis.label.set_size(PANEL_FONT_SIZE)
         for axes in cells[len(entries) :]:
             axes.set_axis_off()
 
-    return render_svg(label, rows * (height + 0.7), draw_all)
+    return render_svg(label, rows * (height + 0.75), draw_all)
 
 
 def thin_curve(t: FloatArray, y: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -189,18 +194,29 @@ def limit_ticks(axes: Any, x: int = 4, y: int = 3) -> None:
     axes.set_axisbelow(True)
 
 
-def set_decade_ticks(axes: Any) -> None:
-    """Set ticks at the decades of logarithmic axes, with a light horizontal grid."""
+def set_decade_ticks(axes: Any, *, divided: bool = False) -> None:
+    """Set ticks at the decades of logarithmic axes, with a light horizontal grid.
+
+    Args:
+        axes: Matplotlib axes.
+        divided: Whether there are ticks at 2 and 5 of each decade too.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+    subs = (1.0, 2.0, 5.0) if divided else (1.0,)
     for axis in (axes.xaxis, axes.yaxis):
         if axis.get_scale() == "log":
-            axis.set_major_locator(LogLocator(10.0, numticks=9))
+            axis.set_major_locator(LogLocator(10.0, subs, numticks=9))
             axis.set_minor_locator(NullLocator())
             # plain text: matplotlib's own labels go through its slow mathematics typesetter
-            axis.set_major_formatter(FuncFormatter(_decade_label))
+            axis.set_major_formatter(FuncFormatter(_plain_label if divided else _decade_label))
     axes.grid(visible=True, axis="y", color=GRID_COLOR, linewidth=0.5)
     axes.set_axisbelow(True)
+
+
+def _plain_label(value: float, _: int) -> str:
+    """Label of a tick on a logarithmic axis whose decades are divided."""
+    return number(value, 1)
 
 
 def _decade_label(value: float, _: int) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .drawing import BLUE, GREY, limit_ticks, render_panels
-from .trajectory import short
+from .trajectory import short_names
 
 KIND_WORDS = {
     "coulomb": "Coulomb friction",
@@ -27,11 +27,13 @@ def draw_session_changes(changes: Sequence[Mapping[str, Any]]) -> str:
     Args:
         changes: `between_recordings` of `diagnosis.json`.
     """
-    several = len({Path(change["recording"]).name for change in changes}) > 1
+    joints = list(dict.fromkeys(change["joint"] for change in changes))
+    recordings = list(dict.fromkeys(Path(change["recording"]).stem for change in changes))
+    shown = dict(zip(joints, short_names(joints, 14), strict=True))
+    stems = dict(zip(recordings, short_names(recordings, 10), strict=True))
     names = [
-        f"{short(change['joint'], 14)}, {short(Path(change['recording']).stem, 10)}"
-        if several
-        else short(change["joint"], 14)
+        shown[change["joint"]]
+        + (f", {stems[Path(change['recording']).stem]}" if recordings[1:] else "")
         for change in changes
     ]
 
@@ -46,7 +48,7 @@ def draw_session_changes(changes: Sequence[Mapping[str, Any]]) -> str:
         )
         limit_ticks(axes, 5, 4)
         axes.set_xlim(-0.5, len(changes) - 0.5)
-        axes.set_xticks(x, names, rotation=30.0, ha="right")
+        axes.set_xticks(x, names, rotation=25.0, ha="right")
         units = " or ".join(dict.fromkeys(change[kind]["unit"] for change in changes))
         title = f"change of {KIND_WORDS[kind]} [{units}]"
         axes.set_title(title, loc="left", fontweight="bold", pad=3)

@@ -147,7 +147,7 @@ def draw_fit(
                 pad=3,
             )
             error = labels.errors[joint] if labels.errors else _error_words(prediction, joint)
-            upper.set_title(error, loc="right", fontsize=7, color=SOFT, pad=3)
+            upper.set_title(error, loc="right", fontsize=8, color=SOFT, pad=3)
             if joint + columns >= count:
                 lower.set_xlabel("time [s]")
             if column == 0:
@@ -170,7 +170,8 @@ def _legend(figure: Any, names: FitLabels, *, has_floor: bool) -> None:
     from matplotlib.patches import Patch
 
     handles: list[Any] = [Line2D([], [], color=color) for color in (INK, GREY, BLUE, ORANGE)]
-    labels = ["measured", names.nominal, names.fitted, f"residual: measured − {names.fitted}"]
+    nominal = f"{names.nominal} and its residual" if names.residuals else names.nominal
+    labels = ["measured", nominal, names.fitted, f"residual: measured − {names.fitted}"]
     if has_floor:
         handles.append(Patch(color=GREY, alpha=0.35))
         labels.append(f"±{NOISE_BAND_FLOORS:g} noise floors")
@@ -195,7 +196,7 @@ def _torque(
     ):
         axes.plot(*_curve(prediction, values[:, joint], span, points), color=color, linewidth=width)
     limit_ticks(axes, 6, 3)
-    axes.tick_params(labelbottom=False)
+    axes.tick_params(labelbottom=False, labelsize=8)
     axes.set_xlim(*span)
 
 
@@ -218,6 +219,7 @@ def _residual(
         residual = prediction.measured[:, joint] - values[:, joint]
         axes.plot(*_curve(prediction, residual, span, points), color=color, linewidth=0.7)
     limit_ticks(axes, 6, 2)
+    axes.tick_params(labelsize=8)
 
 
 def _curve(

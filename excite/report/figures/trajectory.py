@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,6 +124,24 @@ def short(name: str, length: int = 26) -> str:
     if len(name) <= length:
         return name
     return f"{name[: length // 2]}…{name[-(length // 2 - 1) :]}"
+
+
+def short_names(names: Sequence[str], length: int) -> list[str]:
+    """Shorten long names so that different ones stay different.
+
+    The last word that all names share, such as `_joint`, is left out first, then the middle.
+
+    Args:
+        names: The names.
+        length: Length that is aimed at.
+    """
+    if max(map(len, names), default=0) <= length:
+        return list(names)
+    ends = {name.rpartition("_")[2] for name in names}
+    kept = [name.rpartition("_")[0] for name in names] if len(ends) == 1 else list(names)
+    kept = kept if all(kept) else list(names)
+    shortened = [short(name, length) for name in kept]
+    return shortened if len(set(shortened)) == len(set(names)) else kept
 
 
 def draw_torques(t: FloatArray, nominal: FloatArray, width: FloatArray, scene: MotionScene) -> str:

@@ -24,9 +24,11 @@ def draw_responses(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str
         response = entry["where"]["response"]
         axes.axhline(0.0, color=GREY, linewidth=0.5)
         axes.plot(response["x"], response["y"], color=BLUE, linewidth=1.0)
-        unit = "" if response["relative"] else f" [{units[entry['joint']]}]"
-        axes.set_title(short(entry["joint"], 24) + unit, loc="left", fontweight="bold", pad=3)
-        axes.set_xlabel(response["over"])
+        axes.set_title(short(entry["joint"], 24), loc="left", fontweight="bold", pad=3)
+        over, along = response["over"], ", along the motion"
+        axes.set_xlabel(over.replace(along, ""))
+        name = f"torque{' along the motion' if along in over else ''} [{units[entry['joint']]}]"
+        axes.set_ylabel("response" if response["relative"] else name)
         limit_ticks(axes, 5, 4)
 
     label = "Unexplained residual over the quantity that predicts it"

@@ -22,6 +22,7 @@ import numpy as np
 from humanoid_support import FRAMES, LOCKED, SOLE, TALOS
 
 from excite.api import design_support, identify_floating, load_floating_robot, simulate_standing
+from excite.api.design_result import CellOptions
 from excite.designer.support_design import SupportOptions
 from excite.identification import estimators
 
@@ -55,7 +56,9 @@ def main() -> None:
             starts=2,
             wrench_noise=NOISE,
         )
-        designed = design_support(robot, options, progress=lambda text: None)
+        designed = design_support(
+            robot, options, cell=CellOptions(check=False), progress=lambda text: None
+        )
         designed.save(folder / name)
         start = time.perf_counter()
         recording = simulate_standing(

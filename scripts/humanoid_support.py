@@ -30,6 +30,7 @@ from excite.api import (
     read_floating_recording,
     simulate_floating,
 )
+from excite.api.design_result import CellOptions
 from excite.api.support_design_result import SupportDesignResult
 from excite.designer.criteria import Criterion
 from excite.designer.support_design import SupportOptions
@@ -69,7 +70,12 @@ def designed(robot: FloatingRobot, arguments: argparse.Namespace) -> SupportDesi
         seed=arguments.seed,
     )
     processor = time.process_time()
-    result = design_support(robot, options, progress=lambda text: print(f"  {text}", flush=True))
+    result = design_support(
+        robot,
+        options,
+        cell=CellOptions(check=arguments.distances),
+        progress=lambda text: print(f"  {text}", flush=True),
+    )
     design = result.design
     processor = time.process_time() - processor
     print(f"{design.seconds:.0f} s ({processor:.0f} s of processor time)")
@@ -89,7 +95,8 @@ def designed(robot: FloatingRobot, arguments: argparse.Namespace) -> SupportDesi
 def judged(robot: FloatingRobot, folder: Path, arguments: argparse.Namespace) -> None:
     """Identify simulated robots with the motions, and print errors and coverage."""
     other = SupportOptions(FRAMES, (SOLE, SOLE), iterations=20, wrench_noise=NOISE, seed=77)
-    validation = design_support(robot, other, progress=lambda text: None)
+    unchecked = CellOptions(check=False)
+    validation = design_support(robot, other, cell=unchecked, progress=lambda text: None)
     validation.save(folder / "validation")
     test_motion = floating_motion(validation)
     parameters = floating_base.standard_parameters(robot)
@@ -149,6 +156,9 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=120)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--identify", action="store_true")
+    parser.add_argument(
+        "--distances", action="store_true", help="keep bodies apart, which takes minutes a motion"
+    )
     parser.add_argument("--gamma", type=float, default=10.0)
     arguments = parser.parse_args()
     robot = load_floating_robot(arguments.data / TALOS, lock=LOCKED)

@@ -460,9 +460,11 @@ def _accepted(
     if members is None:
         return None
     result, left_out = posterior.judge(extended, key)
+    joints = extended.motions[0].fitted_robot.robot.joints
+    place = "" if key[1] is None else f" at {joints[key[1]]}"
     progress(
-        f"{key[0]}, joint {key[1]}: log Bayes factor {result.log_bayes_factor:.1f}, "
-        f"severity {result.size:.2f}"
+        f"{key[0].replace('_', ' ')}{place}: log Bayes factor {result.log_bayes_factor:.1f}, "
+        f"size {result.size:.2f} × residual"
     )
     if (
         result.is_needed

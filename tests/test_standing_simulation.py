@@ -172,7 +172,7 @@ def test_a_robot_on_soles_smaller_than_planned_falls(folder):
         (("{json}", "--contact", "left_sole"), "name all of them, or 'world'"),
         (("{other}",), "its schema is 'excite.other/1'"),
         (("{csv}", "--rate", "200"), "--rate: the recording has the times"),
-        (("{footless}",), "support: names no foot"),
+        (("{footless}",), "support: should hold 1 or 2 feet, not 0"),
         (("{linkless}",), "support: 'sole' is no link"),
         (("{json}", "--effect", "payload:arm"), "--effect: is not available with --floating"),
     ],

@@ -41,6 +41,9 @@ ALIKE_CORRELATION = -0.6
 """Posterior correlation of the torques of two effects below which one may stand for the other."""
 PERCENTILES = (15.87, 84.13)
 """Percentiles of the normal distribution one standard deviation below and above the mean."""
+MAX_LOG_STD = 3.0
+"""Largest standard deviation of the logarithm of a severity that is stated: a factor of 140 either
+way says that nothing is known."""
 QUANTILE = 1.645
 """Quantile of the normal distribution of a 90 % interval."""
 
@@ -82,7 +85,7 @@ class EffectEstimate:
     def relative_std(self) -> float:
         """Relative standard deviation of its torque [1]."""
         low, high = self.severity_interval
-        return (high - low) / (2.0 * QUANTILE * max(self.severity, 1e-300))
+        return float(np.log(high / low)) / (2.0 * QUANTILE) if low > 0.0 else 0.0
 
     @property
     def asserted(self) -> bool:
@@ -237,9 +240,12 @@ def with_unmodelled(
 
 
 def _interval(severity: float, relative: float) -> tuple[float, float]:
-    """90 % interval of a severity with a relative standard deviation."""
-    low, high = (severity * max(1.0 + z * relative, 0.0) for z in (-QUANTILE, QUANTILE))
-    return low, high
+    """90 % interval of a severity whose logarithm has a standard deviation.
+
+    The form of an effect is wrong by a factor, and a severity is positive.
+    """
+    spread = QUANTILE * min(relative, MAX_LOG_STD)
+    return severity * float(np.exp(-spread)), severity * float(np.exp(spread))
 
 
 def _clock_delay(of: _Posterior) -> list[EffectEstimate]:

@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
+from test_support_design import options as support_options
 from test_support_design import walker_urdf
 
 from excite.api import design_support, verify
@@ -19,11 +20,10 @@ from excite.designer import support_cell
 from excite.designer.support_cell import BASE_NAMES, Surroundings, robot_in_world
 from excite.designer.support_design import SupportOptions, _Search
 from excite.designer.support_evaluator import SupportEvaluator
-from excite.designer.support_stance import SoleSize, standing
+from excite.designer.support_stance import standing
 from excite.errors import UnusableInput
 from excite.robot import floating_base, limits
 
-SOLE = SoleSize(0.1, 0.06, (0.01, 0.0))
 SHAPES = {
     "torso_link": '<origin xyz="0 0 0.2"/><geometry><box size="0.2 0.25 0.4"/></geometry>',
     "arm_link": '<origin xyz="0 0 -0.25"/><geometry><cylinder radius="0.04" length="0.4"/>'
@@ -68,17 +68,7 @@ def table(walker):
 
 
 def options(*frames: str, **changes) -> SupportOptions:
-    values = {
-        "frames": frames,
-        "soles": (SOLE,) * len(frames),
-        "duration": 2.0,
-        "harmonics": 3,
-        "starts": 2,
-        "iterations": 12,
-        "wrench_noise": (0.5, 1.5),
-        "rate": 50.0,
-    }
-    return SupportOptions(**{**values, **changes})
+    return support_options(*frames, **{"rate": 50.0, **changes})
 
 
 @pytest.fixture(scope="module")

@@ -45,9 +45,7 @@ def require_floating(arguments: argparse.Namespace, options: Mapping[str, str]) 
     Raises:
         UnusableInput: One is.
     """
-    for option, name in options.items():
-        if getattr(arguments, name):
-            raise UnusableInput(f"{option}: is for a robot with --floating; add it")
+    _refuse_given(arguments, options, "is for a robot with --floating; add it")
 
 
 def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, str]) -> None:
@@ -60,9 +58,14 @@ def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, st
     Raises:
         UnusableInput: One is.
     """
+    _refuse_given(arguments, options, "is not available with --floating; leave it out")
+
+
+def _refuse_given(arguments: argparse.Namespace, options: Mapping[str, str], reason: str) -> None:
+    """Raise UnusableInput with a reason if one of some options is given."""
     for option, name in options.items():
         if getattr(arguments, name):
-            raise UnusableInput(f"{option}: is not available with --floating; leave it out")
+            raise UnusableInput(f"{option}: {reason}")
 
 
 def robot(arguments: argparse.Namespace) -> Robot:

@@ -41,6 +41,8 @@ ALIKE_CORRELATION = -0.6
 """Posterior correlation of the torques of two effects below which one may stand for the other."""
 PERCENTILES = (15.87, 84.13)
 """Percentiles of the normal distribution one standard deviation below and above the mean."""
+MIN_PROBABILITY = 0.5
+"""Probability from which an effect is a finding (the contract's value)."""
 MAX_LOG_STD = 3.0
 """Largest standard deviation of the logarithm of a severity that is stated: a factor of 140 either
 way says that nothing is known."""
@@ -90,7 +92,7 @@ class EffectEstimate:
     @property
     def asserted(self) -> bool:
         """True if it is probable enough to be reported as a finding."""
-        return self.needed and self.probability >= 0.5
+        return self.needed and self.probability >= MIN_PROBABILITY
 
 
 def estimate_effects(

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -147,6 +147,15 @@ class JointModel:
     def coefficients(self, effect: int) -> FloatArray:
         """Return the coefficients of an effect, shape (k,)."""
         return np.asarray(self.solution.coefficients[self.regression.slices[effect]])
+
+    def keeping(self, effects: Sequence[int]) -> JointModel:
+        """Return the model with some of its effects, and the same rows and weights.
+
+        Args:
+            effects: Numbers of the effects, in rising order.
+        """
+        models = tuple(self.models[i] for i in effects)
+        return replace(self, models=models, regression=self.regression.keeping(effects))
 
     def columns(self, model: CandidateModel) -> Columns | None:
         """Return the columns of a model over all motions; None if they are zero or not finite."""

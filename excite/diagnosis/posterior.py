@@ -86,6 +86,18 @@ def log_evidence(regression: JointRegression, solution: Solution) -> float:
     )
 
 
+def log_bayes_factor(model: JointModel, reduced: JointModel) -> float:
+    """Return the log Bayes factor of a joint model over one with some of its effects.
+
+    Args:
+        model: The joint model.
+        reduced: What `JointModel.keeping` returns of it.
+    """
+    return log_evidence(model.regression, model.solution) - log_evidence(
+        reduced.regression, reduced.solution
+    )
+
+
 def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, float]:
     """Return the probability of every effect; the odds of frictions are shared over the joints.
 
@@ -180,8 +192,10 @@ def _next_to_form_errors(
         (e for key, e in evidence.items() if key[0] in FRICTIONS and key[1] == joint),
         key=lambda e: -e.log_bayes_factor,
     )
-    regression = model.regression.keeping(range(len(model.models)))
-    extended = replace(model, regression=regression)
+    if len(present) < 2:
+        return {}
+    extended = model.keeping(range(len(model.models)))
+    regression = extended.regression
     out: dict[Key, EffectEvidence] = {}
     gone = set(left_out)
     for larger, smaller in itertools.pairwise(present):

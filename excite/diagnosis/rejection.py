@@ -13,12 +13,10 @@ from scipy import special
 
 from . import cross_validation, posterior, probability
 from .diagnosis import Diagnosis
-from .estimates import EffectEstimate
+from .estimates import MIN_PROBABILITY, EffectEstimate
 from .joint_model import FRICTIONS
 from .posterior import DENSE_NAMES, MIN_SEVERITY
 
-MIN_PROBABILITY = 0.5
-"""Probability from which an effect is a finding (the contract's value)."""
 TOO_SMALL = "too small against the noise"
 """Reason: the torque that only this effect explains would hardly matter."""
 EXPLAINED_AS_WELL = "another effect explains it as well"

@@ -11,7 +11,6 @@ in the Laplace approximation of `posterior`. The log odds are ln B_ab/T′ with 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -105,8 +104,8 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> Cl
         for i, m in enumerate(model.models)
         if (m.effect, m.joint) in needed and id(m) not in excluded
     ]
-    others, regression = [model.models[i] for i in kept], model.regression.keeping(kept)
-    reduced = dataclasses.replace(model, models=tuple(others), regression=regression)
+    reduced = model.keeping(kept)
+    regression = reduced.regression
     present = {name: _present(reduced, group) for name, group in members.items()}
     strongest = max((c.evidence for group in present.values() for c in group), default=0.0)
     columns_of = {

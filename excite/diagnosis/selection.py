@@ -205,17 +205,13 @@ class CandidateColumns:
             best: Evidence and best candidate of each effect next to load friction.
         """
         kept = [i for i, shape in enumerate(model.models) if shape.effect != "load_friction"]
-        regression = model.regression.keeping(kept)
-        reduced = replace(model, models=tuple(model.models[i] for i in kept), regression=regression)
-        lost = posterior.log_evidence(model.regression, model.solution)
-        lost -= posterior.log_evidence(regression, regression.solution)
+        reduced = model.keeping(kept)
+        lost = posterior.log_bayes_factor(model, reduced)
         out = {}
         for key in self.shapes:
-            instead = (
-                self.best(reduced, key)
-                if key[0] != UNMODELLED and EFFECTS_BY_NAME[key[0]].prior_only
-                else None
-            )
+            if key[0] == UNMODELLED or not EFFECTS_BY_NAME[key[0]].prior_only:
+                continue
+            instead = self.best(reduced, key)
             if instead is not None:
                 evidence = instead[0] - lost
                 if evidence > -TIE:
@@ -412,11 +408,9 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     if count < 2:
         return None
     kept = [i for i in range(len(model.models)) if i not in replaced]
-    regression = model.regression.keeping(kept)
-    named = posterior.log_evidence(model.regression, model.solution)
-    named -= posterior.log_evidence(regression, regression.solution)
-    reduced = replace(model, models=tuple(model.models[i] for i in kept), regression=regression)
-    sigma = regression.residual_rms(regression.solution)
+    reduced = model.keeping(kept)
+    named = posterior.log_bayes_factor(model, reduced)
+    sigma = reduced.regression.residual_rms(reduced.solution)
     best: Candidate | None = None
     for shape in flexible_models(model.motions, sigma, [joint]):
         # a smooth curve of the position is a spring

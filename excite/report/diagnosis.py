@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
-from ..diagnosis.rejection import MIN_PROBABILITY
+from ..diagnosis.estimates import MIN_PROBABILITY
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite.diagnosis.regression import Columns, JointRegression, independent_share
+from excite.diagnosis.columns import Columns
+from excite.diagnosis.regression import JointRegression, independent_share
 
 
 def random_regression(seed: int, nonnegative: bool) -> tuple[JointRegression, np.ndarray]:

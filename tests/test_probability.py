@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from excite.diagnosis import posterior, probability
-from excite.diagnosis.regression import Columns, JointRegression
+from excite.diagnosis.columns import Columns
+from excite.diagnosis.regression import JointRegression
 
 ROWS = 40
 """Rows of the small regressions below."""

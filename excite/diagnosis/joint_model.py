@@ -37,8 +37,9 @@ from ..identification.consistency import ConsistentEstimate
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
 from . import session_changes
+from .columns import Columns
 from .flexible_models import UNMODELLED
-from .regression import RIDGE, Columns, JointRegression, Solution, independent_share, rms
+from .regression import RIDGE, JointRegression, Solution, independent_share, rms
 
 ROUNDS = 4
 """Rounds of the fit: delay and weights change by less than 1 % after three."""

@@ -20,6 +20,8 @@ from scipy import linalg
 from scipy.optimize import nnls
 
 from .._types import BoolArray, FloatArray, IntArray
+from .candidate_fits import CandidateBatch, CandidateFit
+from .columns import Columns
 
 MAX_LAG = 40
 """Lags of the autocorrelation that are summed [rows]."""
@@ -31,54 +33,6 @@ RIDGE = 1e-10
 """Share of the diagonal that is added to a matrix before it is factored."""
 _Products = tuple[FloatArray, FloatArray, float]
 """XᵀX, Xᵀτ and τᵀτ of the columns X of one joint, without weights."""
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Torque columns of one effect on the joints that they affect.
-
-    Attributes:
-        joints: Indices of these joints, shape (J,).
-        values: Torque per unit of each coefficient, one array of shape (N, k) for each joint.
-        nonnegative: Coefficients that physics requires to be ≥ 0, shape (k,).
-        prior_std: Prior standard deviation of each coefficient, shape (k,).
-    """
-
-    joints: tuple[int, ...]
-    values: tuple[FloatArray, ...]
-    nonnegative: BoolArray
-    prior_std: FloatArray
-
-    @property
-    def count(self) -> int:
-        """Number of columns k."""
-        return len(self.nonnegative)
-
-    def last(self, count: int) -> Columns:
-        """Return the last columns alone.
-
-        Args:
-            count: Their number.
-        """
-        values = tuple(x[:, -count:] for x in self.values)
-        return Columns(self.joints, values, self.nonnegative[-count:], self.prior_std[-count:])
-
-    @classmethod
-    def of(
-        cls,
-        torque: FloatArray,
-        nonnegative: BoolArray | None = None,
-        prior_std: FloatArray | None = None,
-    ) -> Columns:
-        """Return the columns of a full array, shape (N, n, k), without joints that are all zero."""
-        k = torque.shape[2]
-        joints = tuple(int(j) for j in np.flatnonzero(np.abs(torque).max(axis=(0, 2)) > 0.0))
-        return cls(
-            joints,
-            tuple(np.ascontiguousarray(torque[:, j]) for j in joints),
-            np.zeros(k, bool) if nonnegative is None else nonnegative,
-            np.full(k, np.inf) if prior_std is None else prior_std,
-        )
 
 
 @dataclass
@@ -439,47 +393,36 @@ class JointRegression:
 
     def candidate(self, columns: Columns) -> CandidateFit:
         """Fit further columns jointly with the active coefficients, without sign constraints."""
-        solution, k = self.solution, columns.count
+        return self.candidates(CandidateBatch.of([columns], self.moving))[0]
+
+    def candidates(self, batch: CandidateBatch) -> list[CandidateFit]:
+        """Fit each of many candidates jointly with the active coefficients.
+
+        They have no sign constraints. All products with the columns of the model are formed at
+        once.
+
+        Args:
+            batch: Columns of the candidates.
+        """
+        solution = self.solution
         active = np.flatnonzero(solution.active)
         position = np.full(len(solution.active), -1)
         position[active] = np.arange(len(active))
-        cross, square, score = (
-            np.zeros((len(active), k)),
-            np.diag(1.0 / columns.prior_std**2),
-            np.zeros(k),
-        )
-        for j, values in zip(columns.joints, columns.values, strict=True):
-            gram, weight = self._grams[j], float(self.weights[j])
-            x = values * self.moving[:, j, None]
-            on = position[gram.places]
+        total = sum(group.places.size for group in batch.groups)
+        cross, score = np.zeros((len(active), total)), np.zeros(total)
+        for j, (gram, weight) in enumerate(zip(self._grams, self.weights.tolist(), strict=True)):
+            x, places, on = batch.values[j], batch.places[j], position[gram.places]
             shared = gram.columns.T @ x
-            cross[on[on >= 0]] += weight * shared[on >= 0]
-            square += weight * (x.T @ x)
-            score += weight * (
-                x.T @ self.torque[:, j] - shared.T @ solution.coefficients[gram.places]
-            )
-        schur = square - cross.T @ solution.solve(cross)
-        schur = 0.5 * (schur + schur.T)
-        values_, vectors = np.linalg.eigh(schur)
-        kept = values_ > 1e-9 * max(float(np.diag(square).max()), 1e-300)
-        inverse = (vectors[:, kept] / values_[kept]) @ vectors[:, kept].T
-        coefficients = inverse @ score
-        return CandidateFit(coefficients, 0.5 * float(score @ coefficients), schur)
-
-
-@dataclass(frozen=True)
-class CandidateFit:
-    """Coefficients of additional columns.
-
-    Attributes:
-        coefficients: Shape (k,).
-        gain: Decrease of the objective, a log-likelihood.
-        information: Their information after elimination of all other coefficients, shape (k, k).
-    """
-
-    coefficients: FloatArray
-    gain: float
-    information: FloatArray
+            cross[np.ix_(on[on >= 0], places)] += weight * shared[on >= 0]
+            residual = x.T @ self.torque[:, j] - shared.T @ solution.coefficients[gram.places]
+            score[places] += weight * residual
+        change = solution.solve(cross)
+        out: list[CandidateFit | None] = [None] * batch.count
+        for group in batch.groups:
+            fits = group.fits(self.weights, cross, change, score)
+            for member, fit in zip(group.members.tolist(), fits, strict=True):
+                out[member] = fit
+        return [fit for fit in out if fit is not None]
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,11 @@ from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.form_error import with_form_error, without_form_error
 from . import posterior, probability, selection
+from .columns import Columns
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .joint_model import JointModel
-from .regression import Columns, JointRegression
+from .regression import JointRegression
 from .selection import Candidate
 
 
@@ -169,15 +170,15 @@ def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[Columns]:
     """
     out = []
     for candidate in group:
-        columns: Columns | None = candidate.columns
-        if not EFFECTS_BY_NAME[candidate.model.effect].prior_only:
+        shape = candidate.model
+        columns = reduced.columns(shape)
+        assert columns is not None  # it was fitted
+        if not EFFECTS_BY_NAME[shape.effect].prior_only:
+            coefficients = candidate.fit.coefficients
             coefficients = np.where(
-                candidate.columns.nonnegative,
-                np.maximum(candidate.fit.coefficients, 0.0),
-                candidate.fit.coefficients,
+                columns.nonnegative, np.maximum(coefficients, 0.0), coefficients
             )
-            varied = with_form_error(candidate.model, reduced.motions, coefficients)
+            varied = with_form_error(shape, reduced.motions, coefficients)
             columns = reduced.columns(varied) or columns
-        assert columns is not None
         out.append(columns)
     return out

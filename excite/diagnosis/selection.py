@@ -10,18 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from .._types import FloatArray
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
+from .candidate_fits import CandidateBatch, CandidateFit
+from .columns import Columns
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
 from .posterior import DENSE_NAMES, EffectEvidence, Key
-from .regression import CandidateFit, Columns
 
 MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
@@ -98,18 +101,18 @@ class RareEffect:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate model with its columns and its fit on top of a joint model.
+    """A candidate model with its fit on top of a joint model.
 
     Attributes:
         model: The candidate.
-        columns: Its columns.
+        prior_std: Prior standard deviation of its coefficients, shape (k,).
         fit: Its fit.
         share: Share of independent rows in the residual. An effect that is left out makes the
             residual look correlated, so that the evidence is that of usual residuals.
     """
 
     model: CandidateModel
-    columns: Columns
+    prior_std: FloatArray
     fit: CandidateFit
     share: float
 
@@ -118,7 +121,7 @@ class Candidate:
         """Log Bayes factor for the candidate, before the choice among its shapes."""
         return self.fit.gain - self._occam
 
-    @property
+    @cached_property
     def evidence(self) -> float:
         """The same with the share of independent rows that a complete model would have."""
         return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - self._occam
@@ -126,8 +129,7 @@ class Candidate:
     @property
     def _occam(self) -> float:
         """Logarithm of the share of the prior volume that the data leave."""
-        precision = 1.0 / self.columns.prior_std**2
-        scaled = self.fit.information / np.sqrt(np.outer(precision, precision))
+        scaled = self.fit.information * np.outer(self.prior_std, self.prior_std)
         return 0.5 * float(np.linalg.slogdet(scaled)[1])
 
     @property
@@ -145,7 +147,35 @@ class Candidate:
             columns: Its columns.
         """
         regression = joint.regression
-        return cls(model, columns, regression.candidate(columns), regression.independent_share)
+        fit = regression.candidate(columns)
+        return cls(model, columns.prior_std, fit, regression.independent_share)
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """All candidates of an effect at a joint, fitted one by one on top of a joint model.
+
+    Attributes:
+        plausible: Those with physically possible coefficients.
+        count: Number of all shapes that were tried, each as likely.
+    """
+
+    plausible: tuple[Candidate, ...]
+    count: int
+
+    @property
+    def best(self) -> Candidate:
+        """The plausible candidate with the most evidence."""
+        return max(self.plausible, key=lambda c: c.evidence)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Evidence of one effect whose shape is one of those tried; −∞ if none is plausible."""
+        if not self.plausible:
+            return -np.inf
+        evidence = np.array([c.evidence for c in self.plausible])
+        highest = float(evidence.max())
+        return highest + float(np.log(np.exp(evidence - highest).sum() / self.count))
 
 
 class CandidateColumns:
@@ -156,7 +186,8 @@ class CandidateColumns:
     """
 
     def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
-        self.shapes: dict[Key, list[tuple[CandidateModel, Columns]]] = {}
+        self._trusted = trusted
+        shapes: list[CandidateModel] = []
         torque = np.concatenate([motion.torque for motion in model.motions])
         noise_ratio = model.regression.sigma / np.maximum(torque.std(axis=0), 1e-300)
         for effect in EFFECTS:
@@ -164,82 +195,86 @@ class CandidateColumns:
                 continue
             if names and effect.name not in names:
                 continue
-            for shape in effect.candidates(model.motions):
-                if shape.joint is not None and noise_ratio[shape.joint] > shape.max_noise_ratio:
-                    continue
-                columns = model.columns(shape)
-                if columns is not None:
-                    self.shapes.setdefault((effect.name, shape.joint), []).append((shape, columns))
-        for shape in flexible_models(model.motions, model.regression.sigma):
-            columns = model.columns(shape)
-            if columns is not None:
-                self.shapes.setdefault((UNMODELLED, shape.joint), []).append((shape, columns))
+            shapes += (
+                shape
+                for shape in effect.candidates(model.motions)
+                if shape.joint is None or noise_ratio[shape.joint] <= shape.max_noise_ratio
+            )
+        shapes += flexible_models(model.motions, model.regression.sigma)
+        self._shapes: list[CandidateModel] = []
+        columns = []
+        for shape in shapes:
+            of_shape = model.columns(shape)
+            if of_shape is not None:
+                self._shapes.append(shape)
+                columns.append(of_shape)
+        self._batch = CandidateBatch.of(columns, model.regression.moving)
+        self._prior_std = [c.prior_std for c in columns]
 
-    def best(
-        self, model: JointModel, key: tuple[str, int | None]
-    ) -> tuple[float, Candidate] | None:
-        """Return the best plausible candidate of an effect at a joint and its evidence.
-
-        The evidence is that of one effect whose shape is one of those tried, each as likely.
-        """
-        fitted = (Candidate.of(model, shape, columns) for shape, columns in self.shapes[key])
-        scored = [candidate for candidate in fitted if candidate.is_plausible]
-        if not scored:
-            return None
-        best = max(scored, key=lambda c: c.evidence)
-        others = np.array([c.evidence for c in scored])
-        mean = best.evidence + float(np.log(np.mean(np.exp(others - best.evidence))))
-        mean += float(np.log(len(scored) / len(self.shapes[key])))
-        return mean, best
-
-    def better_than_load_friction(
-        self, model: JointModel, best: Mapping[Key, tuple[float, Candidate]]
-    ) -> dict[Key, tuple[float, Candidate]]:
-        """Return effects that have more evidence in the place of all load friction than next to it.
-
-        Where the base model is trusted, load friction of several joints fits a part of what is
-        wrong with it. Those that cannot be told from load friction are tried as well.
+    def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
+        """Return the ranking of the shapes of every effect at every joint.
 
         Args:
-            model: The joint model.
-            best: Evidence and best candidate of each effect next to load friction.
+            model: The joint model on top of which they are fitted.
         """
+        share = model.regression.independent_share
+        plausible: dict[Key, list[Candidate]] = {}
+        counts: dict[Key, int] = {}
+        for shape, prior_std, fit in zip(
+            self._shapes, self._prior_std, model.regression.candidates(self._batch), strict=True
+        ):
+            key = shape.effect, shape.joint
+            candidate = Candidate(shape, prior_std, fit, share)
+            counts[key] = counts.get(key, 0) + 1
+            if candidate.is_plausible:
+                plausible.setdefault(key, []).append(candidate)
+        return {key: Ranking(tuple(plausible.get(key, ())), count) for key, count in counts.items()}
+
+    def scored(self, model: JointModel) -> tuple[dict[Key, float], dict[Key, Ranking]]:
+        """Return the evidence of every effect at every joint, and the ranking of its shapes.
+
+        Where the base model is trusted, load friction of several joints fits a part of what is
+        wrong with it. An effect that a refit would absorb therefore competes for the place of all
+        load friction as well; one that cannot be told from load friction is tried.
+
+        Args:
+            model: The joint model on top of which they are fitted.
+        """
+        rankings = {key: r for key, r in self._rankings(model).items() if r.plausible}
+        scores = {key: ranking.evidence for key, ranking in rankings.items()}
+        if not self._trusted:
+            return scores, rankings
         kept = [i for i, shape in enumerate(model.models) if shape.effect != "load_friction"]
         reduced = model.keeping(kept)
         lost = posterior.log_bayes_factor(model, reduced)
-        out = {}
-        for key in self.shapes:
+        for key, ranking in self._rankings(reduced).items():
             if key[0] == UNMODELLED or not EFFECTS_BY_NAME[key[0]].prior_only:
                 continue
-            instead = self.best(reduced, key)
-            if instead is not None:
-                evidence = instead[0] - lost
-                if evidence > -TIE:
-                    evidence = max(evidence, np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf))
-                if key not in best or evidence > best[key][0]:
-                    out[key] = evidence, instead[1]
-        return out
+            evidence = ranking.evidence - lost
+            if evidence > -TIE:
+                evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))
+            if evidence > scores.get(key, -np.inf):
+                scores[key], rankings[key] = evidence, ranking
+        return scores, rankings
 
-    def tuned(self, model: JointModel, key: Key, best: Candidate) -> Candidate:
-        """Return the best candidate of an effect at a joint, nonlinear parameters optimised.
 
-        A resonance between two frequencies of the grid may explain more than a function of state.
+def tuned(model: JointModel, ranking: Ranking) -> Candidate:
+    """Return the best candidate of an effect at a joint, nonlinear parameters optimised.
 
-        Args:
-            model: The joint model.
-            key: Effect and joint.
-            best: The best candidate of the grid.
-        """
-        out = optimised(model, best)
-        if key[0] == UNMODELLED and best.model.nonlinear is None:
-            resonances = (
-                Candidate.of(model, shape, columns)
-                for shape, columns in self.shapes[key]
-                if shape.nonlinear is not None
-            )
+    A resonance between two frequencies of the grid may explain more than a function of state.
+
+    Args:
+        model: The joint model.
+        ranking: The candidates of the grid.
+    """
+    best = ranking.best
+    out = optimised(model, best)
+    if best.model.effect == UNMODELLED and best.model.nonlinear is None:
+        resonances = [c for c in ranking.plausible if c.model.nonlinear is not None]
+        if resonances:
             resonance = optimised(model, max(resonances, key=lambda c: c.evidence))
             return max(out, resonance, key=lambda c: c.evidence)
-        return out
+    return out
 
 
 def optimised(model: JointModel, candidate: Candidate) -> Candidate:
@@ -288,14 +323,7 @@ def find_rare_effects(
     rejected: set[Key] = set()
     candidates = CandidateColumns(model, trusted, names)
     while len(rare) < MAX_RARE_EFFECTS:
-        best = {
-            key: entry
-            for key in candidates.shapes
-            if (entry := candidates.best(model, key)) is not None
-        }
-        if trusted:
-            best |= candidates.better_than_load_friction(model, best)
-        scores = {key: evidence for key, (evidence, _) in best.items()}
+        scores, rankings = candidates.scored(model)
         if effects:
             effects[-1] = replace(effects[-1], after=scores)
         promising = sorted(
@@ -305,7 +333,7 @@ def find_rare_effects(
                 if key not in rejected
                 and evidence > MIN_CANDIDATE_EVIDENCE
                 and [f.key for f in effects].count(key) < MAX_MODELS.get(key[0], 1)
-                and not any(_is_same_event(best[key][1].model, shape) for shape in rare)
+                and not any(_is_same_event(rankings[key].best.model, shape) for shape in rare)
             ),
             key=lambda key: -scores[key],
         )
@@ -320,18 +348,15 @@ def find_rare_effects(
             if chosen is not None:
                 break
             # a shape between two grid points may explain more than another effect's best grid point
-            tuned = {
-                key: candidates.tuned(model, key, best[key][1])
-                for key in group[:OPTIMISED_CANDIDATES]
-            }
-            for key, candidate in tuned.items():
-                scores[key] += max(candidate.evidence - best[key][1].evidence, 0.0)
-            for key in sorted(tuned, key=lambda key: -scores[key]):
+            best = {key: tuned(model, rankings[key]) for key in group[:OPTIMISED_CANDIDATES]}
+            for key, candidate in best.items():
+                scores[key] += max(candidate.evidence - rankings[key].best.evidence, 0.0)
+            for key in sorted(best, key=lambda key: -scores[key]):
                 if _tries(rejected, key) >= MAX_REJECTIONS:
                     continue
                 if chosen is not None and scores[key] < scores[chosen[0]] - TIE:
                     break
-                shape = tuned[key].model
+                shape = best[key].model
                 extended = joint_model.fit(identified, motions, (*rare, shape))
                 evidence = _accepted(extended, key, progress)
                 if evidence is None:

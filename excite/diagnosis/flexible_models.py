@@ -16,7 +16,12 @@ import numpy as np
 from scipy import linalg, signal
 
 from .._types import FloatArray
-from ..effects.effect import CandidateModel, NonlinearParameter, variants_within
+from ..effects.effect import (
+    CandidateModel,
+    NonlinearParameter,
+    single_joint_rows,
+    variants_within,
+)
 from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..identification.lowpass import Grid
 from .motion_rows import MotionRows, motion_rows
@@ -91,13 +96,10 @@ class _Columns:
         scaled = features[:, kept] / size[kept]
         parts = split_by_motion(scaled, self.motions)
         by_motion = {_key(motion): part for motion, part in zip(self.motions, parts, strict=True)}
-        n, joint = self.rows.n, self.joint
+        joint = self.joint
 
         def columns(motion: RecordedMotion, _model: CandidateModel) -> FloatArray:
-            part = by_motion[_key(motion)]
-            out = np.zeros((len(part), n, part.shape[1]))
-            out[:, joint] = part
-            return out
+            return single_joint_rows(motion, joint, by_motion[_key(motion)])
 
         return CandidateModel(
             UNMODELLED,

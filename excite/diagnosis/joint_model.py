@@ -173,23 +173,30 @@ def model_columns(
         motions: The motions.
         level: Friction level of each joint, shape (n,) [N m].
     """
-    torque = np.concatenate([model.columns(motion) for motion in motions])
-    if not np.isfinite(torque).all() or not np.abs(torque).max(initial=0.0) > 1e-9:
+    parts = [model.columns(motion) for motion in motions]
+    values = {
+        j: np.concatenate([part[:, j] for part in parts])
+        for j in range(motions[0].n)
+        if any(part[:, j].any() for part in parts)
+    }
+    largest = max((float(np.abs(x).max()) for x in values.values()), default=0.0)
+    if not 1e-9 < largest < np.inf:
         return None
-    k = torque.shape[2]
+    k = parts[0].shape[2]
     if model.prior_std is not None:
         prior = np.full(k, model.prior_std)
     else:
         prior = np.full(k, float(np.max(level) if model.joint is None else level[model.joint]))
         if not any(model.nonnegative):
             # coefficients in units of their own: a column of unit RMS has the friction level
-            size = np.sqrt(np.mean(torque**2, axis=(0, 1)) * torque.shape[1])
+            rows = sum(len(part) for part in parts)
+            size = np.sqrt(sum(np.sum(x**2, axis=0) for x in values.values()) / rows)
             prior /= np.maximum(size, 1e-3 * size.max())
     prior[: len(model.prior_shares)] *= model.prior_shares
     if model.form_columns:
         prior[-model.form_columns :] = RELATIVE_STD
     nonnegative = np.array(model.nonnegative or (False,) * k)
-    return Columns.of(torque, nonnegative, prior)
+    return Columns(tuple(values), tuple(values.values()), nonnegative, prior)
 
 
 def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:

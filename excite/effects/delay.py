@@ -7,7 +7,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, grid_candidates, is_between, named_coefficients
+from .effect import (
+    CandidateModel,
+    Effect,
+    grid_candidates,
+    is_between,
+    named_coefficients,
+    single_joint_rows,
+)
 from .recorded_motion import RecordedMotion
 
 DELAYS = (0.003, 0.008, 0.02)
@@ -31,17 +38,27 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     delays use the base model only.
     """
     seconds = model.values.get("seconds", 0.0)
+    joints = slice(None) if model.joint is None else [model.joint]
+    torque = motion.motor_torque
     if not seconds:
-        torque = motion.measured_torque if model.values["measured"] else motion.motor_torque
-        return _at_joint(model, -motion.band.transform(torque).filter(motion.grid, 1)[motion.kept])
+        torque = motion.measured_torque if model.values["measured"] else torque
+        spectrum = motion.band.transform(torque[:, joints])
+        return _at_joint(motion, model, -spectrum.filter(motion.grid, 1)[motion.kept])
+    torque = torque[:, joints]
     if "lagging" in model.values:
-        spectrum = motion.band.transform(motion.motor_torque)
+        spectrum = motion.band.transform(torque)
         change = spectrum.filter(motion.grid, time_constant=seconds) - spectrum.filter(motion.grid)
-        return _at_joint(model, change[motion.kept] / seconds)
-    delayed = np.column_stack(
-        [np.interp(motion.times - seconds, motion.times, x) for x in motion.motor_torque.T]
+        return _at_joint(motion, model, change[motion.kept] / seconds)
+    return _at_joint(
+        motion, model, motion.lowpass((_delayed(motion, torque, seconds) - torque) / seconds)
     )
-    return _at_joint(model, motion.lowpass((delayed - motion.motor_torque) / seconds))
+
+
+def _delayed(motion: RecordedMotion, torque: FloatArray, seconds: float) -> FloatArray:
+    """Torque that comes later, shape (M, k)."""
+    return np.column_stack(
+        [np.interp(motion.times - seconds, motion.times, column) for column in torque.T]
+    )
 
 
 def clock_delay() -> CandidateModel:
@@ -55,19 +72,19 @@ def _predicted_torque(
     motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
 ) -> FloatArray:
     """Change of the produced torque by a delay, shape (M, n)."""
-    delayed = np.column_stack(
-        [np.interp(motion.times - float(c[0]), motion.times, column) for column in produced.T]
-    )
-    return _at_joint(model, delayed - produced)[:, :, 0]
+    change = _delayed(motion, produced, float(c[0])) - produced
+    if model.joint is None:
+        return change
+    out = np.zeros_like(change)
+    out[:, model.joint] = change[:, model.joint]
+    return out
 
 
-def _at_joint(model: CandidateModel, torque: FloatArray) -> FloatArray:
-    """Torque of the model's joint, or of all joints, as a column: (N, n) -> (N, n, 1)."""
+def _at_joint(motion: RecordedMotion, model: CandidateModel, torque: FloatArray) -> FloatArray:
+    """Torque of the model's joint, or of all joints, as a column of shape (N, n, 1)."""
     if model.joint is None:
         return torque[:, :, None]
-    out = np.zeros((*torque.shape, 1))
-    out[:, model.joint, 0] = torque[:, model.joint]
-    return out
+    return single_joint_rows(motion, model.joint, torque)
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:

@@ -248,10 +248,23 @@ def single_joint_columns(motion: RecordedMotion, joint: int, x: FloatArray) -> F
     Returns:
         Columns of shape (N, n, k).
     """
-    low = motion.lowpass(x[:, None] if x.ndim == 1 else x)
-    out = np.zeros((len(low), motion.n, low.shape[1]))
-    out[:, joint] = low
-    return out
+    return single_joint_rows(motion, joint, motion.lowpass(x[:, None] if x.ndim == 1 else x))
+
+
+def single_joint_rows(motion: RecordedMotion, joint: int, low: FloatArray) -> FloatArray:
+    """Return columns that act on one joint only.
+
+    Args:
+        motion: The recorded motion.
+        joint: Index of the joint.
+        low: Low-passed columns of the joint, shape (N, k).
+
+    Returns:
+        Columns of shape (N, n, k), in whose memory the rows of each joint are adjacent.
+    """
+    out = np.zeros((motion.n, *low.shape))
+    out[joint] = low
+    return out.swapaxes(0, 1)
 
 
 def named_coefficients(*names: str, **fixed: float) -> Callable[[FloatArray], dict[str, float]]:

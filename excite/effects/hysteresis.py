@@ -11,7 +11,13 @@ from itertools import accumulate
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from .effect import CandidateModel, Effect, no_candidates, single_joint_columns
+from .effect import (
+    CandidateModel,
+    Effect,
+    no_candidates,
+    single_joint_columns,
+    single_joint_rows,
+)
 from .recorded_motion import RecordedMotion
 
 DENSE_REACHES = 1e-3 * 2.0 ** np.arange(0.0, 8.0, 0.5)
@@ -74,11 +80,16 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """
     j = model.joint_index
     if "elements" in model.values:
-        elements = np.column_stack([maxwell_slip(motion.samples.q[:, j], d) for d in DENSE_REACHES])
-        unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
-        return single_joint_columns(
-            motion, j, np.hstack([elements - motion.sign(j)[:, None], unequal])
-        )
+
+        def low_passed() -> FloatArray:
+            q = motion.samples.q[:, j]
+            elements = np.column_stack([maxwell_slip(q, d) for d in DENSE_REACHES])
+            unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
+            return motion.lowpass(np.hstack([elements, unequal]))
+
+        columns = motion.for_all_fits(f"Maxwell-slip elements of joint {j}", low_passed).copy()
+        columns[:, : len(DENSE_REACHES)] -= motion.lowpass(motion.sign(j)[:, None])
+        return single_joint_rows(motion, j, columns)
     state = dahl(motion.samples.q[:, j], 1.0 / model.values["reach"])
     return single_joint_columns(motion, j, state - motion.sign(j))
 

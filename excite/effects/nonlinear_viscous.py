@@ -7,7 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, no_candidates, single_joint_columns
+from .effect import (
+    CandidateModel,
+    Effect,
+    no_candidates,
+    single_joint_columns,
+    single_joint_rows,
+)
 from .friction import joint_speed, max_speed
 from .recorded_motion import RecordedMotion
 
@@ -22,8 +28,12 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     j = model.joint_index
     if "top_speed" in model.values:
         # beyond the speeds of the fit the friction goes on linearly
-        share = np.clip(joint_speed(motion, j) / model.values["top_speed"], -1.0, 1.0)
-        return single_joint_columns(motion, j, _curves(share))
+        top_speed = model.values["top_speed"]
+        columns = motion.for_all_fits(
+            f"viscous curves of joint {j} up to {top_speed}",
+            lambda: motion.lowpass(_curves(np.clip(joint_speed(motion, j) / top_speed, -1.0, 1.0))),
+        )
+        return single_joint_rows(motion, j, columns)
     return single_joint_columns(
         motion, j, motion.sign(j) * np.abs(joint_speed(motion, j)) ** model.values["exponent"]
     )

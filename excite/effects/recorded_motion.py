@@ -35,9 +35,6 @@ MIN_MOVING_SHARE = 0.3
 """Share of the time that a joint must move. A joint that moves less is judged at all times, as
 little would remain."""
 
-MOTION_ONLY = ("samples", "coarse_samples", "moving", "reversal_dwell", "times")
-"""Memoized properties that depend on neither the torque nor the base model."""
-
 
 @dataclass(frozen=True)
 class FittedRobot:
@@ -85,6 +82,13 @@ class memoized(Generic[T]):
         return cast(T, motion.cache[name])
 
 
+class memoized_for_all_fits(memoized[T]):
+    """One that depends on neither the torque nor the base model."""
+
+    def __get__(self, motion: RecordedMotion, owner: type[RecordedMotion]) -> T:
+        return motion.for_all_fits(self.compute.__name__, lambda: self.compute(motion))
+
+
 @dataclass(frozen=True)
 class RecordedMotion:
     """A segment of a recording, low-passed, with the fitted base model.
@@ -104,6 +108,7 @@ class RecordedMotion:
         kept: Rows of the regression's grid that are far enough from the segment's ends.
         time: Times of the kept rows [s], shape (N,).
         grid: Grid to which `lowpass` reduces.
+        motion_cache: What depends on neither the torque nor the base model; shared by all fits.
         cache: Values of the `memoized` properties.
     """
 
@@ -118,6 +123,9 @@ class RecordedMotion:
     kept: slice
     time: FloatArray
     grid: Grid = Grid.KEPT
+    motion_cache: dict[tuple[str, Grid], object] = field(
+        default_factory=dict, repr=False, compare=False
+    )
     cache: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -127,6 +135,18 @@ class RecordedMotion:
     def n(self) -> int:
         """Number of joints."""
         return int(self.torque.shape[1])
+
+    def for_all_fits(self, name: str, compute: Callable[[], T]) -> T:
+        """Return a value that depends on neither the torque nor the base model, computed once.
+
+        Args:
+            name: Name of the value.
+            compute: Computes it.
+        """
+        key = name, self.grid
+        if key not in self.motion_cache:
+            self.motion_cache[key] = compute()
+        return cast(T, self.motion_cache[key])
 
     def with_base_model(
         self, fitted_robot: FittedRobot, widths: FloatArray, theta: FloatArray, coulomb: IntArray
@@ -143,7 +163,7 @@ class RecordedMotion:
         gamma = self.gamma.copy()
         for j in np.flatnonzero(coulomb >= 0):
             gamma[:, j, coulomb[j]] = step[self.kept, j]
-        out = replace(
+        return replace(
             self,
             fitted_robot=fitted_robot,
             widths=widths,
@@ -151,25 +171,21 @@ class RecordedMotion:
             gamma=gamma,
             slopes=slopes[self.kept],
         )
-        out.cache.update({name: self.cache[name] for name in MOTION_ONLY if name in self.cache})
-        return out
 
     def with_torque(self, torque: FloatArray) -> RecordedMotion:
         """Return the motion with another measured torque, shape (M, n) [N m]."""
-        out = replace(
+        return replace(
             self,
             segment=replace(self.segment, torque=torque),
             torque=self.band.filter(torque, Grid.KEPT)[self.kept],
         )
-        out.cache.update({name: self.cache[name] for name in MOTION_ONLY if name in self.cache})
-        return out
 
     @memoized
     def residual(self) -> FloatArray:
         """Measured torque minus the base model's [N m], shape (N, n)."""
         return self.torque - self.gamma @ self.theta
 
-    @memoized
+    @memoized_for_all_fits
     def samples(self) -> Samples:
         """Low-passed motion at every sample of the recording, shapes (M, n)."""
         position = self.band.transform(self.segment.q)
@@ -190,7 +206,7 @@ class RecordedMotion:
         recorded = self.segment.temperature
         return np.full((len(self.segment), self.n), np.nan) if recorded is None else recorded
 
-    @memoized
+    @memoized_for_all_fits
     def moving(self) -> BoolArray:
         """Rows at which a joint moves, shape (N, n); static friction is not modelled."""
         rows = np.rint((self.time - self.segment.start) * self.segment.rate).astype(int)
@@ -206,7 +222,7 @@ class RecordedMotion:
             out[:, j] = moving if moving.mean() > MIN_MOVING_SHARE else True
         return out
 
-    @memoized
+    @memoized_for_all_fits
     def reversal_dwell(self) -> FloatArray:
         """Time that each joint stays within one encoder step Δ when it reverses, √(2 Δ/|q̈|).
 
@@ -226,7 +242,7 @@ class RecordedMotion:
         """Step Δ of each encoder, √12 times its quantisation error [rad or m], shape (n,)."""
         return np.asarray(np.sqrt(12.0) * self.segment.encoder)
 
-    @memoized
+    @memoized_for_all_fits
     def coarse_samples(self) -> Samples:
         """Low-passed motion on the grid of the rigid-body dynamics, shapes (C, n)."""
         position = self.band.transform(self.segment.q)
@@ -234,7 +250,7 @@ class RecordedMotion:
             *(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3))
         )
 
-    @memoized
+    @memoized_for_all_fits
     def times(self) -> FloatArray:
         """Times of all samples of the recording [s], shape (M,)."""
         return self.segment.start + np.arange(len(self.segment)) / self.segment.rate

@@ -143,9 +143,7 @@ def test_plausible_self_heating_keeps_friction_positive(constant):
     q = motion.segment.q.copy()
     slow = len(q) // 3
     q[slow:] = q[slow] + 0.1 * (q[slow:] - q[slow])
-    uneven = dataclasses.replace(
-        motion, segment=dataclasses.replace(motion.segment, q=q), motion_cache={}
-    )
+    uneven = dataclasses.replace(motion, segment=dataclasses.replace(motion.segment, q=q))
     shape = self_heating(uneven, constant)
     warm = thermal_drift.warming_by_losses(uneven, shape)
     for c in np.linspace(-4.0, -0.01, 200):

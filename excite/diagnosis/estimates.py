@@ -19,8 +19,8 @@ from ..effects.spring import CURVE_WAVES
 from . import joint_model, posterior, probability
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
+from .normal_equations import Solution
 from .posterior import MIN_SEVERITY, EffectEvidence, Key
-from .regression import Solution
 from .selection import RareEffect
 from .unmodelled import UnmodelledTorque
 

@@ -37,9 +37,11 @@ from ..identification.consistency import ConsistentEstimate
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
 from . import session_changes
+from .candidate_fits import CandidateBatch
 from .columns import Columns
 from .flexible_models import UNMODELLED
-from .regression import RIDGE, JointRegression, Solution, independent_share, rms
+from .normal_equations import RIDGE, Solution
+from .regression import JointRegression, independent_share, rms
 
 ROUNDS = 4
 """Rounds of the fit: delay and weights change by less than 1 % after three."""
@@ -610,11 +612,16 @@ def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -
         k = torque.shape[1]
         return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
 
-    def waves(k: float) -> FloatArray:
-        return _filtered(fitted.motions, joint, lambda q: [np.cos(k * q), np.sin(k * q)])
+    def waves(*orders: float) -> FloatArray:
+        return _filtered(
+            fitted.motions, joint, lambda q: [f(k * q) for k in orders for f in (np.cos, np.sin)]
+        )
 
     near = order + width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
-    order = max(near.tolist(), key=lambda k: fitted.regression.candidate(columns(waves(k))).gain)
+    pairs = np.split(waves(*near.tolist()), NEAR_ORDERS, axis=1)
+    batch = CandidateBatch.of([columns(pair) for pair in pairs], fitted.regression.moving)
+    gains = [fit.gain for fit in fitted.regression.candidates(batch)]
+    order = float(near[int(np.argmax(gains))])
     for _ in range(GAUSS_NEWTON_STEPS):
         pair = waves(order)
         c = fitted.regression.candidate(columns(pair)).coefficients

@@ -21,7 +21,8 @@ from .._types import FloatArray
 from ..effects.form_error import with_form_error
 from . import probability
 from .joint_model import FRICTIONS, JointModel
-from .regression import JointRegression, Solution
+from .normal_equations import Solution
+from .regression import JointRegression
 
 DENSE_NAMES = (*FRICTIONS, "torque_ripple")
 """Effects that the joint model has from the start."""
@@ -80,7 +81,7 @@ def log_evidence(regression: JointRegression, solution: Solution) -> float:
     halves = float(np.log(2.0) * np.count_nonzero(active & regression.nonnegative))
     return (
         -solution.objective
-        - 0.5 * solution.log_determinant()
+        - 0.5 * solution.log_determinant
         + 0.5 * float(np.sum(np.log(precision)))
         + halves
     )

@@ -6,8 +6,7 @@ The rows of joint j are weighted by ρ/σ_j², with σ_j the RMS residual and ρ
 rows in an autocorrelated residual. The weighted objective J is a quadratic form of the
 coefficients, so that only Gram matrices are kept: one for each joint, to which columns are appended
 and which are weighted anew without another pass over the rows. The unconstrained coefficients are
-eliminated by a Schur complement, the others follow from nonnegative least squares (Lawson & Hanson
-1974).
+eliminated by a Schur complement (`normal_equations`).
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg
-from scipy.optimize import nnls
 
 from .._types import BoolArray, FloatArray, IntArray
 from .candidate_fits import CandidateBatch, CandidateFit
 from .columns import Columns
+from .normal_equations import Elimination, Solution, System
 
 MAX_LAG = 40
 """Lags of the autocorrelation that are summed [rows]."""
@@ -29,8 +28,6 @@ MIN_AUTOCORRELATION = 0.02
 """Autocorrelation at which the sum ends, about two standard errors of 10,000 rows."""
 FIXED_STD = 1e-12
 """Prior standard deviation of a coefficient that is held at zero."""
-RIDGE = 1e-10
-"""Share of the diagonal that is added to a matrix before it is factored."""
 _Products = tuple[FloatArray, FloatArray, float]
 """XᵀX, Xᵀτ and τᵀτ of the columns X of one joint, without weights."""
 
@@ -93,8 +90,9 @@ class JointRegression:
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
     _solution: Solution | None = None
-    _system: _System | None = None
-    _eliminations: dict[bytes, _Elimination] = field(default_factory=dict)
+    _active: BoolArray | None = None
+    _system: System | None = None
+    _eliminations: dict[bytes, Elimination] = field(default_factory=dict)
 
     @classmethod
     def of_base(
@@ -204,6 +202,8 @@ class JointRegression:
         )
         self._prior_score = np.concatenate([self._prior_score, np.zeros(columns.count)])
         self.slices.append(slice(start, start + columns.count))
+        if self._active is not None:
+            self._active = np.concatenate([self._active, np.ones(columns.count, bool)])
         self._changed()
         return len(self.slices) - 1
 
@@ -232,7 +232,7 @@ class JointRegression:
         used[list(unused)] = False
         return self._solve(used)
 
-    def _assembled(self) -> _System:
+    def _assembled(self) -> System:
         """Normal equations of the weighted rows and the priors."""
         if self._system is not None:
             return self._system
@@ -253,7 +253,7 @@ class JointRegression:
             out.append((x.T @ x, x.T @ tau, float(tau @ tau)))
         return out
 
-    def _system_of(self, parts: Sequence[Sequence[_Products]]) -> _System:
+    def _system_of(self, parts: Sequence[Sequence[_Products]]) -> System:
         """Normal equations of the weighted rows of some parts and of the priors."""
         matrix, score = self.prior_matrix.copy(), self._prior_score.copy()
         power = self._prior_power
@@ -264,7 +264,7 @@ class JointRegression:
                 matrix[np.ix_(gram.places, gram.places)] += weight * products[0]
                 score[gram.places] += weight * products[1]
                 power += weight * products[2]
-        return _System(matrix, score, power)
+        return System(matrix, score, power)
 
     def _changed(self) -> None:
         """Forget all that was computed with other columns, weights or priors."""
@@ -277,8 +277,12 @@ class JointRegression:
         free = used & ~self.nonnegative
         key = free.tobytes()
         if key not in self._eliminations:
-            self._eliminations[key] = _Elimination.of(system, free, self.nonnegative)
-        return self._eliminations[key].minimum(system, used)
+            self._eliminations[key] = Elimination.of(system, free, self.nonnegative)
+        solution = self._eliminations[key].minimum(system, used, self._active)
+        if self._active is None:
+            self._active = np.ones(len(used), bool)
+        self._active = np.where(used, solution.active, self._active)
+        return solution
 
     def cross_validated(
         self, folds: Sequence[BoolArray], variants: Sequence[Collection[int]], unused: BoolArray
@@ -304,8 +308,8 @@ class JointRegression:
             # a sum over the other folds: a difference would leave the rounding errors of the whole
             system = self._system_of([part for part in parts if part is not held_out])
             for v, mask in enumerate(used):
-                elimination = _Elimination.of(system, mask & ~self.nonnegative, self.nonnegative)
-                c = elimination.minimum(system, mask).coefficients
+                elimination = Elimination.of(system, mask & ~self.nonnegative, self.nonnegative)
+                c = elimination.minimum(system, mask, self.solution.active).coefficients
                 for j, (gram, (matrix, score, power)) in enumerate(
                     zip(self._grams, held_out, strict=True)
                 ):
@@ -412,6 +416,8 @@ class JointRegression:
         cross, score = np.zeros((len(active), total)), np.zeros(total)
         for j, (gram, weight) in enumerate(zip(self._grams, self.weights.tolist(), strict=True)):
             x, places, on = batch.values[j], batch.places[j], position[gram.places]
+            if not len(places):
+                continue
             shared = gram.columns.T @ x
             cross[np.ix_(on[on >= 0], places)] += weight * shared[on >= 0]
             residual = x.T @ self.torque[:, j] - shared.T @ solution.coefficients[gram.places]
@@ -423,113 +429,6 @@ class JointRegression:
             for member, fit in zip(group.members.tolist(), fits, strict=True):
                 out[member] = fit
         return [fit for fit in out if fit is not None]
-
-
-@dataclass(frozen=True)
-class _System:
-    """Normal equations: the objective is ½ xᵀ A x − bᵀ x + ½ power.
-
-    Attributes:
-        matrix: A, shape (K, K).
-        score: b, shape (K,).
-        power: Twice the objective of x = 0.
-    """
-
-    matrix: FloatArray
-    score: FloatArray
-    power: float
-
-
-@dataclass(frozen=True)
-class _Elimination:
-    """Normal equations of the coefficients with a sign constraint, all others eliminated.
-
-    Attributes:
-        scale: Units of all coefficients, in which A has a unit diagonal, shape (K,).
-        free: Coefficients without a sign constraint that are used, shape (f,).
-        bounded: Coefficients that cannot be negative, shape (m,).
-        cross: Change of the free coefficients per unit of the bounded ones, and their values
-            without these, shape (f, m + 1).
-        schur: Information of the bounded coefficients, shape (m, m).
-        target: Their score, shape (m,).
-    """
-
-    scale: FloatArray
-    free: IntArray
-    bounded: IntArray
-    cross: FloatArray
-    schur: FloatArray
-    target: FloatArray
-
-    @classmethod
-    def of(cls, system: _System, free: BoolArray, nonnegative: BoolArray) -> _Elimination:
-        """Eliminate the free coefficients by a Schur complement."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(system.matrix), 1e-300))
-        a, b = system.matrix * scale[:, None] * scale, system.score * scale
-        f, m = np.flatnonzero(free), np.flatnonzero(nonnegative)
-        factor = linalg.cho_factor(a[np.ix_(f, f)] + RIDGE * np.eye(len(f)), lower=True)
-        mixed = a[np.ix_(f, m)]
-        cross = linalg.cho_solve(factor, np.column_stack([mixed, b[f]]))
-        eliminated = mixed.T @ cross
-        schur = a[np.ix_(m, m)] - eliminated[:, :-1]
-        schur[np.diag_indices(len(m))] += RIDGE
-        return cls(scale, f, m, cross, schur, b[m] - eliminated[:, -1])
-
-    def minimum(self, system: _System, used: BoolArray) -> Solution:
-        """Return the minimum over the used coefficients, by nonnegative least squares."""
-        x = np.zeros(len(used))
-        on = used[self.bounded]
-        values = np.zeros(len(on))
-        if on.any():
-            root = linalg.cholesky(self.schur[np.ix_(on, on)])
-            target = linalg.solve_triangular(root, self.target[on], trans=1)
-            values[on] = nnls(root, target, maxiter=30 * int(on.sum()))[0]
-            x[self.bounded] = values
-        x[self.free] = self.cross[:, -1] - self.cross[:, :-1] @ values
-        x *= self.scale
-        active = used.copy()
-        active[self.bounded] &= values > 0.0
-        objective = 0.5 * (system.power + x @ system.matrix @ x) - system.score @ x
-        return Solution(x, active, float(objective), system.matrix)
-
-
-@dataclass
-class Solution:
-    """A minimum of the objective.
-
-    Attributes:
-        coefficients: All coefficients, shape (K,); 0 where an effect is left out.
-        active: Coefficients that are neither left out nor held at zero by their sign, shape (K,).
-        objective: Negative log posterior up to a constant.
-        information: Information matrix of all coefficients, shape (K, K).
-    """
-
-    coefficients: FloatArray
-    active: BoolArray
-    objective: float
-    information: FloatArray
-    _factor: tuple[FloatArray, FloatArray] | None = None
-
-    def solve(self, x: FloatArray) -> FloatArray:
-        """Return A⁻¹ x over the active coefficients, shape (active, k)."""
-        factor, scale = self._factored()
-        return np.asarray(scale[:, None] * linalg.cho_solve((factor, True), scale[:, None] * x))
-
-    def _factored(self) -> tuple[FloatArray, FloatArray]:
-        if self._factor is None:
-            on = np.flatnonzero(self.active)
-            a = self.information[np.ix_(on, on)]
-            scale = 1.0 / np.sqrt(np.diag(a))
-            lower = linalg.cholesky(
-                a * scale[:, None] * scale + RIDGE * np.eye(len(on)), lower=True
-            )
-            self._factor = lower, scale
-        return self._factor
-
-    def log_determinant(self) -> float:
-        """Return log det A over the active coefficients."""
-        factor, scale = self._factored()
-        return float(2.0 * np.sum(np.log(np.diag(factor))) - 2.0 * np.sum(np.log(scale)))
 
 
 def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:

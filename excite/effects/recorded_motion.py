@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -123,8 +123,8 @@ class RecordedMotion:
     kept: slice
     time: FloatArray
     grid: Grid = Grid.KEPT
-    motion_cache: dict[tuple[str, Grid], object] = field(
-        default_factory=dict, repr=False, compare=False
+    motion_cache: dict[str, object] = field(
+        default_factory=dict, init=False, repr=False, compare=False
     )
     cache: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -143,10 +143,15 @@ class RecordedMotion:
             name: Name of the value.
             compute: Computes it.
         """
-        key = name, self.grid
-        if key not in self.motion_cache:
-            self.motion_cache[key] = compute()
-        return cast(T, self.motion_cache[key])
+        if name not in self.motion_cache:
+            self.motion_cache[name] = compute()
+        return cast(T, self.motion_cache[name])
+
+    def _of_same_motion(self, **changes: Any) -> RecordedMotion:
+        """Return another fit to the same motion, which shares all that depends on it alone."""
+        out = replace(self, **changes)
+        object.__setattr__(out, "motion_cache", self.motion_cache)
+        return out
 
     def with_base_model(
         self, fitted_robot: FittedRobot, widths: FloatArray, theta: FloatArray, coulomb: IntArray
@@ -163,8 +168,7 @@ class RecordedMotion:
         gamma = self.gamma.copy()
         for j in np.flatnonzero(coulomb >= 0):
             gamma[:, j, coulomb[j]] = step[self.kept, j]
-        return replace(
-            self,
+        return self._of_same_motion(
             fitted_robot=fitted_robot,
             widths=widths,
             theta=theta,
@@ -174,8 +178,7 @@ class RecordedMotion:
 
     def with_torque(self, torque: FloatArray) -> RecordedMotion:
         """Return the motion with another measured torque, shape (M, n) [N m]."""
-        return replace(
-            self,
+        return self._of_same_motion(
             segment=replace(self.segment, torque=torque),
             torque=self.band.filter(torque, Grid.KEPT)[self.kept],
         )

@@ -1,0 +1,186 @@
+"""Normal equations of a regression some of whose coefficients cannot be negative."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+from scipy.optimize import nnls
+
+from .._types import BoolArray, FloatArray, IntArray
+
+RIDGE = 1e-10
+"""Share of the diagonal that is added to a matrix before it is factored."""
+BLOCK_EXCHANGES = 3
+"""Exchanges of all coefficients at once that may not lower the number of violated conditions."""
+MAX_EXCHANGES = 40
+"""Exchanges of the active set after which it is sought from the start."""
+RELATIVE_TOLERANCE = 1e-10
+"""Coefficient or gradient of either sign that counts as zero, over the largest."""
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations: the objective is ½ xᵀ A x − bᵀ x + ½ power.
+
+    Attributes:
+        matrix: A, shape (K, K).
+        score: b, shape (K,).
+        power: Twice the objective of x = 0.
+    """
+
+    matrix: FloatArray
+    score: FloatArray
+    power: float
+
+
+@dataclass
+class Solution:
+    """A minimum of the objective.
+
+    Attributes:
+        coefficients: All coefficients, shape (K,); 0 where an effect is left out.
+        active: Coefficients that are neither left out nor held at zero by their sign, shape (K,).
+        objective: Negative log posterior up to a constant.
+        information: Information matrix of all coefficients, shape (K, K).
+        log_determinant: log det A over the active coefficients.
+    """
+
+    coefficients: FloatArray
+    active: BoolArray
+    objective: float
+    information: FloatArray
+    log_determinant: float
+    _factor: tuple[FloatArray, FloatArray] | None = None
+
+    def solve(self, x: FloatArray) -> FloatArray:
+        """Return A⁻¹ x over the active coefficients, shape (active, k)."""
+        if self._factor is None:
+            on = np.flatnonzero(self.active)
+            a = self.information[np.ix_(on, on)]
+            scale = 1.0 / np.sqrt(np.diag(a))
+            self._factor = _cholesky(a * scale[:, None] * scale, RIDGE), scale
+        factor, scale = self._factor
+        return np.asarray(scale[:, None] * linalg.cho_solve((factor, True), scale[:, None] * x))
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """Normal equations of the coefficients with a sign constraint, all others eliminated.
+
+    Attributes:
+        scale: Units of all coefficients, in which A has a unit diagonal, shape (K,).
+        free: Coefficients without a sign constraint that are used, shape (f,).
+        bounded: Coefficients that cannot be negative, shape (m,).
+        cross: Change of the free coefficients per unit of the bounded ones, and their values
+            without these, shape (f, m + 1).
+        schur: Information of the bounded coefficients, shape (m, m).
+        target: Their score, shape (m,).
+        log_determinant: log det of the information of the free coefficients, in these units.
+    """
+
+    scale: FloatArray
+    free: IntArray
+    bounded: IntArray
+    cross: FloatArray
+    schur: FloatArray
+    target: FloatArray
+    log_determinant: float
+
+    @classmethod
+    def of(cls, system: System, free: BoolArray, nonnegative: BoolArray) -> Elimination:
+        """Eliminate the free coefficients by a Schur complement.
+
+        Args:
+            system: The normal equations.
+            free: Coefficients without a sign constraint that are used, shape (K,).
+            nonnegative: Coefficients that cannot be negative, shape (K,).
+        """
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(system.matrix), 1e-300))
+        a, b = system.matrix * scale[:, None] * scale, system.score * scale
+        f, m = np.flatnonzero(free), np.flatnonzero(nonnegative)
+        factor = _cholesky(a[np.ix_(f, f)], RIDGE)
+        mixed = a[np.ix_(f, m)]
+        cross = linalg.cho_solve((factor, True), np.column_stack([mixed, b[f]]))
+        eliminated = mixed.T @ cross
+        schur = a[np.ix_(m, m)] - eliminated[:, :-1]
+        schur[np.diag_indices(len(m))] += RIDGE
+        target = b[m] - eliminated[:, -1]
+        return cls(scale, f, m, cross, schur, target, _log_determinant(factor))
+
+    def minimum(self, system: System, used: BoolArray, likely: BoolArray | None) -> Solution:
+        """Return the minimum over the used coefficients.
+
+        Args:
+            system: The normal equations.
+            used: The coefficients that are used, shape (K,).
+            likely: Coefficients that are probably active, by a similar problem.
+        """
+        x = np.zeros(len(used))
+        on = np.flatnonzero(used[self.bounded])
+        start = np.ones(len(on), bool) if likely is None else likely[self.bounded[on]]
+        solved = _nonnegative_minimum(self.schur[np.ix_(on, on)], self.target[on], start)
+        values = np.zeros(len(self.bounded))
+        values[on], active_on, log_determinant = solved
+        x[self.bounded] = values
+        x[self.free] = self.cross[:, -1] - self.cross[:, :-1] @ values
+        x *= self.scale
+        active = used.copy()
+        active[self.bounded[on]] = active_on
+        objective = 0.5 * (system.power + x @ system.matrix @ x) - system.score @ x
+        log_determinant += self.log_determinant - 2.0 * float(np.sum(np.log(self.scale[active])))
+        return Solution(x, active, float(objective), system.matrix, log_determinant)
+
+
+def _nonnegative_minimum(
+    matrix: FloatArray, target: FloatArray, active: BoolArray
+) -> tuple[FloatArray, BoolArray, float]:
+    """Minimise ½ xᵀ M x − tᵀ x over x ≥ 0, by block principal pivoting.
+
+    All coefficients that violate an optimality condition change sides at once, or the last of them
+    where that does not help (Portugal, Júdice & Vicente, Math. Comput. 63, 1994). From the active
+    set of a similar problem a few exchanges suffice; where rounding errors keep them from ending,
+    the active set is that of Lawson & Hanson (1974).
+
+    Args:
+        matrix: M, shape (m, m).
+        target: t, shape (m,).
+        active: Coefficients that are probably not zero, shape (m,).
+
+    Returns:
+        x, its active coefficients, and log det M over these.
+    """
+    tolerance = RELATIVE_TOLERANCE * float(np.abs(target).max(initial=0.0))
+    fewest, tries = len(target) + 1, BLOCK_EXCHANGES
+    for exchange in range(MAX_EXCHANGES + 1):
+        if exchange == MAX_EXCHANGES:
+            root = linalg.cholesky(matrix)
+            right = linalg.solve_triangular(root, target, trans=1)
+            active = nnls(root, right, maxiter=30 * len(target))[0] > 0.0
+        p = np.flatnonzero(active)
+        x = np.zeros(len(target))
+        factor = _cholesky(matrix[np.ix_(p, p)])
+        x[p] = linalg.cho_solve((factor, True), target[p]) if len(p) else 0.0
+        gradient = matrix[:, p] @ x[p] - target
+        negative = x < -RELATIVE_TOLERANCE * np.abs(x).max(initial=0.0)
+        wrong = np.flatnonzero(np.where(active, negative, gradient < -tolerance))
+        if not len(wrong) or exchange == MAX_EXCHANGES:
+            break
+        tries = BLOCK_EXCHANGES if len(wrong) < fewest else tries - 1
+        fewest = min(fewest, len(wrong))
+        active = active.copy()
+        changed = wrong if tries > 0 else wrong[-1:]  # one at a time always ends
+        active[changed] = ~active[changed]
+    return np.maximum(x, 0.0), active, _log_determinant(factor)
+
+
+def _cholesky(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
+    """Lower Cholesky factor of a matrix with a share of the unit matrix added."""
+    regular = matrix + ridge * np.eye(len(matrix)) if ridge else matrix
+    return np.asarray(linalg.cholesky(regular, lower=True))
+
+
+def _log_determinant(factor: FloatArray) -> float:
+    """Log determinant of the matrix with a Cholesky factor."""
+    return float(2.0 * np.sum(np.log(np.diag(factor))))

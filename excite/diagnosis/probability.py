@@ -1,9 +1,10 @@
 """Calibrated probabilities of effects, from their evidence and their size.
 
-No effect of a real robot has exactly the form of its model, so that log Bayes factors are tempered,
-and what is small against the noise is no evidence for a rare effect:
+No effect of a real robot has exactly the form of its model, so that evidence for one is tempered:
+it also explains a part of what another form leaves. Evidence against it is not, since that has
+nothing to do with its form. What is small against the noise is no evidence for a rare effect:
 
-    frictions that any joint may have:  P = σ(ln B / T + λ)
+    frictions that any joint may have:  P = σ(max(ln B, 0)/T + min(ln B, 0) + λ)
     all others:                         P = σ(ln B / T′ + λ′) Φ(ln(s/s₀)/w)
 
 σ(x) = 1/(1 + exp(−x)), Φ is the normal distribution, s the RMS torque beyond what all other effects
@@ -45,7 +46,9 @@ def friction_probability(
         log_bayes_factor: ln B.
         log_odds: Prior log odds λ.
     """
-    return np.asarray(special.expit(np.asarray(log_bayes_factor) / TEMPERATURE + log_odds))
+    factor = np.asarray(log_bayes_factor)
+    tempered = np.maximum(factor, 0.0) / TEMPERATURE + np.minimum(factor, 0.0)
+    return np.asarray(special.expit(tempered + log_odds))
 
 
 def shared_log_odds(log_bayes_factors: FloatArray) -> float:

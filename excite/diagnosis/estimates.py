@@ -20,7 +20,7 @@ from . import joint_model, posterior, probability
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .normal_equations import Solution
-from .posterior import MIN_SEVERITY, EffectEvidence, Key
+from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence, Key
 from .selection import RareEffect
 from .unmodelled import UnmodelledTorque
 
@@ -219,9 +219,10 @@ def with_unmodelled(
     """Return estimates whose probabilities take account of torque that no effect explains, the most
     probable first.
 
-    Where torque of size u remains at a joint, a rare effect that explains torque of size s beyond
-    all others may stand for a part of the same unnamed thing: its probability is multiplied by
-    s²/(s² + u²).
+    Where torque of size u remains at a joint, an effect that explains torque of size s beyond all
+    others may stand for a part of the same unnamed thing. By the share s²/(s² + u²) its probability
+    is that of its evidence; otherwise that evidence is not its own, and what remains is what the
+    other joints of the robot say about frictions, and nothing about all other effects.
 
     Args:
         effects: The estimates.
@@ -233,12 +234,25 @@ def with_unmodelled(
         left[entry.joint] = entry.size / model.regression.sigma[entry.joint]
     out = []
     for effect in effects:
-        u = left.max() if effect.joint is None else left[effect.joint]
-        share = 1.0
-        if effect.effect not in FRICTIONS and effect.needed and u > 0.0:
-            share = effect.unique_severity**2 / (effect.unique_severity**2 + float(u) ** 2)
-        out.append(replace(effect, probability=effect.probability * share))
+        u = float(left.max() if effect.joint is None else left[effect.joint])
+        present = effect.probability
+        if effect.needed and u > 0.0:
+            own = effect.unique_severity**2 / (effect.unique_severity**2 + u**2)
+            present = own * present + (1.0 - own) * _by_other_joints(effect, effects, model.n)
+        out.append(replace(effect, probability=present))
     return sorted(out, key=lambda e: (-e.probability, -e.log_bayes_factor))
+
+
+def _by_other_joints(effect: EffectEstimate, effects: Sequence[EffectEstimate], n: int) -> float:
+    """Probability of an effect without its own evidence, by that of the robot's other joints."""
+    if effect.effect not in DENSE_NAMES:
+        return 0.0
+    others = [
+        e.log_bayes_factor for e in effects if e.effect == effect.effect and e.joint != effect.joint
+    ]
+    factors = np.full(n - 1, -np.inf)
+    factors[: len(others)] = others
+    return float(probability.friction_probability(0.0, probability.shared_log_odds(factors)))
 
 
 def _interval(severity: float, relative: float) -> tuple[float, float]:

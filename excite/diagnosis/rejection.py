@@ -38,14 +38,15 @@ def reason(diagnosis: Diagnosis, estimate: EffectEstimate) -> str:
         diagnosis: The diagnosis.
         estimate: An effect of it that is not asserted.
     """
-    is_friction = estimate.effect in FRICTIONS
     if estimate.probability >= MIN_PROBABILITY:
         if estimate.unique_severity < MIN_SEVERITY:
             return TOO_SMALL
         return EXPLAINED_AS_WELL if _predicts(diagnosis, estimate) else SPOILS_PREDICTION
-    if is_friction:
-        is_small = estimate.unique_severity < MIN_SEVERITY
-        return TOO_SMALL if is_small else WEAK_FRICTION
+    if estimate.effect in FRICTIONS:
+        if estimate.unique_severity < MIN_SEVERITY:
+            return TOO_SMALL
+        alone = _by_evidence(diagnosis, estimate)
+        return NEXT_TO_UNKNOWN if alone >= MIN_PROBABILITY else WEAK_FRICTION
     factors = _factors(diagnosis, estimate)
     return min(factors, key=lambda words: factors[words])
 
@@ -64,18 +65,23 @@ def _predicts(diagnosis: Diagnosis, estimate: EffectEstimate) -> bool:
     return not numbers or cross_validation.pays(model, numbers, others - set(numbers))
 
 
+def _by_evidence(diagnosis: Diagnosis, estimate: EffectEstimate) -> float:
+    """Return the probability of a friction or ripple by its evidence and that of other joints."""
+    alike = [e.log_bayes_factor for e in diagnosis.effects if e.effect == estimate.effect]
+    factors = np.full(diagnosis.model.n, -np.inf)
+    factors[: len(alike)] = alike
+    odds = probability.shared_log_odds(factors)
+    return float(probability.friction_probability(estimate.log_bayes_factor, odds))
+
+
 def _factors(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, float]:
     """Return the factors of the probability of an effect that is no friction, by their reason."""
     size = max(estimate.unique_severity, 1e-9)
     factor = estimate.log_bayes_factor
     if estimate.effect in DENSE_NAMES:
-        alike = [e.log_bayes_factor for e in diagnosis.effects if e.effect == estimate.effect]
-        factors = np.full(diagnosis.model.n, -np.inf)
-        factors[: len(alike)] = alike
-        odds = probability.shared_log_odds(factors)
-        evidence = alone = float(probability.friction_probability(factor, odds))
         if size < MIN_SEVERITY:
             return {TOO_SMALL: 0.0}
+        evidence = alone = _by_evidence(diagnosis, estimate)
     else:
         logit = factor / probability.RARE_TEMPERATURE + probability.RARE_LOG_ODDS
         evidence = float(special.expit(logit))

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from regression_columns import columns_on_all_joints
 
+from excite.diagnosis.candidate_fits import CandidateBatch
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.regression import JointRegression, independent_share
 
@@ -20,7 +22,7 @@ def random_regression(seed: int, nonnegative: bool) -> tuple[JointRegression, np
     regression = JointRegression.of_base(
         torque, np.ones((60, 2), bool), base, prior, np.array([0.5, 2.0]), 0.7
     )
-    regression.add(Columns.of(extra, np.full(4, nonnegative), np.full(4, 3.0)))
+    regression.add(columns_on_all_joints(extra, np.full(4, nonnegative), np.full(4, 3.0)))
     return regression, np.concatenate([base, extra], axis=2)
 
 
@@ -52,7 +54,7 @@ def test_constrained_solution_satisfies_the_optimality_conditions(seed):
 
 def test_candidate_gains_what_the_refit_gains():
     regression, _ = random_regression(3, nonnegative=False)
-    columns = Columns.of(
+    columns = columns_on_all_joints(
         np.random.default_rng(8).normal(size=(60, 2, 2)), np.zeros(2, bool), np.full(2, 5.0)
     )
     before = regression.solution.objective
@@ -63,6 +65,50 @@ def test_candidate_gains_what_the_refit_gains():
         regression.solution.coefficients[regression.slices[effect]], fit.coefficients, rtol=1e-6
     )
     assert regression.without([effect]).objective == pytest.approx(before)
+
+
+def test_candidates_of_a_batch_are_fitted_one_by_one():
+    """Candidates of different sizes, on one joint or on both, do not see each other."""
+    rng = np.random.default_rng(4)
+    regression, _ = random_regression(6, nonnegative=True)
+    candidates = [
+        Columns(joints, tuple(rng.normal(size=(60, k)) for _ in joints), np.zeros(k, bool), std)
+        for joints, k, std in (
+            ((0,), 1, np.array([2.0])),
+            ((0, 1), 2, np.array([1.0, 5.0])),
+            ((1,), 1, np.array([0.3])),
+            ((1,), 2, np.array([4.0, 0.1])),
+        )
+    ]
+    moving = np.ones((60, 2), bool)
+    fits = regression.candidates(CandidateBatch.of(candidates, moving))
+    assert len(fits) == len(candidates)
+    for columns, fit in zip(candidates, fits, strict=True):
+        alone = regression.candidate(columns)
+        np.testing.assert_allclose(fit.coefficients, alone.coefficients, rtol=1e-9)
+        np.testing.assert_allclose(fit.information, alone.information, rtol=1e-9, atol=1e-9)
+        assert fit.gain == pytest.approx(alone.gain)
+
+
+@given(seed=st.integers(0, 1000))
+def test_minimum_does_not_depend_on_the_problems_solved_before(seed):
+    """The active set of one problem is where the search for that of the next begins."""
+    rng = np.random.default_rng(seed)
+    extra = [rng.normal(size=(60, 2, 6)) + rng.normal(size=(60, 2, 1)) for _ in range(3)]
+
+    def regression() -> JointRegression:
+        out, _ = random_regression(seed, nonnegative=True)
+        for torque in extra:
+            out.add(columns_on_all_joints(torque, np.ones(6, bool), np.full(6, 2.0)))
+        return out
+
+    used = regression()
+    for left_out in ((), (0,), (1, 2), (3,), (0, 1, 2), (2,)):
+        fresh = regression().without(left_out)
+        solution = used.without(left_out)
+        np.testing.assert_allclose(solution.coefficients, fresh.coefficients, rtol=1e-6, atol=1e-9)
+        assert solution.objective == pytest.approx(fresh.objective)
+        assert solution.log_determinant == pytest.approx(fresh.log_determinant, abs=1e-6)
 
 
 def test_torque_of_effects_and_base_add_up():
@@ -112,7 +158,7 @@ def test_rows_at_standstill_have_no_influence():
             np.ones(2),
             0.7,
         )
-        other.add(Columns.of(columns[:, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
+        other.add(columns_on_all_joints(columns[:, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
         fits.append(other.solution.coefficients)
     np.testing.assert_allclose(fits[0], fits[1])
 
@@ -140,7 +186,9 @@ def test_cross_validation_is_a_refit_without_the_fold(nonnegative):
             regression.sigma,
             0.7,
         )
-        other.add(Columns.of(columns[~fold, :, 3:], np.full(4, nonnegative), np.full(4, 3.0)))
+        other.add(
+            columns_on_all_joints(columns[~fold, :, 3:], np.full(4, nonnegative), np.full(4, 3.0))
+        )
         for variant, left_out in enumerate([(), (0,)]):
             x = other.without(left_out).coefficients
             residual = regression.torque[fold] - columns[fold] @ x

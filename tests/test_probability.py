@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from regression_columns import columns_on_all_joints
 from scipy import stats
 
 from excite.diagnosis import posterior, probability
-from excite.diagnosis.columns import Columns
 from excite.diagnosis.regression import JointRegression
 
 ROWS = 40
@@ -81,7 +81,9 @@ def small_regression(seed: int, nonnegative: tuple[bool, ...]) -> JointRegressio
         np.array([0.5]),
         1.0,
     )
-    regression.add(Columns.of(extra, np.array(nonnegative), np.full(len(nonnegative), 0.8)))
+    regression.add(
+        columns_on_all_joints(extra, np.array(nonnegative), np.full(len(nonnegative), 0.8))
+    )
     return regression
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from .._types import BoolArray, FloatArray
 
 
@@ -38,20 +36,3 @@ class Columns:
         """
         values = tuple(x[:, -count:] for x in self.values)
         return Columns(self.joints, values, self.nonnegative[-count:], self.prior_std[-count:])
-
-    @classmethod
-    def of(
-        cls,
-        torque: FloatArray,
-        nonnegative: BoolArray | None = None,
-        prior_std: FloatArray | None = None,
-    ) -> Columns:
-        """Return the columns of a full array, shape (N, n, k), without joints that are all zero."""
-        k = torque.shape[2]
-        joints = tuple(int(j) for j in np.flatnonzero(np.abs(torque).max(axis=(0, 2)) > 0.0))
-        return cls(
-            joints,
-            tuple(np.ascontiguousarray(torque[:, j]) for j in joints),
-            np.zeros(k, bool) if nonnegative is None else nonnegative,
-            np.full(k, np.inf) if prior_std is None else prior_std,
-        )

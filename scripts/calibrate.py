@@ -30,7 +30,7 @@ from excite.diagnosis import posterior, probability
 
 FRICTION_GRID = (
     np.geomspace(5.0, 200.0, 16).tolist(),
-    [(0.5, 0.5), (0.5, 1.0), (0.5, 2.0), (1.0, 1.0), (1.0, 3.0), (2.0, 1.0)],
+    [(0.1, 0.1), (0.2, 0.2), (0.2, 0.5), (0.5, 0.5), (0.5, 1.0), (1.0, 1.0), (1.0, 3.0)],
 )
 """Values of TEMPERATURE and SHARED_COUNTS that are tried."""
 RARE_GRID = (
@@ -92,13 +92,12 @@ def read_effects(folder: TrialFolder, analyst: str) -> list[StatedEffect]:
 
 def friction_probabilities(effects: Sequence[StatedEffect]) -> FloatArray:
     """Return the probability of every friction with the present constants."""
-    odds = np.zeros(len(effects))
+    out = np.zeros(len(effects))
     for name, case in {(e.effect, e.case) for e in effects}:
         members = [i for i, e in enumerate(effects) if (e.effect, e.case) == (name, case)]
-        factors = np.full(effects[members[0]].joints, -np.inf)
-        factors[: len(members)] = [effects[i].log_bayes_factor for i in members]
-        odds[members] = probability.shared_log_odds(factors)
-    return probability.friction_probability(np.array([e.log_bayes_factor for e in effects]), odds)
+        factors = [effects[i].log_bayes_factor for i in members]
+        out[members] = posterior.shared_probabilities(effects[members[0]].joints, factors)
+    return out
 
 
 def rare_probabilities(effects: Sequence[StatedEffect]) -> FloatArray:

@@ -21,14 +21,25 @@ finite = st.floats(-1e4, 1e4)
 sizes = st.floats(0.0, 1e3)
 
 
-@given(first=finite, second=finite, odds=st.floats(-20.0, 20.0))
-def test_the_probability_of_a_friction_grows_with_evidence_and_odds(first, second, odds):
-    low, high = sorted((first, second))
-    p, q = (float(probability.friction_probability(x, odds)) for x in (low, high))
-    assert 0.0 <= p <= q <= 1.0
-    assert float(probability.friction_probability(low, odds + 1.0)) >= p
-    even = probability.friction_probability(0.0, odds)
-    assert even == pytest.approx(1.0 / (1.0 + np.exp(-odds)))
+robots = st.lists(st.floats(-50.0, 500.0), min_size=1, max_size=8).map(np.array)
+"""Log Bayes factors of a friction at the joints of a robot."""
+
+
+@given(robot=robots, more=st.floats(0.0, 1e4))
+def test_more_evidence_for_a_friction_makes_it_more_probable_at_every_joint(robot, more):
+    before = probability.friction_probabilities(robot)
+    robot[0] += more
+    after = probability.friction_probabilities(robot)
+    assert (before >= 0.0).all() and (after <= 1.0).all()
+    assert (after >= before - 1e-6).all()
+
+
+def test_evidence_against_a_friction_counts_in_full_and_evidence_for_it_is_tempered():
+    """On a robot of one joint, whose prior odds are those of the Beta prior alone."""
+    a, b = probability.SHARED_COUNTS
+    for factor, scale in ((-3.0, 1.0), (30.0, probability.TEMPERATURE)):
+        (p,) = probability.friction_probabilities(np.array([factor]))
+        assert p == pytest.approx(1.0 / (1.0 + b / a * np.exp(-factor / scale)))
 
 
 @given(evidence=st.tuples(finite, finite), size=st.tuples(sizes, sizes))
@@ -40,29 +51,16 @@ def test_the_probability_of_a_rare_effect_grows_with_evidence_and_size(evidence,
 
 
 def test_the_probability_without_evidence_or_size_is_zero():
-    assert probability.friction_probability(-np.inf, 3.0) == 0.0
+    assert probability.friction_probabilities(np.array([-np.inf, 1e4]))[0] == 0.0
     assert probability.rare_probability(-np.inf, 10.0) == 0.0
     assert probability.rare_probability(1e3, 0.0) == pytest.approx(0.0, abs=1e-12)
     assert probability.rare_probability(1e3, 30.0) == pytest.approx(1.0)
 
 
-@given(evidence=st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=8), more=st.floats(0.0, 50.0))
-def test_shared_odds_follow_the_joints(evidence, more):
-    """Between the odds of no joint and of all joints, and higher if a joint has more evidence."""
-    n, (a, b) = len(evidence), probability.SHARED_COUNTS
-    odds = probability.shared_log_odds(np.array(evidence))
-    assert np.log(a / (n + b)) - 1e-9 <= odds <= np.log((n + a) / b) + 1e-9
-    assert probability.shared_log_odds(np.array([evidence[0] + more, *evidence[1:]])) >= odds - 1e-6
-
-
 def test_a_friction_of_most_joints_is_more_probable_at_the_last():
     weak = 0.5 * probability.TEMPERATURE
     most, none = (
-        float(
-            probability.friction_probability(
-                weak, probability.shared_log_odds(np.array([*[others] * 5, weak]))
-            )
-        )
+        probability.friction_probabilities(np.array([*[others] * 5, weak]))[-1]
         for others in (20.0 * probability.TEMPERATURE, -np.inf)
     )
     assert most > 0.7 and none < 0.4

@@ -250,9 +250,7 @@ def _by_other_joints(effect: EffectEstimate, effects: Sequence[EffectEstimate], 
     others = [
         e.log_bayes_factor for e in effects if e.effect == effect.effect and e.joint != effect.joint
     ]
-    factors = np.full(n - 1, -np.inf)
-    factors[: len(others)] = others
-    return float(probability.friction_probability(0.0, probability.shared_log_odds(factors)))
+    return posterior.shared_probabilities(n, [0.0, *others])[0]
 
 
 def _interval(severity: float, relative: float) -> tuple[float, float]:

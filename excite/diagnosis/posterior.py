@@ -112,12 +112,21 @@ def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, float
             out[e.key] = _rare_probability(e)
     for name in DENSE_NAMES:
         members = [e for e in evidence if e.name == name]
-        factors = np.full(n, -np.inf)
-        factors[: len(members)] = [e.log_bayes_factor for e in members]
-        odds = probability.shared_log_odds(factors)
-        for e in members:
-            out[e.key] = float(probability.friction_probability(e.log_bayes_factor, odds))
+        shared = shared_probabilities(n, [e.log_bayes_factor for e in members])
+        out.update(zip((e.key for e in members), shared, strict=True))
     return out
+
+
+def shared_probabilities(n: int, log_bayes_factors: Sequence[float]) -> list[float]:
+    """Return the probabilities of one kind of friction, or of ripple.
+
+    Args:
+        n: Number of joints.
+        log_bayes_factors: ln B at the joints whose model has it.
+    """
+    factors = np.full(n, -np.inf)
+    factors[: len(log_bayes_factors)] = log_bayes_factors
+    return probability.friction_probabilities(factors)[: len(log_bayes_factors)].tolist()
 
 
 def _rare_probability(evidence: EffectEvidence) -> float:

@@ -4,14 +4,14 @@ No effect of a real robot has exactly the form of its model, so that evidence fo
 it also explains a part of what another form leaves. Evidence against it is not, since that has
 nothing to do with its form. What is small against the noise is no evidence for a rare effect:
 
-    frictions that any joint may have:  P = σ(max(ln B, 0)/T + min(ln B, 0) + λ)
+    frictions that any joint may have:  P = σ(max(ln B, 0)/T + min(ln B, 0) + λ_j)
     all others:                         P = σ(ln B / T′ + λ′) Φ(ln(s/s₀)/w)
 
 σ(x) = 1/(1 + exp(−x)), Φ is the normal distribution, s the RMS torque beyond what all other effects
-could stand for, over the noise. λ is shared over the joints of a robot, since a maker's gears are
-alike: with posterior probabilities P_j of n joints, λ = ln (ΣP_j + a)/(n − ΣP_j + b), the log odds
-of a Beta(a, b) prior, iterated (an empirical Bayes estimate). `scripts/calibrate.py` fits the
-constants.
+could stand for, over the noise. A maker's gears are alike, so that the odds follow from the other
+joints of the robot: with their probabilities P_k, λ_j = ln (ΣP_k + a)/(n − 1 − ΣP_k + b), the log
+odds of a Beta(a, b) prior, iterated over all joints (an empirical Bayes estimate).
+`scripts/calibrate.py` fits the constants.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from scipy import special
 
 from .._types import FloatArray
 
-TEMPERATURE = 40.0
+TEMPERATURE = 60.0
 """Temperature T of frictions that any joint may have."""
-SHARED_COUNTS = (0.5, 1.0)
+SHARED_COUNTS = (0.2, 0.2)
 """Counts a and b of their Beta prior."""
 RARE_TEMPERATURE = 5.0
 """Temperature T′ of all other effects."""
@@ -37,32 +37,21 @@ SHARED_ROUNDS = 50
 """Iterations of the shared odds."""
 
 
-def friction_probability(
-    log_bayes_factor: float | FloatArray, log_odds: float | FloatArray
-) -> FloatArray:
-    """Return the probability of a friction that any joint may have.
-
-    Args:
-        log_bayes_factor: ln B.
-        log_odds: Prior log odds λ.
-    """
-    factor = np.asarray(log_bayes_factor)
-    tempered = np.maximum(factor, 0.0) / TEMPERATURE + np.minimum(factor, 0.0)
-    return np.asarray(special.expit(tempered + log_odds))
-
-
-def shared_log_odds(log_bayes_factors: FloatArray) -> float:
-    """Return the log odds of a friction that the joints of a robot share.
+def friction_probabilities(log_bayes_factors: FloatArray) -> FloatArray:
+    """Return the probability of a friction at every joint of a robot, shape (n,).
 
     Args:
         log_bayes_factors: ln B of the friction at every joint, shape (n,); −∞ where it is absent.
     """
     a, b = SHARED_COUNTS
-    n, odds = len(log_bayes_factors), 0.0
+    supporting = np.maximum(log_bayes_factors, 0.0) / TEMPERATURE
+    tempered = supporting + np.minimum(log_bayes_factors, 0.0)
+    out = np.asarray(special.expit(tempered))
     for _ in range(SHARED_ROUNDS):
-        expected = float(np.sum(friction_probability(log_bayes_factors, odds)))
-        odds = float(np.log((expected + a) / (n - expected + b)))
-    return odds
+        others = out.sum() - out
+        odds = np.log((others + a) / (len(out) - 1 - others + b))
+        out = np.asarray(special.expit(tempered + odds))
+    return out
 
 
 def rare_probability(log_bayes_factor: float | FloatArray, size: float | FloatArray) -> FloatArray:

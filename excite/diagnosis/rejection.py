@@ -67,11 +67,9 @@ def _predicts(diagnosis: Diagnosis, estimate: EffectEstimate) -> bool:
 
 def _by_evidence(diagnosis: Diagnosis, estimate: EffectEstimate) -> float:
     """Return the probability of a friction or ripple by its evidence and that of other joints."""
-    alike = [e.log_bayes_factor for e in diagnosis.effects if e.effect == estimate.effect]
-    factors = np.full(diagnosis.model.n, -np.inf)
-    factors[: len(alike)] = alike
-    odds = probability.shared_log_odds(factors)
-    return float(probability.friction_probability(estimate.log_bayes_factor, odds))
+    alike = [e for e in diagnosis.effects if e.effect == estimate.effect]
+    shared = posterior.shared_probabilities(diagnosis.model.n, [e.log_bayes_factor for e in alike])
+    return shared[alike.index(estimate)]
 
 
 def _factors(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, float]:

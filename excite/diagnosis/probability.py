@@ -21,9 +21,9 @@ from scipy import special
 
 from .._types import FloatArray
 
-TEMPERATURE = 60.0
+TEMPERATURE = 40.0
 """Temperature T of frictions that any joint may have."""
-SHARED_COUNTS = (0.2, 0.2)
+SHARED_COUNTS = (0.2, 0.5)
 """Counts a and b of their Beta prior."""
 RARE_TEMPERATURE = 5.0
 """Temperature T′ of all other effects."""

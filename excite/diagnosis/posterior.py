@@ -160,7 +160,7 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
             key: evidence_of(model, key, groups[key], left_out, current) for key in evidence
         }
     while evidence:
-        unneeded = _unneeded(model, evidence, out)
+        unneeded = [key for key, entry in evidence.items() if not entry.is_needed]
         if not unneeded:
             break
         key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
@@ -175,14 +175,6 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     for joint in range(model.n):
         evidence |= _next_to_form_errors(model, joint, left_out, evidence)
     return frozenset(left_out), [*evidence.values(), *out]
-
-
-def _unneeded(
-    model: JointModel, evidence: Mapping[Key, EffectEvidence], out: Sequence[EffectEvidence]
-) -> list[Key]:
-    """Return the effects that are less probable than not, or too small."""
-    present = probabilities(model.n, [*evidence.values(), *out])
-    return [k for k, e in evidence.items() if present[k] < 0.5 or e.size < MIN_SEVERITY]
 
 
 def _next_to_form_errors(

@@ -23,7 +23,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency, identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
-from . import fitted_effects, joint_model
+from . import base_attraction, fitted_effects, joint_model
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import JointModel, model_columns
@@ -93,6 +93,7 @@ def fit(
     # the saved model has the widths and the delay of the motions, and no further change of them
     base_model.fix_at_zero(range(len(model.free), model.delay_place + 1))
     first = _with_effects(base_model, model, model.motions, shapes)
+    joint_model.reweight(first)  # the effects that were left out explain nothing of it
     effects = _fitted(shapes, first)
     cleaned = [_cleaned(effects, recording, model.motions) for recording in recordings]
     refitted = identification.identify(
@@ -108,6 +109,7 @@ def fit(
         # the same recordings, but effects and base model at once: where an effect can stand for a
         # part of the base model, the recordings without its torque cannot show that part
         joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
+        base_attraction.attract(identified, joint)
         widths = model.motions[0].widths
         refitted = dataclasses.replace(
             refitted,
@@ -125,8 +127,8 @@ def fit(
         model.regression.moving,
         np.zeros((*torque.shape, 0)),
         (np.zeros(0), np.zeros((0, 0))),
-        model.regression.sigma,
-        model.regression.independent_share,
+        first.sigma,
+        first.independent_share,
     )
     regression = _with_effects(fixed_base, model, motions, shapes)
     return FinalModel(

@@ -303,21 +303,9 @@ def _fit_round(
     weights: tuple[FloatArray, float] | None,
 ) -> JointModel:
     """Fit the coefficients of given models, and the weights of the rows."""
-    free = free_parameters(identified)
+    regression = base_regression(identified, motions, weights)
+    level, free = friction_level(motions), free_parameters(identified)
     known = np.concatenate([known_torque(motion, free) for motion in motions])
-    torque = np.concatenate([motion.torque for motion in motions]) - known
-    moving = np.concatenate([motion.moving for motion in motions])
-    if weights is None:
-        residual = np.concatenate([motion.residual for motion in motions])
-        weights = rms(residual, moving), independent_share(residual, moving)
-    level = friction_level(motions)
-    regression = JointRegression.of_base(
-        torque,
-        moving,
-        _base_columns(motions, level, free),
-        _base_prior(identified, motions, free),
-        *weights,
-    )
     kept = []
     for model in models:
         columns = model_columns(model, motions, level)
@@ -326,6 +314,34 @@ def _fit_round(
             kept.append(model)
     reweight(regression)
     return JointModel(tuple(motions), tuple(kept), regression, delay, level, psi, free, known)
+
+
+def base_regression(
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    weights: tuple[FloatArray, float] | None = None,
+) -> JointRegression:
+    """Return the regression of the base model without effects.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+        weights: RMS residual of each joint [N m] and share of independent rows; of the motions'
+            base model if None.
+    """
+    free = free_parameters(identified)
+    known = np.concatenate([known_torque(motion, free) for motion in motions])
+    moving = np.concatenate([motion.moving for motion in motions])
+    if weights is None:
+        residual = np.concatenate([motion.residual for motion in motions])
+        weights = rms(residual, moving), independent_share(residual, moving)
+    return JointRegression.of_base(
+        np.concatenate([motion.torque for motion in motions]) - known,
+        moving,
+        _base_columns(motions, friction_level(motions), free),
+        _base_prior(identified, motions, free),
+        *weights,
+    )
 
 
 def reweight(regression: JointRegression) -> None:

@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -39,8 +39,10 @@ from excite.robot.robot import locate
 from excite.simulator import dense_robot
 from excite.simulator.effect_instance import with_effects
 from excite.simulator.experiment import ExperimentSettings, build_robot, run_session
+from excite.simulator.mujoco_dynamics import build_dynamics
 from excite.simulator.recording_file import json_text
 from excite.simulator.reference_trajectory import ReferenceTrajectory
+from excite.simulator.simulated_robot import SimulatedRobot
 from excite.simulator.urdf_tree import read_urdf
 
 ROBOTS = ("ur10e", "iiwa14", "ur5e", "panda", "tx40", "fr3")
@@ -93,11 +95,29 @@ def simulate_case(seed: int, folder: Path) -> str:
         (folder / "exact", robot),
     ):
         for motion, file in zip(motions, ("train", "unseen"), strict=True):
-            session = run_session(machine, motion, settings)
+            servo = with_gains_of(machine, motions[0], motion)
+            session = run_session(servo, motion, settings)
             (place / f"{file}.csv").write_text(session.recording.to_csv(), encoding="utf-8")
             sidecar = json_text({**session.recording.to_sidecar(), "notes": ""})
             (place / f"{file}.json").write_text(sidecar, encoding="utf-8")
     return name
+
+
+def with_gains_of(
+    robot: SimulatedRobot, first: ReferenceTrajectory, motion: ReferenceTrajectory
+) -> SimulatedRobot:
+    """Return a robot whose controller has the same gains along a motion as along the first.
+
+    The simulator scales the gain of the speed loop with the inertia in the first pose of a motion;
+    a servo does not.
+    """
+    dynamics = build_dynamics(robot.tree, robot.joints, robot.lock, robot.gravity)
+    inertia = [
+        np.diag(dynamics.mass_and_bias(q, np.zeros_like(q))[0]) + robot.actuators.inertia
+        for q in (m.at(np.zeros(1))[0][0] for m in (first, motion))
+    ]
+    gains = replace(robot.gains, speed=robot.gains.speed * inertia[0] / inertia[1])
+    return replace(robot, gains=gains)
 
 
 @dataclass(frozen=True)
@@ -128,7 +148,7 @@ class ReplayCase:
         run = Replay(machine, self.data, self.loop, with_friction).run(0, end)
         assert self.data.torque is not None
         torque = self.data.torque[:end]
-        position = _rms(np.nan_to_num(run.q, posinf=1e3) - self.data.motion.q[:end])
+        position = _rms(np.nan_to_num(run.q, posinf=1e3) - self.data.q[:end])
         return position, _rms(np.nan_to_num(run.torque, nan=1e3) - torque) / _rms(torque)
 
 

@@ -240,7 +240,7 @@ def fit(
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
-            waves += find_waves(fitted)
+            waves = [*refined_waves(fitted), *find_waves(fitted)]
     return fitted
 
 
@@ -527,6 +527,32 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
     return out
 
 
+def refined_waves(fitted: JointModel) -> list[CandidateModel]:
+    """Return the waves of a joint model with orders refined by a Gauss-Newton step.
+
+    Each order was found before the waves after it were known: of several waves at a joint, those
+    not yet found bias it.
+    """
+    out = []
+    for i, wave in enumerate(fitted.models):
+        if wave.effect != "torque_ripple":
+            continue
+        j, order = wave.joint_index, wave.values["order"]
+        slope = _order_slope(fitted.motions, j, order, fitted.coefficients(i))
+        step = float(fitted.regression.candidate(_free_columns(j, slope)).coefficients[0])
+        angle, _ = _angle_and_speed(fitted.motions, j)
+        limit = MAX_ORDER_STEP * 2.0 * np.pi / float(np.ptp(angle))
+        order += float(np.clip(step, -limit, limit))
+        out.append(torque_ripple.wave_model(fitted.motions, j, order))
+    return out
+
+
+def _free_columns(joint: int, torque: FloatArray) -> Columns:
+    """Columns of one joint, shape (N, k), with coefficients of either sign and no prior."""
+    k = torque.shape[1]
+    return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
+
+
 def _angle_and_speed(
     motions: Sequence[RecordedMotion], joint: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -598,20 +624,19 @@ def _spectrum_peak(
 def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -> float:
     """Refine an order by Gauss-Newton steps, jointly with all coefficients of a joint model."""
 
-    def columns(torque: FloatArray) -> Columns:
-        k = torque.shape[1]
-        return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
-
     def waves(k: float) -> FloatArray:
         return _filtered(fitted.motions, joint, lambda q: [np.cos(k * q), np.sin(k * q)])
 
     near = order + width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
-    order = max(near.tolist(), key=lambda k: fitted.regression.candidate(columns(waves(k))).gain)
+    order = max(
+        near.tolist(),
+        key=lambda k: fitted.regression.candidate(_free_columns(joint, waves(k))).gain,
+    )
     for _ in range(GAUSS_NEWTON_STEPS):
         pair = waves(order)
-        c = fitted.regression.candidate(columns(pair)).coefficients
+        c = fitted.regression.candidate(_free_columns(joint, pair)).coefficients
         slope = _order_slope(fitted.motions, joint, order, c)
-        fit = fitted.regression.candidate(columns(np.hstack([pair, slope])))
+        fit = fitted.regression.candidate(_free_columns(joint, np.hstack([pair, slope])))
         step = float(np.clip(fit.coefficients[2], -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
         order += step
         if abs(step) < ORDER_TOLERANCE * width:

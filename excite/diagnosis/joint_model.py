@@ -72,6 +72,8 @@ MAX_WAVES = 12
 """Waves of a joint at most."""
 MAX_ORDER_STEP = 0.3
 """Largest step of an order, over the width of a peak in the order spectrum."""
+MIN_ORDER_DISTANCE = 0.5
+"""Smallest distance of two orders that count as two waves, over the width of a peak."""
 ORDER_TOLERANCE = 1e-4
 """Step at which the refinement of an order ends, in the same unit."""
 ANGLE_BIN = np.pi / 2400.0
@@ -512,7 +514,9 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             order, gain, count = _spectrum_peak(residual, angle, speed, moving, low, hertz)
             gain *= share / float(np.mean(residual[moving] ** 2))
             evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
-            if evidence < MIN_RIPPLE_EVIDENCE or any(abs(order - k) < 0.5 * width for k in known):
+            if evidence < MIN_RIPPLE_EVIDENCE or any(
+                abs(order - k) < MIN_ORDER_DISTANCE * width for k in known
+            ):
                 break
             order = _refined_order(fitted, j, order, width)
             if order < low:  # of so few periods, a spring
@@ -531,9 +535,9 @@ def refined_waves(fitted: JointModel) -> list[CandidateModel]:
     """Return the waves of a joint model with orders refined by a Gauss-Newton step.
 
     Each order was found before the waves after it were known: of several waves at a joint, those
-    not yet found bias it.
+    not yet found bias it. A wave whose order comes near that of an earlier one was a part of it.
     """
-    out = []
+    out = list[CandidateModel]()
     for i, wave in enumerate(fitted.models):
         if wave.effect != "torque_ripple":
             continue
@@ -541,9 +545,11 @@ def refined_waves(fitted: JointModel) -> list[CandidateModel]:
         slope = _order_slope(fitted.motions, j, order, fitted.coefficients(i))
         step = float(fitted.regression.candidate(_free_columns(j, slope)).coefficients[0])
         angle, _ = _angle_and_speed(fitted.motions, j)
-        limit = MAX_ORDER_STEP * 2.0 * np.pi / float(np.ptp(angle))
-        order += float(np.clip(step, -limit, limit))
-        out.append(torque_ripple.wave_model(fitted.motions, j, order))
+        width = 2.0 * np.pi / float(np.ptp(angle))
+        order += float(np.clip(step, -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
+        known = [model.values["order"] for model in out if model.joint == j]
+        if not any(abs(order - k) < MIN_ORDER_DISTANCE * width for k in known):
+            out.append(torque_ripple.wave_model(fitted.motions, j, order))
     return out
 
 

@@ -249,15 +249,24 @@ def continued_loop(loop: PositionLoop, data: ReplayInput) -> PositionLoop:
     """
     assert data.smooth_torque is not None
     first = data.t < START_SECONDS
-    terms = _loop_terms(data, np.ones(data.q.shape, bool))[first]
-    gains = np.concatenate([loop.forward[None], loop.gains])
     late = loop.lag + data.torque_delay
-    torque = np.einsum("tkj,kj->tj", terms, gains)
-    constant = [
-        np.mean(data.smooth_torque[first, j] - np.interp(data.t[first] - late[j], data.t[first], x))
-        for j, x in enumerate(torque.T)
+    missing = [
+        np.mean(data.smooth_torque[first, j] - np.interp(data.t[first] - late[j], data.t, x))
+        for j, x in enumerate(loop_torque(loop, data).T)
     ]
-    return dataclasses.replace(loop, constant=np.array(constant))
+    return dataclasses.replace(loop, constant=loop.constant + np.array(missing))
+
+
+def loop_torque(loop: PositionLoop, data: ReplayInput) -> FloatArray:
+    """Return the torque that a loop commands along a recording. Shape (N, n) [N m].
+
+    Args:
+        loop: The loop; its integrator is not held at the torque limit.
+        data: The recording, with commanded positions.
+    """
+    terms = _loop_terms(data, np.ones(data.q.shape, bool))
+    gains = np.concatenate([loop.forward[None], loop.gains])
+    return np.asarray(np.einsum("tkj,kj->tj", terms, gains) + loop.constant)
 
 
 def _loop_terms(data: ReplayInput, is_free: BoolArray) -> FloatArray:

@@ -21,9 +21,9 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """The curves of `dense_model`, or |q̇|^k sgn q̇ of `designer.effect_columns`."""
     j = model.joint_index
     if "top_speed" in model.values:
-        # beyond the speeds of the fit the friction goes on linearly
-        share = np.clip(joint_speed(motion, j) / model.values["top_speed"], -1.0, 1.0)
-        return single_joint_columns(motion, j, _curves(share))
+        return single_joint_columns(
+            motion, j, _continued_curves(joint_speed(motion, j) / model.values["top_speed"])
+        )
     return single_joint_columns(
         motion, j, motion.sign(j) * np.abs(joint_speed(motion, j)) ** model.values["exponent"]
     )
@@ -46,6 +46,22 @@ def _curves(share: FloatArray) -> FloatArray:
     concave += [np.sign(share) * np.sqrt(size)]
     convex = [share * size, share**3]
     return np.column_stack([curve - share for curve in (*concave, *convex)])
+
+
+def _continued_curves(share: FloatArray) -> FloatArray:
+    """Friction curves that go on along their tangents beyond the largest speed of the fit.
+
+    Args:
+        share: Speed over that speed, shape (M,).
+
+    Returns:
+        Shape (M, k).
+    """
+    inside = np.clip(share, -1.0, 1.0)
+    slopes = [1.0 / (v * np.hypot(1.0, 1.0 / v) * np.arcsinh(1.0 / v)) for v in ASINH_SPEEDS]
+    slopes += [2.0 / (v * np.sinh(2.0 / v)) for v in TANH_SPEEDS]
+    slopes += [0.5, 2.0, 3.0]
+    return _curves(inside) + (share - inside)[:, None] * (np.array(slopes) - 1.0)
 
 
 def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:

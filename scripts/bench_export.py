@@ -1,32 +1,41 @@
 """Replay of unseen commands in MuJoCo by exported robots, before and after the identification.
 
-    python scripts/bench_export.py [--count 20] [--first 0] [--diagnose]
+    python scripts/bench_export.py [--count 20] [--first 0] [--folder DIR] [--sysid SECONDS]
 
 Dense robots with a position servo are simulated along two random motions of 26 s. The robot and its
 position loop are identified from the first, exported as MJCF, and driven in MuJoCo by the commands
-of the second, for 20 s from one recorded state. "Before" is the URDF as given, with the same loop.
-With --diagnose, a model with the effects that a diagnosis finds is replayed as well, without and
-with the friction module, which adds what MJCF does not hold. "Noise-limited" is the same robot
-without hidden effects, along the same motions with the same noise, identified and replayed in the
-same way: the model is then exact, and what remains is due to measurement noise, the fitted position
-loop and MuJoCo's integration. The last line says whether mujoco.sysid could be run; it is not
-compared.
+of the second, for 20 s from its first state: the URDF as given, the robot of `excite identify`, and
+that of `excite diagnose`, without and with the friction module, which adds what MJCF does not hold.
+All have the same loop, with the integrator's state at the start of the second motion. The position
+error is the RMS over joints and time against the recorded positions.
+
+"Noise-limited" is the same robot without hidden effects, along the same motions with the same
+noise, identified and replayed in the same way: the form of the model is then exact, and what
+remains is due to measurement noise in the parameters and in the position loop, and to MuJoCo's
+integration. It has fewer parameters than any model of the dense robot, so that nobody who fits
+those to the recorded torque could be expected to do better.
+
+With --sysid, MuJoCo's own identification (`peers/mujoco_sysid.py`) gets the first motion as well,
+for the stated processor time. With --folder, recordings, models and errors are kept, and a later
+run continues where this one ended.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
+import contextlib
+import json
+import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from concealed_trial.random_excitation import draw_excitation
+from peers import mujoco_sysid
 
 import excite
 from excite.api.model_export import read_simulator_model
@@ -39,8 +48,10 @@ from excite.robot.robot import locate
 from excite.simulator import dense_robot
 from excite.simulator.effect_instance import with_effects
 from excite.simulator.experiment import ExperimentSettings, build_robot, run_session
+from excite.simulator.mujoco_dynamics import build_dynamics
 from excite.simulator.recording_file import json_text
 from excite.simulator.reference_trajectory import ReferenceTrajectory
+from excite.simulator.simulated_robot import SimulatedRobot
 from excite.simulator.urdf_tree import read_urdf
 
 ROBOTS = ("ur10e", "iiwa14", "ur5e", "panda", "tx40", "fr3")
@@ -49,55 +60,17 @@ PERIODS = 3
 """Periods of 8 s in each motion."""
 REPLAY_SECONDS = 20.0
 """Length of the replay [s]."""
-
 LARGEST_RATIO = 1.2
 """Position error over the noise-limited one that is required [1]."""
-
-
-@dataclass(frozen=True)
-class CaseScore:
-    """Errors of one robot, RMS over the joints.
-
-    Attributes:
-        robot: Its name.
-        position: Position error before and after the identification, and after a diagnosis
-            without and with the friction module [rad or m].
-        torque: Motor torque errors of the same, over the RMS torque [1].
-        noise_limited: Position error after the identification of the same robot without hidden
-            effects [rad or m].
-        seconds: Time of identification and replay of the dense robot [s].
-    """
-
-    robot: str
-    position: tuple[float, ...]
-    torque: tuple[float, ...]
-    noise_limited: float
-    seconds: float
-
-
-def simulate_case(seed: int, folder: Path) -> str:
-    """Write train.csv and unseen.csv of a dense robot, and both of it without hidden effects into
-    the folder `exact`; return the name of its model."""
-    rng = np.random.default_rng([seed, 23])
-    name = ROBOTS[seed % len(ROBOTS)]
-    path, settings = locate(name), ExperimentSettings(seed=seed)
-    joints = read_urdf(path).joints
-    still = ReferenceTrajectory(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
-    robot = build_robot(path, still, settings)
-    motions = [draw_excitation(robot, PERIODS, rng) for _ in range(2)]
-    load = dense_robot.static_load(robot, motions[0])
-    effects = dense_robot.draw_dense_effects(robot, load, rng)
-    (folder / "exact").mkdir()
-    for place, machine in (
-        (folder, with_effects(robot, effects)),
-        (folder / "exact", robot),
-    ):
-        for motion, file in zip(motions, ("train", "unseen"), strict=True):
-            session = run_session(machine, motion, settings)
-            (place / f"{file}.csv").write_text(session.recording.to_csv(), encoding="utf-8")
-            sidecar = json_text({**session.recording.to_sidecar(), "notes": ""})
-            (place / f"{file}.json").write_text(sidecar, encoding="utf-8")
-    return name
+VARIANTS = {
+    "urdf": "URDF as given",
+    "identified": "identified",
+    "diagnosed": "diagnosed",
+    "module": "with module",
+    "sysid": "mujoco.sysid",
+    "exact": "noise-limited",
+}
+"""Replayed robots: key in score.json and head of the column."""
 
 
 @dataclass(frozen=True)
@@ -106,15 +79,17 @@ class ReplayCase:
 
     Attributes:
         model: The identified robot.
+        learnt: The recording from which it was identified.
         data: The recording with the unseen commands.
         loop: The position loop, fitted to the training recording.
     """
 
     model: SimulatorModel
+    learnt: ReplayInput
     data: ReplayInput
     loop: PositionLoop
 
-    def errors(self, machine: SimulatorModel, with_friction: bool) -> tuple[float, float]:
+    def errors(self, machine: SimulatorModel, with_friction: bool = False) -> tuple[float, float]:
         """Replay a robot for `REPLAY_SECONDS`.
 
         Args:
@@ -128,61 +103,175 @@ class ReplayCase:
         run = Replay(machine, self.data, self.loop, with_friction).run(0, end)
         assert self.data.torque is not None
         torque = self.data.torque[:end]
-        position = _rms(np.nan_to_num(run.q, posinf=1e3) - self.data.motion.q[:end])
+        position = _rms(np.nan_to_num(run.q, posinf=1e3) - self.data.q[:end])
         return position, _rms(np.nan_to_num(run.torque, nan=1e3) - torque) / _rms(torque)
-
-
-def identify_case(name: str, folder: Path, with_diagnosis: bool) -> ReplayCase:
-    """Identify a robot and its position loop from train.csv, and read unseen.csv.
-
-    A diagnosis takes no effects and no parameters from its validation recording, unseen.csv.
-    """
-    train, unseen = folder / "train.csv", folder / "unseen.csv"
-    if with_diagnosis:
-        excite.diagnose(name, [train], [unseen]).save(folder / "model")
-    else:
-        excite.identify(name, [train]).save(folder / "model")
-    model = read_simulator_model(folder / "model" / "model.json", recording=None)
-    robot = model.model.robot
-    learnt, data = (
-        mujoco_replay.replay_input(model.model, excite.read_recording(path, robot), False)
-        for path in (train, unseen)
-    )
-    loop = mujoco_replay.fit_position_loop(learnt, mujoco_replay.torque_limits(model), str(train))
-    return ReplayCase(model, data, loop)
-
-
-def score_case(seed: int, with_diagnosis: bool) -> CaseScore:
-    """Identify a robot from one motion and replay the commands of the other."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        name = simulate_case(seed, folder)
-        start = time.perf_counter()
-        case = identify_case(name, folder, False)
-        errors = [case.errors(nominal_model(case.model), False), case.errors(case.model, False)]
-        if with_diagnosis:
-            case = identify_case(name, folder, True)
-            errors.append(case.errors(case.model, False))
-            errors.append(case.errors(case.model, bool(case.model.remainders(HOLDS))))
-        seconds = time.perf_counter() - start
-        exact = identify_case(name, folder / "exact", False)
-        limit = exact.errors(exact.model, False)[0]
-        return CaseScore(
-            name, tuple(e[0] for e in errors), tuple(e[1] for e in errors), limit, seconds
-        )
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def sysid_state() -> str:
-    """State of MuJoCo's own identification: its wheel holds it, its extra the packages it needs."""
-    try:
-        importlib.import_module("mujoco.sysid._src.optimize")
-    except ModuleNotFoundError as error:
-        return f"mujoco.sysid does not run here: {error}; it needs pip install 'mujoco[sysid]'"
-    return f"mujoco.sysid of MuJoCo {mujoco.__version__} could be run; it is not compared yet"
+def robot_name(seed: int) -> str:
+    """Return the built-in robot of a seed."""
+    return ROBOTS[seed % len(ROBOTS)]
+
+
+def simulate_case(seed: int, folder: Path) -> None:
+    """Write train.csv and unseen.csv of a dense robot, and both of it without hidden effects into
+    the folder `exact`."""
+    rng = np.random.default_rng([seed, 23])
+    path, settings = locate(robot_name(seed)), ExperimentSettings(seed=seed)
+    joints = read_urdf(path).joints
+    still = ReferenceTrajectory(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
+    robot = build_robot(path, still, settings)
+    motions = [draw_excitation(robot, PERIODS, rng) for _ in range(2)]
+    load = dense_robot.static_load(robot, motions[0])
+    effects = dense_robot.draw_dense_effects(robot, load, rng)
+    (folder / "exact").mkdir()
+    for place, machine in (
+        (folder, with_effects(robot, effects)),
+        (folder / "exact", robot),
+    ):
+        for motion, file in zip(motions, ("train", "unseen"), strict=True):
+            servo = with_gains_of(machine, motions[0], motion)
+            session = run_session(servo, motion, settings)
+            (place / f"{file}.csv").write_text(session.recording.to_csv(), encoding="utf-8")
+            sidecar = json_text({**session.recording.to_sidecar(), "notes": ""})
+            (place / f"{file}.json").write_text(sidecar, encoding="utf-8")
+
+
+def with_gains_of(
+    robot: SimulatedRobot, first: ReferenceTrajectory, motion: ReferenceTrajectory
+) -> SimulatedRobot:
+    """Return a robot whose controller has the same gains along a motion as along the first.
+
+    The simulator scales the gain of the speed loop with the inertia in the first pose of a motion;
+    a servo does not.
+    """
+    dynamics = build_dynamics(robot.tree, robot.joints, robot.lock, robot.gravity)
+    inertia = [
+        np.diag(dynamics.mass_and_bias(q, np.zeros_like(q))[0]) + robot.actuators.inertia
+        for q in (m.at(np.zeros(1))[0][0] for m in (first, motion))
+    ]
+    gains = replace(robot.gains, speed=robot.gains.speed * inertia[0] / inertia[1])
+    return replace(robot, gains=gains)
+
+
+def replay_case(model: Path, recordings: Path) -> ReplayCase:
+    """Prepare the replay of a saved model, with a position loop fitted to train.csv."""
+    machine = read_simulator_model(model / "model.json", recording=None)
+    robot, train = machine.model.robot, recordings / "train.csv"
+    learnt, data = (
+        mujoco_replay.replay_input(machine.model, excite.read_recording(path, robot), False)
+        for path in (train, recordings / "unseen.csv")
+    )
+    fitted = mujoco_replay.fit_position_loop(
+        learnt, mujoco_replay.torque_limits(machine), str(train)
+    )
+    return ReplayCase(machine, learnt, data, mujoco_replay.continued_loop(fitted, data))
+
+
+@contextlib.contextmanager
+def finished_folder(place: Path) -> Iterator[Path]:
+    """Yield a folder that gets its name when it is complete."""
+    part = place.with_name(f"{place.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    yield part
+    part.rename(place)
+
+
+def score_case(seed: int, folder: Path, sysid_seconds: float) -> dict[str, list[float]]:
+    """Simulate, identify, diagnose and replay a robot, as far as this has not been done.
+
+    A diagnosis takes no effects and no parameters from its validation recording, unseen.csv.
+
+    Args:
+        seed: Number of the case.
+        folder: Folder of all cases.
+        sysid_seconds: Processor time of mujoco.sysid [s]; 0: it is not run.
+
+    Returns:
+        Position error, torque error and processor time by variant.
+    """
+    place, name = folder / f"{seed:02d}", robot_name(seed)
+    if not place.exists():
+        with finished_folder(place) as part:
+            simulate_case(seed, part)
+    train, unseen = place / "train.csv", place / "unseen.csv"
+    models: dict[str, tuple[Path, Callable[[Path], object]]] = {
+        "identified": (place, lambda out: excite.identify(name, [train]).save(out)),
+        "diagnosed": (place, lambda out: excite.diagnose(name, [train], [unseen]).save(out)),
+        "exact": (
+            place / "exact",
+            lambda out: excite.identify(name, [place / "exact" / "train.csv"]).save(out),
+        ),
+    }
+    file = place / "score.json"
+    scores: dict[str, list[float]] = json.loads(file.read_text()) if file.exists() else {}
+    cases = dict[str, ReplayCase]()
+
+    def case(key: str) -> ReplayCase:
+        if key not in cases:
+            recordings, fit = models[key]
+            out = recordings / ("identified" if key == "exact" else key)
+            if not out.exists():
+                with finished_folder(out) as part:
+                    fit(part)
+            cases[key] = replay_case(out, recordings)
+        return cases[key]
+
+    def with_module() -> tuple[float, float]:
+        needed = bool(case("diagnosed").model.remainders(HOLDS))
+        return case("diagnosed").errors(case("diagnosed").model, needed)
+
+    def by_sysid() -> tuple[float, float]:
+        known = case("diagnosed")
+        nominal = nominal_model(known.model)
+        text = mujoco_sysid.identified_mjcf(nominal, known.learnt, known.loop, sysid_seconds)
+        out = place / "sysid.xml"
+        out.write_text(text, encoding="utf-8")
+        return known.errors(nominal_model(known.model, out))
+
+    runs: dict[str, Callable[[], tuple[float, float]]] = {
+        "identified": lambda: case("identified").errors(case("identified").model),
+        "exact": lambda: case("exact").errors(case("exact").model),
+        "urdf": lambda: case("diagnosed").errors(nominal_model(case("diagnosed").model)),
+        "diagnosed": lambda: case("diagnosed").errors(case("diagnosed").model),
+        "module": with_module,
+    }
+    if sysid_seconds:
+        runs["sysid"] = by_sysid
+    for key, run in runs.items():
+        if key not in scores:
+            start = time.process_time()
+            scores[key] = [*run(), time.process_time() - start]
+            file.write_text(json_text(scores), encoding="utf-8")
+    return scores
+
+
+def table_row(seed: int, scores: dict[str, list[float]]) -> str:
+    """Return a row of the table: position errors [mrad], their ratio, torque errors."""
+    position = [f"{1e3 * scores[key][0]:.3g}" if key in scores else "–" for key in VARIANTS]
+    ratio = scores["module"][0] / scores["exact"][0]
+    torque = " / ".join(f"{scores[key][1]:.3g}" for key in ("urdf", "identified", "module"))
+    cells = (str(seed), robot_name(seed), *position, f"{ratio:.2f}", torque)
+    return f"| {' | '.join(cells)} |"
+
+
+def summary(scores: Sequence[dict[str, list[float]]]) -> str:
+    """Return medians over the robots."""
+    lines = []
+    for key, words in VARIANTS.items():
+        errors = [score[key][0] / score["exact"][0] for score in scores if key in score]
+        if errors and key != "exact":
+            within = sum(error <= LARGEST_RATIO for error in errors)
+            lines.append(
+                f"{words}: {np.median(errors):.3g} times the noise-limited error in the median "
+                f"({min(errors):.3g} to {max(errors):.3g}), at most {LARGEST_RATIO:g} in {within} "
+                f"of {len(errors)}"
+            )
+    return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -192,34 +281,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--count", type=int, default=20, help="robots (default 20)")
     parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--diagnose", action="store_true", help="with the effects of a diagnosis")
+    parser.add_argument("--folder", type=Path, help="keep and continue the cases in this folder")
+    parser.add_argument(
+        "--sysid", type=float, default=0.0, help="processor time of mujoco.sysid [s] (default: 0)"
+    )
     arguments = parser.parse_args(argv)
-    print(
-        "| seed | robot | position error [mrad] before / after | noise-limited | "
-        "torque error / torque | s |\n|---|---|---|---|---|---|"
-    )
+    if arguments.sysid:
+        mujoco_sysid.require()
+    heads = ("seed", "robot", *VARIANTS.values(), "ratio", "torque error")
+    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
     scores = []
-    for seed in range(arguments.first, arguments.first + arguments.count):
-        score = score_case(seed, arguments.diagnose)
-        scores.append(score)
-        position = " / ".join(f"{1e3 * value:.3g}" for value in score.position)
-        torque = " / ".join(f"{value:.3g}" for value in score.torque)
-        print(
-            f"| {seed} | {score.robot} | {position} | {1e3 * score.noise_limited:.3g} | {torque} | "
-            f"{score.seconds:.0f} |",
-            flush=True,
-        )
-    ratios = [score.position[-1] / score.position[0] for score in scores]
-    torques = np.median([score.torque[-1] / score.torque[0] for score in scores])
-    limited = [score.position[-1] / score.noise_limited for score in scores]
-    better = sum(ratio < 1.0 for ratio in ratios)
-    print(
-        f"median position error after over before: {np.median(ratios):.2f}, torque {torques:.2f}; "
-        f"better in {better} of {len(scores)}; over the noise-limited error: median "
-        f"{np.median(limited):.2f}, at most {LARGEST_RATIO:g} in "
-        f"{sum(ratio <= LARGEST_RATIO for ratio in limited)}"
-    )
-    print(sysid_state())
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = arguments.folder or Path(temporary)
+        for seed in range(arguments.first, arguments.first + arguments.count):
+            scores.append(score_case(seed, folder, arguments.sysid))
+            print(table_row(seed, scores[-1]), flush=True)
+    print(summary(scores))
     return 0
 
 

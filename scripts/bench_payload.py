@@ -1,6 +1,6 @@
 """Error and coverage of `excite payload` on simulated payloads, compared with usual estimates.
 
-    python scripts/bench_payload.py [--count 30] [--robots ur5e fr3 iiwa14] [--dense]
+    python scripts/bench_payload.py [--count 30] [--robots ur5e fr3 iiwa14] [--dense | --static]
 
 Each robot carries payloads of 0.02 to 0.5 of its rating, eccentric, with load friction hidden at
 every joint (with --dense, all frictions of a dense robot). The robot is recorded with and without
@@ -9,6 +9,11 @@ its own. The static estimate uses the torque of four poses at rest, each with an
 allows; the plain difference subtracts the torque without payload from that with it, without a model
 of friction. On standard error: the predicted standard deviation of the motion, in the metric of a
 ball, next to that of sines of the last three joints of the same duration.
+
+With --static, the payload is found from the poses of `excite design --for-payload LINK --static`,
+each reached from both sides. Friction at rest keeps the direction of the arrival; its size is that
+of Coulomb and load friction, and scatters by a tenth of the former from rest to rest. The simulator
+has no friction at rest, so that the torques are those of the links with this friction.
 """
 
 from __future__ import annotations
@@ -24,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
-from excite import _json, design
+from excite import _json, design, design_static
 from excite._types import FloatArray
 from excite.api.design_result import DesignResult
 from excite.api.identification_result import REFERENCE_RATE
@@ -34,15 +39,17 @@ from excite.identification import segments
 from excite.identification.regression import IdentificationModel
 from excite.payload.equations import (
     PayloadEquations,
+    PayloadPlace,
     build_payload_equations,
     payload_place,
 )
 from excite.payload.estimate import PayloadEstimate, estimate_payload
+from excite.payload.static import Rests, estimate_static_payload
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters
 from excite.robot.dynamics import regressor
 from excite.robot.inertial_parameters import COULOMB_WIDTH
-from excite.robot.robot import Payload, load, locate
+from excite.robot.robot import Payload, Robot, load, locate
 from excite.robot.samples import Samples
 from excite.simulator.dense_robot import dense_effects
 from excite.simulator.effect_instance import EffectInstance, with_effects
@@ -68,6 +75,10 @@ WIGGLE_AMPLITUDE = 0.5
 """Amplitude of each joint of a wrist wiggle [rad]."""
 WIGGLE_HERTZ = (0.4, 0.6, 0.8)
 """Frequencies of its three joints [Hz]."""
+REST_SCATTER = 0.1
+"""Standard deviation of the friction from rest to rest, over the Coulomb friction [1]."""
+REST_SECONDS = 0.75
+"""Time over which the torque of a rest is averaged [s]."""
 MOTION_SECONDS = 20.0
 """Robot time of each recording [s]."""
 
@@ -133,6 +144,14 @@ def compare_with_wiggle(result: DesignResult, link: str) -> WiggleComparison:
     return WiggleComparison(result.payload.metric, other.metric)
 
 
+def identification_model(machine: Robot) -> IdentificationModel:
+    """Return the model whose parameters are estimated."""
+    table = resolve_limits(machine, None)
+    standard = inertial_parameters.standard_parameters(machine, table)
+    base = base_parameters.find(machine, standard, table)
+    return IdentificationModel(machine, standard, base, np.full(machine.n, COULOMB_WIDTH))
+
+
 class Laboratory:
     """A simulated robot that is recorded with and without payloads."""
 
@@ -152,11 +171,7 @@ class Laboratory:
         )
         self.robot: SimulatedRobot = with_effects(robot, effects)
         self.machine = load(name)
-        table = resolve_limits(self.machine, None)
-        standard = inertial_parameters.standard_parameters(self.machine, table)
-        base = base_parameters.find(self.machine, standard, table)
-        widths = np.full(self.machine.n, COULOMB_WIDTH)
-        self.model = IdentificationModel(self.machine, standard, base, widths)
+        self.model = identification_model(self.machine)
         self.link = self.machine.links[-1]
         self.place = payload_place(self.machine, self.link)
         self.chain = measurement_chain(self.robot, self.settings)
@@ -189,13 +204,18 @@ class Laboratory:
         return build_payload_equations(self.model, self.place, groups, empty, hertz)
 
 
-def payload_motion(name: str) -> tuple[ReferenceTrajectory, WiggleComparison]:
-    """Design a motion for payloads up to the largest one, with `excite design --for-payload`, and
-    compare it with a wrist wiggle."""
+def with_largest_payload(name: str) -> tuple[Robot, str]:
+    """Return a robot for whose payload motions are designed, and the link that carries it."""
     mass = SHARES[1] * RATINGS[name]
     link = load(name).links[-1]
     centre = (0.8 * LARGEST_OFFSET,) * 3
-    carrying = load(name, payload=Payload(link, mass, centre, (0.01, 0, 0.01, 0, 0, 0.01)))
+    return load(name, payload=Payload(link, mass, centre, (0.01, 0, 0.01, 0, 0, 0.01))), link
+
+
+def payload_motion(name: str) -> tuple[ReferenceTrajectory, WiggleComparison]:
+    """Design a motion for payloads up to the largest one, with `excite design --for-payload`, and
+    compare it with a wrist wiggle."""
+    carrying, link = with_largest_payload(name)
     result = design(carrying, time=MOTION_SECONDS, payload_link=link, starts=2, jobs=1)
     document = result.trajectory.document()
     document["robot"]["payload"] = None  # the simulated robot gets one in each case
@@ -205,12 +225,12 @@ def payload_motion(name: str) -> tuple[ReferenceTrajectory, WiggleComparison]:
         return read_reference(path), compare_with_wiggle(result, link)
 
 
-def draw_payload(lab: Laboratory, rng: np.random.Generator, share: float) -> AttachedBody:
+def draw_payload(name: str, link: str, rng: np.random.Generator, share: float) -> AttachedBody:
     """Draw an eccentric payload."""
     x, y, z = rng.uniform(-LARGEST_OFFSET, LARGEST_OFFSET, 3).tolist()
     radii = tuple(rng.uniform(*RADII, 3).tolist())
-    mass = share * RATINGS[lab.name]
-    return AttachedBody(lab.link, mass, (x, y, z), radii)  # type: ignore[arg-type]
+    mass = share * RATINGS[name]
+    return AttachedBody(link, mass, (x, y, z), radii)  # type: ignore[arg-type]
 
 
 def plain_difference(equations: PayloadEquations) -> FloatArray:
@@ -230,31 +250,91 @@ def static_estimate(lab: Laboratory, body: AttachedBody, rng: np.random.Generato
     Friction at rest is anything up to Coulomb friction, drawn evenly.
     """
     t = np.linspace(0.0, lab.reference.duration, STATIC_POSES + 2)[1:-1]
-    q = lab.reference.at(t)[0]
-    still = np.zeros_like(q)
-    Y = regressor(lab.machine, lab.model.parameters, Samples(q, still, still))
-    start = 10 * lab.place.body
-    columns = Y[:, :, start : start + 10] @ lab.place.frame
-    point = np.array(body.centre)
-    truth = np.array([body.mass, *(body.mass * point), *np.zeros(6)])
-    friction = lab.robot.actuators.coulomb * rng.uniform(-1.0, 1.0, (2, *q.shape))
+    columns = gravity_columns(lab.model, lab.place, lab.reference.at(t)[0])
+    truth = body.mass * np.array([1.0, *body.centre])
+    friction = lab.robot.actuators.coulomb * rng.uniform(-1.0, 1.0, (2, *columns.shape[:2]))
     torque = columns @ truth + friction[1] - friction[0]
-    flat = columns[:, :, :4].reshape(-1, 4)
-    return np.asarray(np.linalg.lstsq(flat, torque.ravel(), rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(columns.reshape(-1, 4), torque.ravel(), rcond=None)[0])
+
+
+def gravity_columns(model: IdentificationModel, place: PayloadPlace, q: FloatArray) -> FloatArray:
+    """Return the columns of mass and first moments of a payload at rest, shape (N, n, 4)."""
+    still = np.zeros_like(q)
+    Y = regressor(model.robot, model.parameters, Samples(q, still, still))
+    start = 10 * place.body
+    return np.asarray(Y[:, :, start : start + 10] @ place.frame[:, :4])
+
+
+class StaticLaboratory:
+    """A robot that rests in designed poses, with and without payloads."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        carrying, self.link = with_largest_payload(name)
+        result = design_static(carrying, self.link)
+        machine = load(name)
+        self.model = identification_model(machine)
+        self.place = payload_place(machine, self.link)
+        self.q = np.repeat(result.design.poses, 2, axis=0)
+        self.arrival = np.tile([[-1.0], [1.0]], (len(result.design.poses), machine.n))
+        path, settings = locate(name), ExperimentSettings(seed=3)
+        joints = machine.joints
+        still = ReferenceTrajectory(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
+        self.robot = build_robot(path, still, settings)
+        self.load_friction = np.random.default_rng(11).uniform(*LOAD_FRICTION, machine.n)
+        chain = measurement_chain(self.robot, settings)
+        self.noise = chain.noise / np.sqrt(chain.rate * REST_SECONDS)
+
+    def rests(self, body: AttachedBody | None, rng: np.random.Generator) -> Rests:
+        """Return the mean torques of the rests."""
+        robot = self.robot if body is None else dataclasses.replace(self.robot, effects=(body,))
+        still, actuators = np.zeros_like(self.q), robot.actuators
+        links = robot.dynamics().inverse_dynamics(self.q, still, still)
+        friction = actuators.coulomb + self.load_friction * np.abs(links)
+        friction = friction + REST_SCATTER * actuators.coulomb * rng.standard_normal(self.q.shape)
+        noise = self.noise * rng.standard_normal(self.q.shape)
+        torque = links + actuators.offset + self.arrival * friction + noise
+        return Rests("empty" if body is None else "carrying", self.q, torque, self.arrival)
+
+
+def score_static_case(lab: StaticLaboratory, number: int, share: float) -> CaseScore:
+    """Estimate a payload from rests, next to one arrival at four of the poses and to the difference
+    of all mean torques."""
+    rng = np.random.default_rng([17, number])
+    body = draw_payload(lab.name, lab.link, rng, share)
+    carrying, empty = lab.rests(body, rng), lab.rests(None, rng)
+    start = time.perf_counter()
+    result = estimate_static_payload(lab.model, lab.place, [carrying], [empty])
+    seconds = time.perf_counter() - start
+    columns = gravity_columns(lab.model, lab.place, lab.q)
+    # the friction of one arrival has the same direction with and without the payload
+    difference = carrying.torque - empty.torque
+    rough = [
+        np.linalg.lstsq(columns[rows].reshape(-1, 4), difference[rows].ravel(), rcond=None)[0]
+        for rows in (slice(0, 2 * STATIC_POSES, 2), slice(None))
+    ]
+    return scored(body, result, rough, seconds)
 
 
 def score_case(lab: Laboratory, number: int, share: float) -> CaseScore:
     """Record a payload and compare the three estimates with it."""
     rng = np.random.default_rng([17, number])
-    body = draw_payload(lab, rng, share)
+    body = draw_payload(lab.name, lab.link, rng, share)
     recording = lab.record(lab.carrying(body), 100 + number)
     without = lab.record(lab.empty, 1000 + number)
     start = time.perf_counter()
     equations = lab.equations(recording, without)
     result: PayloadEstimate = estimate_payload(equations)
     seconds = time.perf_counter() - start
-    truth = np.array([body.mass, *body.centre])
     rough = [static_estimate(lab, body, rng), plain_difference(equations)]
+    return scored(body, result, rough, seconds)
+
+
+def scored(
+    body: AttachedBody, result: PayloadEstimate, rough: Sequence[FloatArray], seconds: float
+) -> CaseScore:
+    """Compare an estimate and two rough ones, mass and first moments, with the truth."""
+    truth = np.array([body.mass, *body.centre])
     estimates = [
         np.array([result[name].value for name in NAMES]),
         *(np.array([x[0], *(x[1:] / x[0])]) for x in rough),
@@ -301,7 +381,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--count", type=int, default=30, help="payloads of each robot (default 30)")
     parser.add_argument("--robots", nargs="+", default=["ur5e", "fr3", "iiwa14"], choices=RATINGS)
-    parser.add_argument("--dense", action="store_true", help="all frictions of a dense robot")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--dense", action="store_true", help="all frictions of a dense robot")
+    kind.add_argument("--static", action="store_true", help="poses at rest instead of a motion")
     arguments = parser.parse_args(argv)
     print(
         "| robot | payloads | median mass error: this / static / difference | centre | covered by "
@@ -309,11 +391,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     together = list[CaseScore]()
     for name in arguments.robots:
-        lab = Laboratory(name, arguments.dense)
-        shares = np.linspace(*SHARES, arguments.count)
-        scores = [score_case(lab, k, float(share)) for k, share in enumerate(shares)]
+        shares = np.linspace(*SHARES, arguments.count).tolist()
+        if arguments.static:
+            rests = StaticLaboratory(name)
+            scores = [score_static_case(rests, k, share) for k, share in enumerate(shares)]
+        else:
+            lab = Laboratory(name, arguments.dense)
+            scores = [score_case(lab, k, share) for k, share in enumerate(shares)]
+            print(f"{name}: {lab.comparison.text}", file=sys.stderr, flush=True)
         together += scores
-        print(f"{name}: {lab.comparison.text}", file=sys.stderr, flush=True)
         print(report(name, scores), flush=True)
     print(report("all", together))
     return 0

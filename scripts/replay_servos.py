@@ -56,7 +56,7 @@ def position_error(
     """RMS position error of a free run in MuJoCo by joint [rad]."""
     data = mujoco_replay.replay_input(model.model, recording, False)
     run = mujoco_replay.Replay(model, data, loop).run(0, len(data.t))
-    difference = np.nan_to_num(run.q, posinf=1.0, neginf=1.0) - data.motion.q
+    difference = np.nan_to_num(run.q, posinf=1.0, neginf=1.0) - data.q
     return np.asarray(np.sqrt(np.mean(np.clip(difference, -1.0, 1.0) ** 2, axis=0)))
 
 

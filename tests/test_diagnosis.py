@@ -138,6 +138,20 @@ def test_static_friction_at_rest_is_no_mismatch():
     assert (result.held_out.rmse_after < 1.3 * 0.1).all()
 
 
+@pytest.mark.parametrize("order", [9.0, 16.7])
+def test_orders_of_two_waves_of_torque_ripple_are_those_of_both(order):
+    """A wave that is found first is biased by the one that is not yet known."""
+
+    def ripple(t, q, dq, tau):
+        angle = order * q[:, 1]
+        wave = np.cos(angle + 0.7) + 0.6 * np.cos(1.37 * angle + 1.4)
+        return at_joint(1, 0.8 * wave)
+
+    effects = diagnose(recordings_of(ripple)).final.effects
+    orders = [e.shape.values["order"] for e in effects if e.shape.effect == "torque_ripple"]
+    assert sorted(orders) == pytest.approx([order, 1.37 * order], rel=0.006)
+
+
 @pytest.mark.xfail(strict=True, reason="order 3.21, true 2")
 def test_an_eccentric_encoder_is_reported_with_its_first_harmonic():
     """The torque contains the second harmonic more strongly, by the square of its order."""

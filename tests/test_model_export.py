@@ -191,6 +191,18 @@ def test_effects_that_mujoco_holds_are_parameters_of_the_file(tmp_path):
     np.testing.assert_allclose(torque, expected, atol=1e-9)
 
 
+def test_a_spring_that_ends_within_the_range_of_its_joint_is_no_polynomial_of_the_file(tmp_path):
+    form = {"form": 3.0, "low": -0.2, "high": 0.3}
+    path = write_model(
+        tmp_path, "two_link", (effect_entry("spring", "joint_1", form, 2.0, -0.5, 0.4),)
+    )
+    model = read_model(path)
+    exported, motion = excite.export_model(path, "mjcf"), random_states(model, 200)
+    assert [part.name for part in exported.remainders] == ["spring"]
+    torque = mujoco_torque(exported.text, model, motion, friction=False)
+    np.testing.assert_allclose(torque, model_torque(model, motion, coulomb=False), atol=1e-9)
+
+
 def test_every_file_states_what_its_simulator_cannot_hold(tmp_path):
     effects = (
         effect_entry("load_friction", "joint_1", {"dense": 1.0, "scale": 20.0}, 0.1, 0.0, 0.0),

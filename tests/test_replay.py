@@ -63,6 +63,31 @@ def test_the_position_loop_is_fitted_to_the_recorded_torque(model, tmp_path):
     assert result.errors[1].position.max() < 0.02
 
 
+def test_the_lag_of_the_loop_is_found_without_the_delay_of_the_recording(tmp_path):
+    delay = {
+        "effect": "delay",
+        "joint": None,
+        "from": None,
+        "values": {"measured": 1.0},
+        "coefficients": [0.003],
+        "time": None,
+        "recording": None,
+    }
+    model = write_model(tmp_path, "two_link", (delay,))
+    path = write_replay_recording(tmp_path / "run.csv", model)
+    measured = excite.read_recording(path, "two_link")
+    # of 6 ms, 3 ms are the recording's delay, and 1 ms is half the row for which
+    # `write_replay_recording` holds the torque
+    later = [np.interp(measured.t - 0.006, measured.t, x) for x in measured.torque.T]
+    noise = 0.05 * np.random.default_rng(2).standard_normal(measured.torque.shape)
+    late = dataclasses.replace(measured, tau=np.column_stack(later) + noise)
+    loop = excite.replay(model, late).loop
+    assert loop is not None
+    assert loop.lag == pytest.approx(0.002, abs=3e-4)
+    assert loop.gains[0] == pytest.approx(STIFFNESS, rel=0.03)
+    assert loop.gains[1] == pytest.approx(DAMPING, rel=0.03)
+
+
 def test_replayed_torque_is_judged_over_short_horizons(model, tmp_path):
     recording = write_replay_recording(tmp_path / "run.csv", model, with_qref=False)
     result = excite.replay(model, recording)

@@ -257,7 +257,16 @@ def test_an_arm_is_identified_from_its_motion_in_mujoco():
             command += 0.35 * np.sin(2.0 * np.pi * frequency * t[:, None] + phase)
         still = Samples(np.tile(command[0], (len(t), 1)), np.zeros_like(command), command * 0.0)
         reference = Samples(command, np.gradient(command, t, axis=0), command * 0.0)
-        data = mujoco_replay.ReplayInput(t, still, reference, None, np.zeros_like(command))
+        data = mujoco_replay.ReplayInput(
+            t,
+            still.q,
+            still,
+            reference,
+            None,
+            None,
+            np.zeros_like(command),
+            np.zeros(command.shape[1]),
+        )
         loop = mujoco_replay.stated_loop(gains, np.zeros(arm.n))
         run = mujoco_replay.Replay(simulator_model(truth, {}), data, loop).run(0, len(t))
         q = run.q + 2e-4 * rng.normal(size=run.q.shape)

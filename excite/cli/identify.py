@@ -114,7 +114,6 @@ def _run_without_torque(
     recordings: Sequence[Recording],
 ) -> Outcome:
     """Identify from commanded and measured positions."""
-    gamma = arguments.gamma
     result = api.identify_servo(
         robot,
         recordings,
@@ -126,7 +125,7 @@ def _run_without_torque(
         trajectory=arguments.trajectory,
         columns=shared.columns(arguments),
         distance=Distance(arguments.distance),
-        gamma=None if gamma is None or isinstance(gamma, str) else (gamma[0], gamma[-1]),
+        gamma=_stated_gamma(arguments),
     )
     document, written = result.document(), output.replace(result.contents())
     identification = result.identification
@@ -150,12 +149,17 @@ def _run_without_torque(
     return 0, with_files(document, written), "\n".join([*lines, *written_lines(written)])
 
 
+def _stated_gamma(arguments: argparse.Namespace) -> tuple[float, float] | None:
+    """Weights of the inertial and of the joint parameters; None: not stated as numbers."""
+    gamma = arguments.gamma
+    return None if gamma is None or isinstance(gamma, str) else (gamma[0], gamma[-1])
+
+
 def _options(arguments: argparse.Namespace) -> IdentificationOptions:
-    gamma = arguments.gamma or "evidence"
     return IdentificationOptions(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),
-        gamma=gamma if isinstance(gamma, str) else (gamma[0], gamma[-1]),
+        gamma=_stated_gamma(arguments) or arguments.gamma or "evidence",
         band=arguments.band,
         threshold=arguments.threshold,
         align=arguments.align,

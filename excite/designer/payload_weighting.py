@@ -52,11 +52,8 @@ class PayloadDeviation:
     @property
     def text(self) -> str:
         """One line for people."""
-        centre = ", ".join(f"{1e3 * value:.2g}" for value in self.centre)
-        return (
-            f"predicted standard deviations of a payload: mass {1e3 * self.mass:.3g} g, centre of "
-            f"1 kg {centre} mm, inertia up to {float(self.inertia.max()):.2g} kg m²"
-        )
+        inertia = f"inertia up to {float(self.inertia.max()):.2g} kg m²"
+        return f"{predicted_text(self.mass, self.centre)}, {inertia}"
 
     def document(self) -> dict[str, object]:
         """Content for JSON."""
@@ -66,6 +63,20 @@ class PayloadDeviation:
             "inertia": self.inertia.tolist(),
             "metric": self.metric,
         }
+
+
+def predicted_text(mass: float, centre: FloatArray) -> str:
+    """Say the predicted standard deviations of mass and centre of mass.
+
+    Args:
+        mass: Of the mass [kg].
+        centre: Of the centre of mass of a payload of 1 kg. Shape (3,) [m].
+    """
+    axes = ", ".join(f"{1e3 * value:.2g}" for value in centre)
+    return (
+        f"predicted standard deviations of a payload: mass {1e3 * mass:.3g} g, centre of 1 kg "
+        f"{axes} mm"
+    )
 
 
 def payload_weighting(

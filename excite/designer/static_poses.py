@@ -34,7 +34,7 @@ from .certificate import CELL_KEY, Certificate
 from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .options import DesignOptions, torque_noise_levels
-from .payload_weighting import LINK_PARAMETERS, frame_change
+from .payload_weighting import LINK_PARAMETERS, frame_change, predicted_text
 from .ramps import EXTRA_CLEARANCE, RampPlanner, with_derived_limits
 
 GRAVITY_PARAMETERS = 4
@@ -80,11 +80,9 @@ class StaticDeviation:
     @property
     def text(self) -> str:
         """One line for people."""
-        centre = ", ".join(f"{1e3 * value:.2g}" for value in self.centre)
         return (
-            f"predicted standard deviations of a payload: mass {1e3 * self.mass:.3g} g, centre of "
-            f"1 kg {centre} mm, with any friction at rest up to Coulomb friction; moments of "
-            "inertia are not shown by static poses"
+            f"{predicted_text(self.mass, self.centre)}, with any friction at rest up to Coulomb "
+            "friction; moments of inertia are not shown by static poses"
         )
 
     def document(self) -> dict[str, object]:

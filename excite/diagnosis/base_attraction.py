@@ -21,7 +21,8 @@ from .._types import BoolArray, FloatArray
 from ..identification.identification import Identification
 from . import cross_validation, joint_model
 from .joint_model import JointModel
-from .regression import JointRegression, Solution
+from .normal_equations import Solution
+from .regression import JointRegression
 
 ATTRACTIONS = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0)
 """Values of α_j that are compared: with 0 the effects alone decide, with 30 the base model hardly

@@ -75,6 +75,8 @@ MAX_WAVES = 12
 """Waves of a joint at most."""
 MAX_ORDER_STEP = 0.3
 """Largest step of an order, over the width of a peak in the order spectrum."""
+MIN_ORDER_DISTANCE = 0.5
+"""Smallest distance of two orders that count as two waves, over the width of a peak."""
 ORDER_TOLERANCE = 1e-4
 """Step at which the refinement of an order ends, in the same unit."""
 ANGLE_BIN = np.pi / 2400.0
@@ -250,7 +252,7 @@ def fit(
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
-            waves += find_waves(fitted)
+            waves = [*refined_waves(fitted), *find_waves(fitted)]
     return fitted
 
 
@@ -538,7 +540,9 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             order, gain, count = _spectrum_peak(residual, angle, speed, moving, low, hertz)
             gain *= share / float(np.mean(residual[moving] ** 2))
             evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
-            if evidence < MIN_RIPPLE_EVIDENCE or any(abs(order - k) < 0.5 * width for k in known):
+            if evidence < MIN_RIPPLE_EVIDENCE or any(
+                abs(order - k) < MIN_ORDER_DISTANCE * width for k in known
+            ):
                 break
             order = _refined_order(fitted, j, order, width)
             if order < low:  # of so few periods, a spring
@@ -551,6 +555,34 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             regression.add(columns)
             out.append(wave)
     return out
+
+
+def refined_waves(fitted: JointModel) -> list[CandidateModel]:
+    """Return the waves of a joint model with orders refined by a Gauss-Newton step.
+
+    Each order was found before the waves after it were known: of several waves at a joint, those
+    not yet found bias it. A wave whose order comes near that of an earlier one was a part of it.
+    """
+    out = list[CandidateModel]()
+    for i, wave in enumerate(fitted.models):
+        if wave.effect != "torque_ripple":
+            continue
+        j, order = wave.joint_index, wave.values["order"]
+        slope = _order_slope(fitted.motions, j, order, fitted.coefficients(i))
+        step = float(fitted.regression.candidate(_free_columns(j, slope)).coefficients[0])
+        angle, _ = _angle_and_speed(fitted.motions, j)
+        width = 2.0 * np.pi / float(np.ptp(angle))
+        order += float(np.clip(step, -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
+        known = [model.values["order"] for model in out if model.joint == j]
+        if not any(abs(order - k) < MIN_ORDER_DISTANCE * width for k in known):
+            out.append(torque_ripple.wave_model(fitted.motions, j, order))
+    return out
+
+
+def _free_columns(joint: int, torque: FloatArray) -> Columns:
+    """Columns of one joint, shape (N, k), with coefficients of either sign and no prior."""
+    k = torque.shape[1]
+    return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
 
 
 def _angle_and_speed(
@@ -624,10 +656,6 @@ def _spectrum_peak(
 def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -> float:
     """Refine an order by Gauss-Newton steps, jointly with all coefficients of a joint model."""
 
-    def columns(torque: FloatArray) -> Columns:
-        k = torque.shape[1]
-        return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
-
     def waves(*orders: float) -> FloatArray:
         return _filtered(
             fitted.motions, joint, lambda q: [f(k * q) for k in orders for f in (np.cos, np.sin)]
@@ -635,14 +663,16 @@ def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -
 
     near = order + width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
     pairs = np.split(waves(*near.tolist()), NEAR_ORDERS, axis=1)
-    batch = CandidateBatch.of([columns(pair) for pair in pairs], fitted.regression.moving)
+    batch = CandidateBatch.of(
+        [_free_columns(joint, pair) for pair in pairs], fitted.regression.moving
+    )
     gains = [fit.gain for fit in fitted.regression.candidates(batch)]
     order = float(near[int(np.argmax(gains))])
     for _ in range(GAUSS_NEWTON_STEPS):
         pair = waves(order)
-        c = fitted.regression.candidate(columns(pair)).coefficients
+        c = fitted.regression.candidate(_free_columns(joint, pair)).coefficients
         slope = _order_slope(fitted.motions, joint, order, c)
-        fit = fitted.regression.candidate(columns(np.hstack([pair, slope])))
+        fit = fitted.regression.candidate(_free_columns(joint, np.hstack([pair, slope])))
         step = float(np.clip(fit.coefficients[2], -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
         order += step
         if abs(step) < ORDER_TOLERANCE * width:

@@ -2,7 +2,8 @@
 
 The command is the recorded torque, or the commanded position through a position loop
 u = a τ_rigid(q_ref) + K_p e + K_d ė + K_i ∫e + c, e = q_ref − q, whose gains are stated or fitted
-to the recorded torque, joint by joint, with K_p, K_d, K_i ≥ 0.
+to the recorded torque, joint by joint, with K_p, K_d, K_i ≥ 0. The motor's torque follows u with a
+first-order lag.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from ..errors import UnusableInput
 from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
@@ -32,6 +33,12 @@ LOST_DISTANCE = 1.0
 [rad or m]."""
 SATURATION_SHARE = 0.98
 """Share of its limit from which torque counts as saturated."""
+LARGEST_LAG = 0.03
+"""Largest time by which the recorded torque is sought behind the command of the loop [s]."""
+SATURATION_MARGIN = 0.05
+"""Time around saturated torque that is not fitted, as the low-pass filter smears it [s]."""
+START_SECONDS = 1.0
+"""Time from which the state of a loop's integrator is found [s]."""
 MIN_SEGMENT_ROWS = 50
 """Smallest number of rows of a recording that is replayed."""
 
@@ -46,6 +53,7 @@ class PositionLoop:
         constant: Constant c. Shape (n,) [N m].
         delay: Time by which the command acts late. Shape (n,) [s].
         error_limit: Position error at which the motor saturates, ∞ without. Shape (n,) [rad or m].
+        lag: Time constant with which the motor's torque follows the loop. Shape (n,) [s].
         explained: Share of the variance of the recorded torque that the loop explains, shape (n,);
             None for gains that are stated or part of the model.
         origin: How the loop is known: "fitted", "stated" or "model".
@@ -56,6 +64,7 @@ class PositionLoop:
     constant: FloatArray
     delay: FloatArray
     error_limit: FloatArray
+    lag: FloatArray
     explained: FloatArray | None = None
     origin: str = "fitted"
 
@@ -68,6 +77,7 @@ class PositionLoop:
                 **{key: float(self.gains[k, j]) for k, key in enumerate(keys)},
                 "constant": float(self.constant[j]),
                 "delay": float(self.delay[j]),
+                "lag": float(self.lag[j]),
                 "explained": None if self.explained is None else float(self.explained[j]),
             }
             for j, joint in enumerate(joints)
@@ -80,17 +90,23 @@ class ReplayInput:
 
     Attributes:
         t: Times from 0. Shape (N,) [s].
-        motion: Recorded motion.
-        reference: Commanded motion; None: the command is the torque.
-        torque: Recorded torque; None: not recorded. Shape (N, n) [N m].
+        q: Positions as recorded. Shape (N, n) [rad or m].
+        motion: Recorded motion, low-passed.
+        reference: Commanded motion, low-passed; None: the command is the torque.
+        torque: Torque as recorded; None: not recorded. Shape (N, n) [N m].
+        smooth_torque: The same, low-passed like the motion.
         rigid: Torque of links and rotors of the commanded motion. Shape (N, n) [N m].
+        torque_delay: Time by which torque is recorded late. Shape (n,) [s].
     """
 
     t: FloatArray
+    q: FloatArray
     motion: Samples
     reference: Samples | None
     torque: FloatArray | None
+    smooth_torque: FloatArray | None
     rigid: FloatArray
+    torque_delay: FloatArray
 
 
 @dataclass(frozen=True)
@@ -140,7 +156,27 @@ def replay_input(model: IdentifiedModel, recording: Recording, use_torque: bool)
             )
         reference = dataclasses.replace(part, q=part.qref).samples()
     rigid = np.zeros_like(motion.q) if reference is None else rigid_torque(model, reference)
-    return ReplayInput(part.t - part.t[0], motion, reference, torque, rigid)
+    smooth = None if torque is None else dataclasses.replace(part, q=torque).samples().q
+    return ReplayInput(
+        part.t - part.t[0],
+        part.q,
+        motion,
+        reference,
+        torque,
+        smooth,
+        rigid,
+        recording_delay(model),
+    )
+
+
+def recording_delay(model: IdentifiedModel) -> FloatArray:
+    """Return the time by which a model finds torque recorded late. Shape (n,) [s]."""
+    delay = np.zeros(model.robot.n)
+    for effect in model.effects:
+        if effect.effect == "delay":
+            chosen = slice(None) if effect.joint is None else model.robot.joints.index(effect.joint)
+            delay[chosen] += max(float(effect.coefficients[0]), 0.0)
+    return delay
 
 
 def rigid_torque(model: IdentifiedModel, motion: Samples) -> FloatArray:
@@ -155,7 +191,10 @@ def rigid_torque(model: IdentifiedModel, motion: Samples) -> FloatArray:
 def fit_position_loop(data: ReplayInput, limit: FloatArray, source: str) -> PositionLoop:
     """Fit the position loop of each joint to the recorded torque below its limit.
 
-    At its torque limit the controller is not linear; its integrator is taken to be held there.
+    Both sides of the equation pass the same low-pass filter. The recorded torque may lie behind the
+    command of the loop, by the time that fits best; what the recording itself is late is no lag of
+    the loop. At its torque limit the controller is not linear; its integrator is taken to be held
+    there.
 
     Args:
         data: The recording with commanded positions.
@@ -167,34 +206,118 @@ def fit_position_loop(data: ReplayInput, limit: FloatArray, source: str) -> Posi
     """
     from scipy import optimize  # slow to import
 
-    if data.torque is None or data.reference is None:
+    if data.torque is None or data.reference is None or data.smooth_torque is None:
         raise UnusableInput(
             f"{source}: has no torque to fit the position loop to; state it with --gains KP,KD"
         )
+    n = data.q.shape[1]
+    is_free = np.abs(data.torque) < SATURATION_SHARE * limit
+    terms = _loop_terms(data, is_free)
+    fits = []
+    for j in range(n):
+        rows = _without_neighbours(is_free[:, j], data.t) & (data.t > LARGEST_LAG)
+        signals, torque = terms[:, :, j], data.smooth_torque[rows, j]
+
+        def fit(
+            late: float,
+            signals: FloatArray = signals,
+            rows: BoolArray = rows,
+            torque: FloatArray = torque,
+        ) -> _LoopFit:
+            times = data.t[rows] - late
+            columns = np.column_stack([np.interp(times, data.t, x) for x in signals.T])
+            return _LoopFit.of(np.column_stack([columns, np.ones(len(times))]), torque, late)
+
+        late = optimize.minimize_scalar(
+            lambda late, fit=fit: fit(late).square, bounds=(0.0, LARGEST_LAG), method="bounded"
+        ).x
+        fits.append(fit(float(late)))
+    x = np.array([fit.coefficients for fit in fits]).T
+    lag = np.maximum([fit.late for fit in fits] - data.torque_delay, 0.0)
+    never, explained = np.full(n, np.inf), np.array([fit.explained for fit in fits])
+    return PositionLoop(x[0], x[1:4], x[4], np.zeros(n), never, lag, explained)
+
+
+def continued_loop(loop: PositionLoop, data: ReplayInput) -> PositionLoop:
+    """Return a loop with the state that its integrator has at the start of another recording.
+
+    The constant c is that of the recorded torque in the first `START_SECONDS`.
+
+    Args:
+        loop: The loop, fitted to one recording.
+        data: Another recording, with torque.
+    """
+    assert data.smooth_torque is not None
+    first = data.t < START_SECONDS
+    late = loop.lag + data.torque_delay
+    missing = [
+        np.mean(data.smooth_torque[first, j] - np.interp(data.t[first] - late[j], data.t, x))
+        for j, x in enumerate(loop_torque(loop, data).T)
+    ]
+    return dataclasses.replace(loop, constant=loop.constant + np.array(missing))
+
+
+def loop_torque(loop: PositionLoop, data: ReplayInput) -> FloatArray:
+    """Return the torque that a loop commands along a recording. Shape (N, n) [N m].
+
+    Args:
+        loop: The loop; its integrator is not held at the torque limit.
+        data: The recording, with commanded positions.
+    """
+    terms = _loop_terms(data, np.ones(data.q.shape, bool))
+    gains = np.concatenate([loop.forward[None], loop.gains])
+    return np.asarray(np.einsum("tkj,kj->tj", terms, gains) + loop.constant)
+
+
+def _loop_terms(data: ReplayInput, is_free: BoolArray) -> FloatArray:
+    """Signals of the loop: τ_rigid(q_ref), e, ė and ∫e. Shape (N, 4, n)."""
+    assert data.reference is not None
     error = data.reference.q - data.motion.q
     rate = data.reference.dq - data.motion.dq
-    free = np.abs(data.torque) < SATURATION_SHARE * limit
-    integral = _integral(error * free, data.t)
-    n = error.shape[1]
-    forward, gains, constant, explained = np.zeros(n), np.zeros((3, n)), np.zeros(n), np.zeros(n)
-    low = np.array([-np.inf, 0.0, 0.0, 0.0, -np.inf])
-    for j in range(n):
-        columns = [data.rigid[:, j], error[:, j], rate[:, j], integral[:, j], np.ones(len(data.t))]
-        A, b = np.column_stack(columns)[free[:, j]], data.torque[free[:, j], j]
-        size = np.maximum(np.linalg.norm(A, axis=0), 1e-12)
-        x = optimize.lsq_linear(A / size, b, (low, np.full(5, np.inf))).x / size
-        forward[j], gains[:, j], constant[j] = x[0], x[1:4], x[4]
-        left = np.sum((b - A @ x) ** 2)
-        explained[j] = 1.0 - float(left / max(float(np.sum((b - b.mean()) ** 2)), 1e-300))
-    never = np.full(n, np.inf)
-    return PositionLoop(forward, gains, constant, np.zeros(n), never, explained)
+    return np.stack([data.rigid, error, rate, _integral(error * is_free, data.t)], axis=1)
+
+
+def _without_neighbours(is_free: BoolArray, t: FloatArray) -> BoolArray:
+    """Rows that are farther than `SATURATION_MARGIN` from saturated ones. Shape (N,)."""
+    reach = int(np.ceil(SATURATION_MARGIN / float(np.median(np.diff(t)))))
+    near = np.convolve(~is_free, np.ones(2 * reach + 1), mode="same") > 0.5
+    return is_free if near.all() else ~near
+
+
+@dataclass(frozen=True)
+class _LoopFit:
+    """Fit of the loop of one joint.
+
+    Attributes:
+        coefficients: a, K_p, K_d, K_i, c. Shape (5,).
+        late: Time by which the torque lies behind the loop [s].
+        square: Sum of the squared residuals [(N m)²].
+        explained: Share of the variance of the torque that the loop explains.
+    """
+
+    coefficients: FloatArray
+    late: float
+    square: float
+    explained: float
+
+    @classmethod
+    def of(cls, columns: FloatArray, torque: FloatArray, late: float) -> _LoopFit:
+        """Fit nonnegative gains to torque, shapes (M, 5) and (M,)."""
+        from scipy import optimize  # slow to import
+
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+        low = np.array([-np.inf, 0.0, 0.0, 0.0, -np.inf])
+        x = optimize.lsq_linear(columns / size, torque, (low, np.full(5, np.inf))).x / size
+        square = float(np.sum((torque - columns @ x) ** 2))
+        total = float(np.sum((torque - torque.mean()) ** 2))
+        return cls(x, late, square, 1.0 - square / max(total, 1e-300))
 
 
 def stated_loop(proportional: FloatArray, derivative: FloatArray) -> PositionLoop:
     """Return a PD loop with stated gains, shapes (n,)."""
     zero, never = np.zeros_like(proportional), np.full_like(proportional, np.inf)
     gains = np.array([proportional, derivative, zero])
-    return PositionLoop(zero, gains, zero, zero, never, origin="stated")
+    return PositionLoop(zero, gains, zero, zero, never, zero, origin="stated")
 
 
 def identified_loop(model: IdentifiedModel, recording: Recording) -> PositionLoop:
@@ -221,6 +344,7 @@ def identified_loop(model: IdentifiedModel, recording: Recording) -> PositionLoo
         zero,
         np.array([float(e.delay) for e in entries]),
         np.array(limits) / relative,
+        zero,
         origin="model",
     )
 
@@ -298,11 +422,15 @@ class Replay:
         count = int(np.ceil(times[-1] / step)) + 1
         grid: FloatArray = step * np.arange(count, dtype=float)
         command = self._command(start, end, grid)
+        follows = _following_share(self._loop, step, len(q))
         positions, torques = np.empty((count, len(q))), np.empty((count, len(q)))
         for k in range(count):
             positions[k] = state.qpos[self._position]
-            torque = command(k, positions[k], state.qvel[self._degree])
-            torques[k] = np.clip(torque, -self._limit, self._limit)
+            # semi-implicit Euler: qvel is the velocity half a step before that of qpos
+            speed = state.qvel[self._degree] + 0.5 * step * state.qacc[self._degree]
+            torque = command(k, positions[k], speed)
+            torque = np.clip(torque, -self._limit, self._limit)
+            torques[k] = torque if k == 0 else torques[k - 1] + follows * (torque - torques[k - 1])
             if not np.abs(positions[k]).max() < 1e3:
                 positions[k:], torques[k:] = np.inf, np.nan
                 break
@@ -352,6 +480,15 @@ class Replay:
         return command
 
 
+def _following_share(loop: PositionLoop | None, step: float, n: int) -> FloatArray:
+    """Share of the way to its command that the motor's torque goes in a time step. Shape (n,).
+
+    A torque that is held for a step is late by half of it.
+    """
+    lag = np.zeros(n) if loop is None else loop.lag
+    return np.asarray(1.0 / np.maximum(lag / step + 0.5, 1.0))
+
+
 @dataclass(frozen=True)
 class ReplayErrors:
     """Errors of a replayed robot.
@@ -389,9 +526,7 @@ def replay_errors(name: str, replay: Replay, data: ReplayInput) -> ReplayErrors:
         data: The recording.
     """
     free = replay.run(0, len(data.t))
-    deviation = np.clip(
-        np.nan_to_num(free.q, posinf=1e9) - data.motion.q, -LOST_DISTANCE, LOST_DISTANCE
-    )
+    deviation = np.clip(np.nan_to_num(free.q, posinf=1e9) - data.q, -LOST_DISTANCE, LOST_DISTANCE)
     is_lost = np.abs(deviation).max(axis=1) >= LOST_DISTANCE
     lost = float(data.t[int(np.argmax(is_lost))]) if is_lost.any() else None
     torque = np.full(data.motion.q.shape[1], np.nan)
@@ -418,6 +553,6 @@ def _window_error(replay: Replay, data: ReplayInput, horizon: float) -> FloatArr
     square = np.zeros(data.motion.q.shape[1])
     for start in chosen:
         run = replay.run(int(start), int(start) + size)
-        deviation = np.nan_to_num(run.q, posinf=1e9) - data.motion.q[start : start + size]
+        deviation = np.nan_to_num(run.q, posinf=1e9) - data.q[start : start + size]
         square += np.mean(np.clip(deviation, -LOST_DISTANCE, LOST_DISTANCE) ** 2, axis=0)
     return np.asarray(np.sqrt(square / len(chosen)))

@@ -149,10 +149,7 @@ class SimulatorModel:
 
     def position_limit(self, joint: int) -> tuple[float, float] | None:
         """Return lower and upper limit of a joint [rad or m]; None without."""
-        if self.limits is not None:
-            lower, upper = (float(value) for value in self.limits.position[joint])
-            return (lower, upper) if np.isfinite([lower, upper]).all() else None
-        return self.model.robot.entries[joint].position
+        return _position_limit(self.model, self.limits, joint)
 
     def velocity_limit(self, joint: int) -> float | None:
         """Return the velocity limit of a joint [rad/s or m/s]; None without."""
@@ -302,6 +299,16 @@ class SimulatorModel:
         return lines
 
 
+def _position_limit(
+    model: IdentifiedModel, limits: Limits | None, joint: int
+) -> tuple[float, float] | None:
+    """Lower and upper limit of a joint [rad or m]; None without."""
+    if limits is None:
+        return model.robot.entries[joint].position
+    lower, upper = (float(value) for value in limits.position[joint])
+    return (lower, upper) if np.isfinite([lower, upper]).all() else None
+
+
 def _kind(name: str) -> str:
     """Symbol of a standard parameter without its number: "Fc3" -> "Fc"."""
     return "tau0" if name.startswith("tau0") else name.rstrip("0123456789")
@@ -328,7 +335,7 @@ def simulator_model(
         recording: Motion along which the torque of the effects is evaluated; None: unknown.
         limits: Limits of the joints; None: those of the model's URDF.
     """
-    psi, torques, held = _with_effects(model)
+    psi, torques, held = _with_effects(model, limits)
     rms, rotor_rms, source = None, None, ""
     if recording is not None:
         rms, rotor_rms = _effect_rms(model, torques, recording)
@@ -346,7 +353,7 @@ def _drive(model: IdentifiedModel, kind: str) -> FloatArray:
 
 
 def _with_effects(
-    model: IdentifiedModel,
+    model: IdentifiedModel, limits: Limits | None
 ) -> tuple[FloatArray, JointTorques, list[Held | None]]:
     """Parameters with every effect that has the form of one, and the quantity of each effect."""
     n, psi = model.robot.n, model.psi.copy()
@@ -361,7 +368,7 @@ def _with_effects(
         spring,
         np.zeros(n),
     )
-    held = [_add_effect(model, effect, psi, out) for effect in model.effects]
+    held = [_add_effect(model, effect, psi, out, limits) for effect in model.effects]
     out.static[:] += out.coulomb
     return psi, out, held
 
@@ -393,7 +400,11 @@ _ADDITIONS: Mapping[str, tuple[Held, Callable[[JointTorques, int, FloatArray], N
 
 
 def _add_effect(
-    model: IdentifiedModel, effect: EffectDocument, psi: FloatArray, out: JointTorques
+    model: IdentifiedModel,
+    effect: EffectDocument,
+    psi: FloatArray,
+    out: JointTorques,
+    limits: Limits | None,
 ) -> Held | None:
     """Add an effect to the parameters; return the quantity that stands for it, None without."""
     if effect.effect == "payload":
@@ -402,13 +413,17 @@ def _add_effect(
         return Held.INERTIA
     if effect.effect == "delay":
         return _add_delay(model, effect, out)
-    return None if effect.joint is None else _add_joint_effect(model, effect, out)
+    return None if effect.joint is None else _add_joint_effect(model, effect, out, limits)
 
 
 def _add_joint_effect(
-    model: IdentifiedModel, effect: EffectDocument, out: JointTorques
+    model: IdentifiedModel, effect: EffectDocument, out: JointTorques, limits: Limits | None
 ) -> Held | None:
-    """Add an effect of one joint to its parameters; see `_add_effect`."""
+    """Add an effect of one joint to its parameters; see `_add_effect`.
+
+    A polynomial spring stays as it is at the ends of the positions to which it was fitted; one that
+    simulators evaluate goes on. It is held only where the joint does not reach beyond them.
+    """
     values, c = effect.values, np.array(effect.coefficients, float)
     j = model.robot.joints.index(str(effect.joint))
     held = None
@@ -418,11 +433,22 @@ def _add_joint_effect(
     elif effect.effect == "stribeck":
         out.static[j] += c.sum()  # each of its curves is 1 at rest
         held = Held.STATIC_FRICTION
-    elif effect.effect == "spring" and int(values.get("form", -1)) in SPRING_FORMS:
+    elif (
+        effect.effect == "spring"
+        and int(values.get("form", -1)) in SPRING_FORMS
+        and _stays_within(_position_limit(model, limits, j), values)
+    ):
         powers = SPRING_FORMS[int(values["form"])]
         out.spring[j, list(powers)] += c
         held = Held.SPRING if powers == (1,) else Held.SPRING_POLYNOMIAL
     return held
+
+
+def _stays_within(limit: tuple[float, float] | None, values: Mapping[str, float]) -> bool:
+    """True if a joint stays within the positions to which a spring was fitted, if it has any."""
+    if "low" not in values:
+        return True
+    return limit is not None and values["low"] <= limit[0] and limit[1] <= values["high"]
 
 
 def _add_delay(model: IdentifiedModel, effect: EffectDocument, out: JointTorques) -> Held | None:

@@ -105,7 +105,7 @@ def _free_section(
 def _drawing(joints: Sequence[str], data: ReplayInput, errors: Sequence[ReplayErrors]) -> str:
     """Positions of the robot as described and as identified, as SVG."""
     before, after = ((e.name, e.free.q) for e in (errors[0], errors[-1]))
-    return draw_replay(joints, data.t, data.motion.q, before, after)
+    return draw_replay(joints, data.t, data.q, before, after)
 
 
 def _horizon_section(
@@ -132,6 +132,7 @@ def _loop_section(model: SimulatorModel, loop: PositionLoop) -> Section:
     for j, joint in enumerate(model.joints):
         share = "–" if loop.explained is None else f"{100.0 * float(loop.explained[j]):.1f} %"
         values = [loop.forward[j], *loop.gains[:, j], loop.constant[j], 1e3 * loop.delay[j]]
+        values.append(1e3 * loop.lag[j])
         rows.append((joint, *(number(float(v), 4) for v in values), share))
     head = (
         "joint",
@@ -141,6 +142,7 @@ def _loop_section(model: SimulatorModel, loop: PositionLoop) -> Section:
         "Ki [N m/(rad s)]",
         "constant [N m]",
         "delay [ms]",
+        "lag [ms]",
         "explained torque",
     )
     answers = {
@@ -152,7 +154,7 @@ def _loop_section(model: SimulatorModel, loop: PositionLoop) -> Section:
         "loop",
         "Which position loop follows the commands?",
         answers[loop.origin],
-        {"tables": [Table(head, rows, tuple(range(1, 8)))]},
+        {"tables": [Table(head, rows, tuple(range(1, len(head))))]},
     )
 
 

@@ -59,7 +59,8 @@ class ControllerGains:
 
     Attributes:
         position: Gain of the position loop [1/s].
-        speed: Bandwidth of the speed loop [rad/s].
+        speed: Bandwidth of the speed loop [rad/s] at the first pose of a motion, whose inertia
+            scales its gain; one number, or one for each joint.
         integral: Integral gain of the speed loop [1/s].
         forward: Fraction of the rigid-body torque that is fed forward [1].
         lag: Time constant of the current loop [s].
@@ -67,7 +68,7 @@ class ControllerGains:
     """
 
     position: float = 30.0
-    speed: float = 150.0
+    speed: float | FloatArray = 150.0
     integral: float = 12.0
     forward: float = 0.8
     lag: float = 1e-3

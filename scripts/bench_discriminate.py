@@ -43,7 +43,12 @@ from excite.designer.discrimination_design import (
 )
 from excite.designer.effect_columns import RobotConstants, SymbolicEffect
 from excite.designer.evaluator import Evaluator
-from excite.designer.explanations import EffectSpecification, friction_of, symbolic_effect
+from excite.designer.explanations import (
+    CONVEX_EXPONENT,
+    EffectSpecification,
+    friction_of,
+    symbolic_effect,
+)
 from excite.designer.optimize import DesignSetup
 from excite.designer.options import DesignOptions
 from excite.errors import ExciteError, ExciteWarning
@@ -78,12 +83,16 @@ def pairs(constants: RobotConstants) -> dict[str, tuple[SymbolicEffect, Symbolic
     def usual(effect: str) -> SymbolicEffect:
         return symbolic_effect(EffectSpecification(effect, JOINT, {}), constants)
 
+    cubic = symbolic_effect(
+        EffectSpecification("nonlinear_viscous", JOINT, {"exponent": CONVEX_EXPONENT}), constants
+    )
+
     def thermal(dry: float, wet: float) -> SymbolicEffect:
         values = {"time_constant": 600.0, "coulomb": dry, "viscous": wet}
         return SymbolicEffect("thermal_drift", JOINT, values)
 
     return {
-        "cubic ~ drag": (usual("nonlinear_viscous"), usual("drag")),
+        "cubic ~ drag": (cubic, usual("drag")),
         "spring ~ counterbalance": (
             SymbolicEffect("spring", JOINT, {"form": 0.0}),
             SymbolicEffect("spring", JOINT, {"form": 1.0}),
@@ -222,7 +231,9 @@ def rate_words(flags: Sequence[bool]) -> str:
 def report_cases(given: argparse.Namespace) -> None:
     """Examine concealed cases, then print their outcomes and draw the evidence."""
     robots = given.robots or discrimination_cases.ROBOTS
-    discrimination_cases.run(given.folder, given.cases, given.seed, given.candidates, robots)
+    discrimination_cases.run(
+        given.folder, given.cases, given.seed, given.candidates, robots, given.jobs
+    )
     entries = discrimination_cases.results(given.folder)
     cases = [entry for entry in entries if entry["status"] == "class"]
     counts = {

@@ -4,20 +4,24 @@ A case is a simulated robot with hidden effects whose diagnosis from one recordi
 two or more names of which exactly one acts at the joint, and does not decide for it yet. The robot
 then moves once more: along a motion designed to discriminate, a D-optimal one, a random one and a
 repeat, each of two periods of 8 s between ramps. Each recording is diagnosed together with the
-first one. One JSON file per case, so that an interrupted run continues.
+first one. One JSON file per candidate, so that an interrupted run continues, and one folder per
+case with its recordings, designs and first diagnosis.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import tempfile
+import shutil
+import sys
 import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 from concealed_trial.case_plan import CasePlan, CaseSpec
 from concealed_trial.generate_cases import (
@@ -35,7 +39,7 @@ from excite.designer.design_objective import SampledMotion
 from excite.designer.discrimination import SeparationObjective
 from excite.designer.isolability_forecast import CONFUSABLE_PAIRS
 from excite.diagnosis import rival_evidence
-from excite.errors import ExciteError, UnusableInput
+from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.robot.dynamics import regressor
 from excite.robot.robot import locate
 from excite.robot.samples import Samples
@@ -311,28 +315,32 @@ def realised_evidence(result: api.DiagnosisResult, question: OpenClass) -> dict[
     }
 
 
-def examine(spec: CaseSpec) -> dict[str, Any]:
+def examine(spec: CaseSpec, work: Path) -> dict[str, Any]:
     """Return the result of a case.
 
     Args:
         spec: Specification of the case.
+        work: Folder of its files, which stays if it has an open class.
     """
     begun = time.process_time()
     out: dict[str, Any] = {"spec": dataclasses.asdict(spec), "status": "no class"}
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
     try:
         case = generate_case(spec, locate("two_link").parent)
-        with tempfile.TemporaryDirectory(prefix="case") as work:
-            trial = Trial(case, Path(work))
-            questions = list(open_classes(trial.first.document(), case))
-            entries = [(question, _decided(trial.first, question)) for question in questions]
-            for question, before in entries:
-                if outcome(before, question.truth) != "right":
-                    out |= {"before": before} | _compared(trial, question)
-                    break
-            else:
-                out["status"] = "decided" if questions else "no class"
+        trial = Trial(case, work)
+        questions = list(open_classes(trial.first.document(), case))
+        entries = [(question, _decided(trial.first, question)) for question in questions]
+        for question, before in entries:
+            if outcome(before, question.truth) != "right":
+                out |= {"before": before} | _compared(trial, question)
+                break
+        else:
+            out["status"] = "decided" if questions else "no class"
     except ExciteError as error:
         out |= {"status": "error", "error": str(error).splitlines()[0]}
+    if out["status"] != "class":
+        shutil.rmtree(work)
     out["seconds"] = time.process_time() - begun
     return out
 
@@ -371,38 +379,54 @@ def _compared(trial: Trial, question: OpenClass) -> dict[str, Any]:
 
 
 def run(
-    folder: Path, wanted: int, seed: int, candidates: int, robots: Sequence[str] = ROBOTS
+    folder: Path,
+    wanted: int,
+    seed: int,
+    candidates: int,
+    robots: Sequence[str] = ROBOTS,
+    jobs: int = 1,
 ) -> None:
     """Examine candidates until enough of them have an open class; continue where it stopped.
 
     Args:
         folder: Folder of the results, one JSON file per candidate.
-        wanted: Number of cases with an open class.
+        wanted: Number of cases with an open class; with several processes a few more.
         seed: Seed of the plan.
         candidates: Largest number of candidates.
         robots: Built-in robots of the cases, in turn.
+        jobs: Number of processes.
 
     Raises:
         UnusableInput: The folder has results of another plan.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    cases = sum(entry["status"] == "class" for entry in results(folder))
-    for number, spec in enumerate(plan(candidates, seed, robots)):
-        path = folder / f"{number:04d}.json"
-        if cases >= wanted:
-            return
-        if path.exists():
-            if _read(path)["spec"]["seed"] != spec.seed:
+
+    def open_candidates() -> Iterator[Any]:
+        for number, spec in enumerate(plan(candidates, seed, robots)):
+            cases = sum(entry["status"] == "class" for entry in results(folder))
+            print(f"candidate {number}: {cases} of {wanted} cases", end="\r", file=sys.stderr)
+            if cases >= wanted:
+                return
+            path = folder / f"{number:04d}.json"
+            if not path.exists():
+                yield joblib.delayed(_examine_and_save)(spec, path)
+            elif _read(path)["spec"]["seed"] != spec.seed:
                 raise UnusableInput(
                     f"{path}: is a case of another plan; use the same --seed, --candidates and "
                     "--robots, or another --folder"
                 )
-            continue
-        entry = examine(spec)
-        cases += entry["status"] == "class"
-        staged = path.with_suffix(".part")
-        staged.write_text(json.dumps(entry), encoding="utf-8")
-        staged.rename(path)
+
+    # candidates are drawn as processes become free, so that no work is done beyond the last case
+    joblib.Parallel(n_jobs=jobs, pre_dispatch="n_jobs", batch_size=1)(open_candidates())
+
+
+def _examine_and_save(spec: CaseSpec, path: Path) -> None:
+    """Examine a candidate and write its result."""
+    warnings.simplefilter("ignore", ExciteWarning)
+    entry = examine(spec, path.with_suffix(""))
+    staged = path.with_suffix(".part")
+    staged.write_text(json.dumps(entry), encoding="utf-8")
+    staged.rename(path)
 
 
 def results(folder: Path) -> list[dict[str, Any]]:

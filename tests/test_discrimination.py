@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from functools import cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from excite.designer.criteria import Criterion
 from excite.designer.discrimination import (
     Comparison,
     Explanation,
+    RunSettings,
     SeparationObjective,
     WeightedRows,
     separations,
@@ -122,6 +124,60 @@ def test_gradient_equals_finite_differences(effect: str):
     step = 2e-7
     ends = [evaluator.objective(x + h * direction, 1.0)[0] for h in (step, -step)]
     assert gradient @ direction == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-6)
+
+
+def nominal_shape(effect: str) -> SymbolicEffect:
+    return symbolic_effect(EffectSpecification(effect, 0, {}), constants())
+
+
+@pytest.mark.parametrize(
+    ("effect", "key", "ratio"),
+    [
+        ("stribeck", "velocity", 1.5),
+        ("load_friction", "power", 1.3),
+        ("hysteresis", "reach", 1.5),
+        ("thermal_drift", "time_constant", 1.5),
+    ],
+)
+def test_a_rival_may_bend_its_curve(effect: str, key: str, ratio: float):
+    """An effect against itself with another nonlinear parameter, within its prior."""
+    form = nominal_shape(effect)
+    other = dataclasses.replace(form, values={**form.values, key: ratio * form.values[key]})
+    motion = sampled_motion(setup().problem.robot, setup().problem.parameters, reference())
+    settings = RunSettings(setup().base.geometric, np.array([0.6, 0.2]), 40)
+    values = []
+    for uncertain in (False, True):
+        columns = EffectColumns(constants(), [form, other], uncertain_forms=uncertain)
+        factor = np.zeros((columns.slices[0].stop, 1))
+        factor[0] = 100.0
+        explanations = (Explanation(form, factor, 0.5), Explanation(other, factor, 0.5))
+        comparison = (Comparison(0, 1, (), 1.0),)
+        objective = SeparationObjective(columns, explanations, comparison, settings)
+        values.append(objective.separations(motion).item())
+    assert 0.0 < values[1] < 0.2 * values[0]
+
+
+def test_the_form_of_a_rival_is_uncertain_in_units_of_its_size():
+    """A large rival bends freely, one that is expected to be small hardly."""
+    forms = [nominal_shape("stribeck"), nominal_shape("drag")]
+    motion = sampled_motion(setup().problem.robot, setup().problem.parameters, reference())
+    settings = RunSettings(setup().base.geometric, np.array([0.6, 0.2]), 40)
+
+    def separation(size: float, *, uncertain: bool = True) -> float:
+        columns = EffectColumns(constants(), forms, uncertain_forms=uncertain)
+        factors = [np.zeros((place.stop - place.start, 1)) for place in columns.slices]
+        factors[0][0], factors[1][0] = 5.0, size
+        explanations = tuple(
+            Explanation(form, factor, 0.5) for form, factor in zip(forms, factors, strict=True)
+        )
+        comparison = (Comparison(0, 1, (), 1.0),)
+        objective = SeparationObjective(columns, explanations, comparison, settings)
+        return objective.separations(motion).item()
+
+    rigid = separation(1.0, uncertain=False)
+    assert separation(1e-4) == pytest.approx(rigid, rel=1e-3)
+    values = [separation(size) for size in (1e-4, 0.1, 1.0, 10.0, 1e3)]
+    assert all(a > b for a, b in itertools.pairwise(values))
 
 
 @pytest.mark.parametrize("over_speed", [False, True])
@@ -286,6 +342,24 @@ def test_the_command_reports_comparisons_and_a_menu(
     trajectory = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
     assert trajectory["design"]["discriminate"] == str(path)
     assert main(["verify", str(out / "trajectory.json")]) == 0
+
+
+def test_a_finding_that_is_also_an_equivalent_keeps_its_parameters(tmp_path: Path):
+    first, _ = joints()
+    ripple = {"amplitude": 0.4, "order": 21.0}
+    spring = {"stiffness": 3.0}
+    path = write(
+        tmp_path,
+        finding("spring", first, 0.9, of=spring, equivalents=["torque_ripple"]),
+        finding("torque_ripple", first, 0.8, of=ripple, equivalents=["spring"]),
+    )
+    robot = load("two_link")
+    questions = read_questions(path, robot, resolve(robot), DesignOptions()).explanations
+    wave = next(c for c in questions.candidates if c.form.effect == "torque_ripple")
+    assert wave.form.values["order"] == 21.0
+    assert wave.factor is not None and np.trace(wave.factor @ wave.factor.T) == pytest.approx(0.16)
+    asked = [(c.true, c.rival) for c in questions.comparisons]
+    assert len(asked) == len(set(asked)) == 2
 
 
 def test_the_curve_of_unknown_torque_competes(tmp_path: Path):

@@ -116,7 +116,10 @@ class ExplanationSet:
         rows = rows.stacked(prior_rows(settings, effects.count))
         usual = severity**2 * settings.periods * motion.period * INDEPENDENT_RATE
         raw = [
-            _unit_factor(effects.slices[i], rows, c.factor) for i, c in enumerate(self.candidates)
+            _unit_factor(coefficients, place.stop - coefficients.stop, rows, c.factor)
+            for coefficients, place, c in zip(
+                effects.coefficients, effects.slices, self.candidates, strict=True
+            )
         ]
         sizes = _sizes(rows, effects, raw)
         out = []
@@ -173,7 +176,9 @@ class ExplanationSet:
         """
         noise = torque_noise_levels(self.constants.limits, problem.options.noise)
         settings = RunSettings(base.geometric, noise, problem.options.periods)
-        effects = EffectColumns(self.constants, [c.form for c in self.candidates])
+        effects = EffectColumns(
+            self.constants, [c.form for c in self.candidates], uncertain_forms=True
+        )
         motion = sampled_motion(problem.robot, problem.parameters, reference)
         explanations = self.sized(effects, motion, settings)
         objective = SeparationObjective(
@@ -216,12 +221,21 @@ class ExplanationSet:
         return out
 
 
-def _unit_factor(place: slice, rows: WeightedRows, factor: FloatArray | None) -> FloatArray:
-    """Return a stated factor, or one that gives all columns the same size independently."""
-    if factor is not None:
-        return factor
-    size = np.linalg.norm(rows.columns[:, place], axis=0)
-    return np.asarray(np.diag(1.0 / np.maximum(size, 1e-12 * max(float(size.max()), 1e-300))))
+def _unit_factor(
+    place: slice, form_columns: int, rows: WeightedRows, factor: FloatArray | None
+) -> FloatArray:
+    """Return a stated factor, or one that gives all columns the same size independently.
+
+    Args:
+        place: Columns of the effect.
+        form_columns: Number of columns of its uncertain form, for which the factor is zero.
+        rows: Rows along the reference motion.
+        factor: The stated factor; None if there is none.
+    """
+    if factor is None:
+        size = np.linalg.norm(rows.columns[:, place], axis=0)
+        factor = np.diag(1.0 / np.maximum(size, 1e-12 * max(float(size.max()), 1e-300)))
+    return np.vstack([factor, np.zeros((form_columns, factor.shape[1]))])
 
 
 def _sizes(rows: WeightedRows, effects: EffectColumns, factors: list[FloatArray]) -> FloatArray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray
-from .effect_columns import RobotConstants, SymbolicEffect
+from .effect_columns import RobotConstants, SymbolicEffect, position_range
 
 STRIBECK_SPEED = 0.05
 """Usual Stribeck speed over the velocity limit [1] (0.02-0.3 rad/s)."""
@@ -61,13 +61,6 @@ class EffectSpecification:
     other: int | None = None
 
 
-def _range_of(constants: RobotConstants, joint: int) -> tuple[float, float]:
-    """Return the range of a joint's position; a turn where it has no limits."""
-    low, high = constants.limits.position[joint]
-    bounded = bool(np.isfinite(low) and np.isfinite(high))
-    return (float(low), float(high)) if bounded else (-np.pi, np.pi)
-
-
 def friction_of(constants: RobotConstants, joint: int) -> tuple[float, float]:
     """Return Coulomb [N m] and viscous friction [N m s/rad] of a joint, or usual ones.
 
@@ -95,8 +88,15 @@ def _stribeck(c: RobotConstants, j: int, p: Stated) -> Values:
     return {"velocity": p.get("velocity", usual), "exponent": 1.0}
 
 
+def _nonlinear_viscous(c: RobotConstants, j: int, p: Stated) -> Values:
+    """The stated exponent; without one, a curve of both kinds."""
+    if "exponent" in p:
+        return {"exponent": p["exponent"]}
+    return {"exponent": CONVEX_EXPONENT, "concave": CONCAVE_EXPONENT}
+
+
 def _position_friction(c: RobotConstants, j: int, p: Stated) -> Values:
-    low, high = _range_of(c, j)
+    low, high = position_range(c.limits, j)
     return {"order": 1.0, "waves": POSITION_WAVES, "low": low, "high": high}
 
 
@@ -124,7 +124,7 @@ def _elasticity(c: RobotConstants, j: int, p: Stated) -> Values:
 
 _VALUES: dict[str, Callable[[RobotConstants, int, Stated], Values]] = {
     "stribeck": _stribeck,
-    "nonlinear_viscous": lambda c, j, p: {"exponent": p.get("exponent", CONVEX_EXPONENT)},
+    "nonlinear_viscous": _nonlinear_viscous,
     "load_friction": lambda c, j, p: {"power": 1.0, "scale": float(c.limits.torque[j])},
     "position_friction": _position_friction,
     "spring": _spring,

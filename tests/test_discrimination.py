@@ -174,7 +174,7 @@ def test_the_form_of_a_rival_is_uncertain_in_units_of_its_size():
         objective = SeparationObjective(columns, explanations, comparison, settings)
         return objective.separations(motion).item()
 
-    rigid = separation(1.0, uncertain=False)
+    rigid = separation(1e-4, uncertain=False)
     assert separation(1e-4) == pytest.approx(rigid, rel=1e-3)
     values = [separation(size) for size in (1e-4, 0.1, 1.0, 10.0, 1e3)]
     assert all(a > b for a, b in itertools.pairwise(values))

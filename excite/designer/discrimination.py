@@ -32,6 +32,9 @@ PRIOR_STD = 1.0
 """Prior standard deviation of the base parameters in the metric [1], as in `task_variance`."""
 RELATIVE_RANK = 1e-10
 """Eigenvalue of a Gram matrix over the largest one, below which a column adds nothing [1]."""
+COEFFICIENT_STD = 10.0
+"""Prior standard deviation of the coefficients of an effect over the largest that is expected [1]:
+so wide that it counts where the motion shows nothing of a coefficient."""
 ABSENT_SHARE = 1e-6
 """Size of a coefficient that is not expected, over the largest of the same effect [1]."""
 EVIDENCE_SHARE = 0.2
@@ -231,24 +234,28 @@ def prior_rows(settings: RunSettings, count: int, std: float = PRIOR_STD) -> Wei
     return WeightedRows(np.eye(p) / std, np.zeros((p, count)))
 
 
-def form_rows(
-    settings: RunSettings, effects: EffectColumns, explanations: Sequence[Explanation]
+def coefficient_rows(
+    settings: RunSettings,
+    effects: EffectColumns,
+    explanations: Sequence[Explanation],
+    std: float = PRIOR_STD,
 ) -> WeightedRows:
-    """Return the rows of the prior on the uncertain forms, in units of the coefficients.
+    """Return the rows of the priors on the coefficients of effects, and on their uncertain forms.
 
     Args:
         settings: Coordinates of the base parameters.
         effects: Columns of the explanations.
         explanations: The explanations.
+        std: Factor on the prior standard deviation of the coefficients [1].
     """
-    size = np.zeros(effects.count)
+    expected, largest = np.zeros(effects.count), np.zeros(effects.count)
     for place, explanation in zip(effects.slices, explanations, strict=True):
-        expected = np.linalg.norm(explanation.factor, axis=1)
-        size[place] = np.maximum(expected, ABSENT_SHARE * expected.max(initial=1e-300))
-    uncertain = np.flatnonzero(effects.parents >= 0)
-    columns = np.zeros((len(uncertain), effects.count))
-    columns[np.arange(len(uncertain)), uncertain] = 1.0 / size[effects.parents[uncertain]]
-    return WeightedRows(np.zeros((len(uncertain), settings.coordinates.shape[1])), columns)
+        sizes = np.linalg.norm(explanation.factor, axis=1)
+        largest[place] = max(float(sizes.max(initial=0.0)), 1e-300)
+        expected[place] = np.maximum(sizes, ABSENT_SHARE * largest[place])
+    is_form = effects.parents >= 0
+    size = np.where(is_form, expected[effects.parents], std * COEFFICIENT_STD * largest)
+    return WeightedRows(np.zeros((len(size), settings.coordinates.shape[1])), np.diag(1.0 / size))
 
 
 @dataclass(frozen=True)
@@ -324,10 +331,11 @@ class SeparationObjective:
         """Return the rows of the priors and of earlier recordings.
 
         Args:
-            std: Prior standard deviation of the base parameters in the metric [1].
+            std: Prior standard deviation of the base parameters in the metric, and factor on that
+                of the coefficients of effects [1].
         """
         prior = prior_rows(self.settings, self.effects.count, std).stacked(
-            form_rows(self.settings, self.effects, self.explanations)
+            coefficient_rows(self.settings, self.effects, self.explanations, std)
         )
         return prior if self.given is None else prior.stacked(self.given)
 

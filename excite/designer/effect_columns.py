@@ -262,6 +262,9 @@ def _position_friction(b: _Builder, j: int, values: Mapping[str, float]) -> list
 
 def _spring(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
     q = b.signals.q[j]
+    if "waves" in values:
+        place = (q - values["low"]) / (values["high"] - values["low"])
+        return [ca.cos(np.pi * m * place) for m in range(1, int(values["waves"]) + 1)]
     if "bend" in values:
         return [ca.fmin(q - values["bend"], 0.0), ca.fmax(q - values["bend"], 0.0)]
     if "order" in values:
@@ -488,8 +491,8 @@ def _form_columns(
     builder: _Builder, effect: SymbolicEffect, columns: Sequence[ca.SX]
 ) -> list[ca.SX]:
     """Return the columns of the uncertain form of an effect, as many of each kind as it has."""
-    if effect.effect in EXACT_FORMS:
-        return []
+    if effect.effect in EXACT_FORMS or (effect.effect == "spring" and "waves" in effect.values):
+        return []  # a curve of any form over the position has no other one
     out: list[ca.SX] = []
     for points in shape_points(effect.effect, effect.values):
         if effect.effect == "thermal_drift":  # whose factor of the run time has the parameter

@@ -39,6 +39,9 @@ FRICTION_SHARE = 0.05
 limit [1]."""
 POSITION_WAVES = 2.0
 """Waves of friction over the position where it is only a rival [1]."""
+SPRING_WAVES = 12.0
+"""Half waves over the range of the joint of a spring whose curve may have any form, as in
+`effects.spring`."""
 
 Stated = Mapping[str, float]
 """Parameters as a diagnosis states them, by name."""
@@ -101,7 +104,11 @@ def _position_friction(c: RobotConstants, j: int, p: Stated) -> Values:
 
 
 def _spring(c: RobotConstants, j: int, p: Stated) -> Values:
-    return {"form": 0.0 if set(p) == {"stiffness"} else 1.0}
+    """A straight line, a wave of one turn, or a curve of any form where no stiffness is stated."""
+    if "stiffness" in p:
+        return {"form": 0.0 if set(p) == {"stiffness"} else 1.0}
+    low, high = position_range(c.limits, j)
+    return {"waves": SPRING_WAVES, "low": low, "high": high}
 
 
 def _hysteresis(c: RobotConstants, j: int, p: Stated) -> Values:
@@ -197,6 +204,9 @@ def _stated_factor(effect: str, p: Stated, form: SymbolicEffect) -> FloatArray:
     if effect == "spring":
         if form.values.get("form") == 0.0:
             return np.array([[p["stiffness"]]])
+        if "waves" in form.values:  # prior sizes 1/m, as in `effects.spring`
+            sizes = 1.0 / np.arange(1.0, form.values["waves"] + 1.0)
+            return np.diag(p["amplitude"] / np.linalg.norm(sizes) * sizes)
         return _phase_unknown(p["amplitude"])
     single: dict[str, Callable[[], list[float]]] = {
         "rotor_inertia": lambda: [p["inertia"]],

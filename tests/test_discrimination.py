@@ -344,6 +344,15 @@ def test_the_command_reports_comparisons_and_a_menu(
     assert main(["verify", str(out / "trajectory.json")]) == 0
 
 
+def test_the_text_states_what_was_optimised(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = write(tmp_path, {**LOAD, "joint": joints()[0]})
+    out = str(tmp_path / "out")
+    assert main(["design", "two_link", "--discriminate", str(path), "-o", out, *QUICK]) == 0
+    text = capsys.readouterr().out
+    assert "expected share of wrong decisions: " in text
+    assert "geometric" not in text
+
+
 def test_a_finding_that_is_also_an_equivalent_keeps_its_parameters(tmp_path: Path):
     first, _ = joints()
     ripple = {"amplitude": 0.4, "order": 21.0}

@@ -349,6 +349,14 @@ class SeparationObjective:
         rows = self.rows(motion).stacked(self.known_rows())
         return separations(rows, self.effects.slices, self.explanations, self.comparisons).values
 
+    def statement(self, value: float) -> str:
+        """Return a value of the objective in words.
+
+        Args:
+            value: The objective.
+        """
+        return f"expected share of wrong decisions: {np.exp(-np.exp(-value)):.2g}"
+
     def evaluate(self, motion: SampledMotion) -> ObjectiveGradient:
         """Evaluate the objective and its gradient."""
         values = self.effects.evaluate(motion)

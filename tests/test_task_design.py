@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from conftest import loaded, random_urdf
+
 from excite import api
 from excite.api.design_result import CellOptions
 from excite.api.task_design import read_task

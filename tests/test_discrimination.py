@@ -326,7 +326,7 @@ def test_the_command_reports_comparisons_and_a_menu(
         min(c["log_odds"][key] for c in result["comparisons"]) for key in ("d_optimal", "designed")
     ]
     assert smallest[1] > smallest[0] > 0.0
-    assert result["linearised"]["position_friction"] == "fixed spatial frequency"
+    assert result["linearised"]["position_friction"] == "spatial frequency linearised"
     assert any("backlash" in text for text in result["omitted"])
     menu = {e["experiment"]: e for e in result["menu"]}
     assert len(menu) == 8 and result["recommended"] in menu

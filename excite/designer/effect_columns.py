@@ -43,17 +43,18 @@ MULTIPLES = {2: "twice", 3: "thrice"}
 """Multiples of a spatial frequency by their keys in the values, as in `effects.effect`."""
 LINEARISED = {
     "delay": "first order in the delay, of the torque below half the optimiser's sampling rate",
-    "elasticity": "linear oscillator with the mean inertia about the joint",
+    "elasticity": "linear oscillator with the mean inertia about the joint; stiffness and damping "
+    "linearised",
     "encoder_error": "first order in the position error",
     "gravity_tilt": "first order in the tilt",
-    "stribeck": "fixed speed and exponent",
-    "hysteresis": "fixed travel",
-    "nonlinear_viscous": "fixed exponent",
-    "torque_saturation": "fixed power",
+    "stribeck": "speed and exponent linearised",
+    "hysteresis": "travel linearised",
+    "nonlinear_viscous": "exponent linearised",
+    "torque_saturation": "power linearised",
     "torque_ripple": "fixed spatial frequency",
-    "position_friction": "fixed spatial frequency",
-    "thermal_drift": "fixed time constant and mean friction",
-    "load_friction": "fixed power of the load",
+    "position_friction": "spatial frequency linearised",
+    "thermal_drift": "time constant linearised; fixed mean friction",
+    "load_friction": "power of the load linearised",
     "coupling": "fixed ratio",
     "unknown": "fixed curve, smooth between its points and constant beyond them",
 }

@@ -128,39 +128,45 @@ def open_classes(document: Mapping[str, Any], case: GeneratedCase) -> Iterator[O
         case: The case.
     """
     acting = {(canonical(e.name), e.joint) for e in case.effects_of_session(0)}
+    anywhere = {name for name, _ in acting}
     for finding in document["findings"]:
         rivals = (rival["effect"] for rival in finding.get("rivals", ()))
         names = tuple(dict.fromkeys((finding["effect"], *finding["equivalents"], *rivals)))
         if len({canonical(name) for name in names}) < 2:
             continue
+        joint = finding["joint"]
         true = [
             name
             for name in names
-            if {(canonical(name), finding["joint"]), (canonical(name), None)} & acting
+            if (canonical(name) in anywhere and joint is None)
+            or {(canonical(name), joint), (canonical(name), None)} & acting
         ]
         if len({canonical(name) for name in true}) == 1:
             yield OpenClass(finding["joint"], names, true[0])
 
 
-def outcome(arm: Mapping[str, Any], truth: str) -> str:
-    """Return one of `DECIDED` for a diagnosis, names and evidence together.
+def outcome_by_evidence(arm: Mapping[str, Any]) -> str:
+    """Return one of `DECIDED` for the evidence of a diagnosis alone.
 
-    Right: the truth is reported alone, and the evidence excludes every rival. Wrong: another name
-    is reported alone, and the evidence excludes the truth in favour of it.
+    Right: it excludes every rival. Wrong: it excludes the truth in favour of a rival.
 
     Args:
         arm: Entry of the diagnosis.
-        truth: The acting effect.
     """
-    odds = {name: rival_evidence.log_odds(value) for name, value in arm["realised"].items()}
-    threshold = rival_evidence.DECIDED_LOG_ODDS
-    if arm["outcome"] == "right":
-        return "right" if min(odds.values(), default=0.0) >= threshold else "open"
-    named = {canonical(finding["effect"]) for finding in arm["findings"]} - {canonical(truth)}
-    if arm["outcome"] == "wrong":
-        excluded = any(canonical(n) in named and value <= -threshold for n, value in odds.items())
-        return "wrong" if excluded else "open"
-    return "open"
+    least = min(map(rival_evidence.log_odds, arm["realised"].values()), default=0.0)
+    if least >= rival_evidence.DECIDED_LOG_ODDS:
+        return "right"
+    return "wrong" if least <= -rival_evidence.DECIDED_LOG_ODDS else "open"
+
+
+def outcome(arm: Mapping[str, Any]) -> str:
+    """Return one of `DECIDED` for a diagnosis, open where names and evidence do not agree.
+
+    Args:
+        arm: Entry of the diagnosis.
+    """
+    by_evidence = outcome_by_evidence(arm)
+    return by_evidence if by_evidence == arm["outcome"] else "open"
 
 
 def named_outcome(document: Mapping[str, Any], question: OpenClass) -> str:
@@ -338,7 +344,7 @@ def examine(spec: CaseSpec, work: Path) -> dict[str, Any]:
         questions = list(open_classes(trial.first.document(), case))
         entries = [(question, _decided(trial.first, question)) for question in questions]
         for question, before in entries:
-            if outcome(before, question.truth) != "right":
+            if outcome(before) != "right":
                 out |= {"before": before} | _compared(trial, question)
                 break
         else:

@@ -261,6 +261,28 @@ def test_stated_parameters_become_coefficients(
         np.testing.assert_allclose(factor, expected)
 
 
+def test_an_equivalent_has_the_size_of_its_finding_where_that_was_found():
+    """A cubic friction found at a low speed says little of the torque at a high one."""
+    problem, base = setup().problem, setup().base
+    cubic = EffectSpecification("nonlinear_viscous", 0, {"coefficient": 1.0, "exponent": 3.0})
+    form = symbolic_effect(cubic, constants())
+    candidates = (
+        CandidateExplanation(form, stated_factor(cubic, form), 0.5),
+        CandidateExplanation(nominal_shape("stribeck"), None, 0.5, like=0),
+    )
+    pairs = tuple(competing_pairs([0, 1], [0.5, 0.5], lambda a, b: ()))
+    fast = reference()
+    slow = fast.slowed(0.2)
+    sampled = sampled_motion(problem.robot, problem.parameters, slow)
+    sizes = []
+    for given in ((), (sampled,)):
+        competing = ExplanationSet(constants(), candidates, pairs, given)
+        objective = competing.objective(problem, base, fast)
+        sizes.append([float(np.abs(e.factor).max()) for e in objective.explanations])
+    assert sizes[0][0] == sizes[1][0] == 1.0
+    assert sizes[1][1] < 0.1 * sizes[0][1]
+
+
 def test_an_unknown_phase_has_the_power_of_its_amplitude():
     specification = EffectSpecification("torque_ripple", 0, {"amplitude": 2.0, "order": 5.0})
     form = symbolic_effect(specification, constants())

@@ -101,8 +101,13 @@ class ExplanationSet:
         motion: SampledMotion,
         settings: RunSettings,
         severity: float = USUAL_SEVERITY,
+        given: WeightedRows | None = None,
     ) -> tuple[Explanation, ...]:
         """Return the explanations, those of unknown size scaled along a reference motion.
+
+        An equivalent has the size of its finding, along the reference motion or in the recordings
+        that are given, whichever is smaller: a finding may be extrapolated, by a power of the speed
+        for example, to where nothing is known of it.
 
         Args:
             effects: Columns of the candidates.
@@ -110,10 +115,12 @@ class ExplanationSet:
             settings: How it is recorded.
             severity: RMS torque of an explanation of unknown size after projection off the base,
                 over the noise [1].
+            given: Rows of earlier recordings; None without.
         """
         columns = effects.evaluate(motion).columns
         rows = run_rows(motion, columns, effects, settings).rows
-        rows = rows.stacked(prior_rows(settings, effects.count))
+        prior = prior_rows(settings, effects.count)
+        rows = rows.stacked(prior)
         usual = severity**2 * settings.periods * motion.period * INDEPENDENT_RATE
         raw = [
             _unit_factor(coefficients, place.stop - coefficients.stop, rows, c.factor)
@@ -121,16 +128,20 @@ class ExplanationSet:
                 effects.coefficients, effects.slices, self.candidates, strict=True
             )
         ]
-        sizes = _sizes(rows, effects, raw)
+        sizes = [_sizes(rows, effects, raw)]
+        if given is not None:
+            sizes.append(_sizes(given.stacked(prior), effects, raw))
         out = []
         for i, candidate in enumerate(self.candidates):
             if candidate.factor is not None:
                 out.append(Explanation(candidate.form, raw[i], candidate.probability))
                 continue
             model = candidate.like
-            known = model is not None and self.candidates[model].factor is not None
-            target = sizes[model] if known and model is not None else usual
-            scale = np.sqrt(target / sizes[i]) if sizes[i] > 0.0 else 0.0
+            if model is not None and self.candidates[model].factor is not None:
+                ratios = [size[model] / size[i] for size in sizes if size[i] > 0.0]
+            else:
+                ratios = [usual / sizes[0][i]] if sizes[0][i] > 0.0 else []
+            scale = np.sqrt(min(ratios, default=0.0))
             out.append(Explanation(candidate.form, scale * raw[i], candidate.probability, True))
         return tuple(out)
 
@@ -180,13 +191,10 @@ class ExplanationSet:
             self.constants, [c.form for c in self.candidates], uncertain_forms=True
         )
         motion = sampled_motion(problem.robot, problem.parameters, reference)
-        explanations = self.sized(effects, motion, settings)
+        given = self._given_rows(effects, settings)
+        explanations = self.sized(effects, motion, settings, given=given)
         objective = SeparationObjective(
-            effects,
-            explanations,
-            self.comparisons,
-            settings,
-            given=self._given_rows(effects, settings),
+            effects, explanations, self.comparisons, settings, given=given
         )
         # without the prior, against which large parameters of the base model would stand out
         rows = objective.rows(motion).stacked(objective.known_rows(VAGUE_STD))

@@ -105,9 +105,9 @@ class ExplanationSet:
     ) -> tuple[Explanation, ...]:
         """Return the explanations, those of unknown size scaled along a reference motion.
 
-        An equivalent has the size of its finding, along the reference motion or in the recordings
-        that are given, whichever is smaller: a finding may be extrapolated, by a power of the speed
-        for example, to where nothing is known of it.
+        An equivalent has the size that its finding has in the recordings that are given: elsewhere
+        a finding may be extrapolated, by a power of the speed for example, to where nothing is
+        known of it. Where none is given, it has that size along the reference motion.
 
         Args:
             effects: Columns of the candidates.
@@ -128,9 +128,8 @@ class ExplanationSet:
                 effects.coefficients, effects.slices, self.candidates, strict=True
             )
         ]
-        sizes = [_sizes(rows, effects, raw)]
-        if given is not None:
-            sizes.append(_sizes(given.stacked(prior), effects, raw))
+        sizes = _sizes(rows, effects, raw)
+        recorded = sizes if given is None else _sizes(given.stacked(prior), effects, raw)
         out = []
         for i, candidate in enumerate(self.candidates):
             if candidate.factor is not None:
@@ -138,10 +137,10 @@ class ExplanationSet:
                 continue
             model = candidate.like
             if model is not None and self.candidates[model].factor is not None:
-                ratios = [size[model] / size[i] for size in sizes if size[i] > 0.0]
+                target, size = recorded[model], recorded[i]
             else:
-                ratios = [usual / sizes[0][i]] if sizes[0][i] > 0.0 else []
-            scale = np.sqrt(min(ratios, default=0.0))
+                target, size = usual, sizes[i]
+            scale = np.sqrt(target / size) if size > 0.0 else 0.0
             out.append(Explanation(candidate.form, scale * raw[i], candidate.probability, True))
         return tuple(out)
 

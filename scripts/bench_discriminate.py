@@ -242,6 +242,8 @@ def report_cases(given: argparse.Namespace) -> None:
     discrimination_cases.run(
         given.folder, given.cases, given.seed, given.candidates, robots, given.jobs
     )
+    if given.renew:
+        discrimination_cases.renew(given.folder, given.jobs)
     entries = discrimination_cases.results(given.folder)
     cases = [entry for entry in entries if entry["status"] == "class"]
     counts = {
@@ -259,16 +261,13 @@ def report_cases(given: argparse.Namespace) -> None:
     heads += [f"{view}: {kind}" for view in VIEWS for kind in ("right", "wrong")]
     heads += ["rank correlation", "realised / expected"]
     print("| " + " | ".join(heads) + " |\n|---|" + "---:|" * (len(heads) - 1))
-    print("| first alone | " + " | ".join(outcome_rates([e["before"] for e in cases])) + " |")
+    print("| first alone | " + " | ".join(outcome_rates([e["before"] for e in cases])) + " | | |")
     for arm in ARMS:
         cells = outcome_rates([entry["arms"][arm] for entry in cases])
         pairs = evidence_pairs(cases, arm)
         ranks = np.argsort(np.argsort(pairs, axis=0), axis=0)
-        if len(pairs) > 2:
-            cells.append(f"{np.corrcoef(ranks.T)[0, 1]:.2f}")
-        if len(pairs):
-            low, middle, high = np.quantile(evidence_ratios(pairs), (0.25, 0.5, 0.75))
-            cells.append(f"{middle:.2g} ({low:.2g} to {high:.2g})")
+        cells.append(f"{np.corrcoef(ranks.T)[0, 1]:.2f}" if len(pairs) > 2 else "")
+        cells.append(ratio_words(pairs) if len(pairs) else "")
         print(f"| {arm} | " + " | ".join(cells) + " |")
     picture = given.folder / "evidence.svg"
     picture.write_text(evidence_picture(cases), encoding="utf-8")
@@ -286,6 +285,12 @@ def outcome_rates(arms: Sequence[dict[str, Any]]) -> list[str]:
         for answer in VIEWS.values()
         for kind in ("right", "wrong")
     ]
+
+
+def ratio_words(pairs: FloatArray) -> str:
+    """Return median and quartiles of realised over expected evidence."""
+    low, middle, high = np.quantile(evidence_ratios(pairs), (0.25, 0.5, 0.75))
+    return f"{middle:.2g} ({low:.2g} to {high:.2g})"
 
 
 def evidence_ratios(pairs: FloatArray) -> FloatArray:
@@ -367,6 +372,11 @@ def main() -> int:
         type=Path,
         default=Path("out/discrimination"),
         help="results of the cases; a run continues there (default %(default)s)",
+    )
+    parser.add_argument(
+        "--renew",
+        action="store_true",
+        help="compute the expected evidence of all cases in the folder again",
     )
     parser.add_argument(
         "--candidates", type=int, default=400, help="robots that are tried for the cases at most"

@@ -33,13 +33,17 @@ from concealed_trial.generate_cases import (
 from concealed_trial.random_excitation import PERIOD, draw_excitation
 
 from excite import api
-from excite.api.design_result import CellOptions
+from excite.api.design_result import CellOptions, motion_samples
+from excite.api.discriminating_design import read_questions
+from excite.designer import optimize
 from excite.designer.criteria import Criterion
 from excite.designer.design_objective import SampledMotion
 from excite.designer.discrimination import SeparationObjective
 from excite.designer.isolability_forecast import CONFUSABLE_PAIRS
+from excite.designer.options import DesignOptions
 from excite.diagnosis import rival_evidence
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
+from excite.robot import limits, robot
 from excite.robot.dynamics import regressor
 from excite.robot.robot import locate
 from excite.robot.samples import Samples
@@ -47,6 +51,7 @@ from excite.simulator.effect_instance import with_effects
 from excite.simulator.experiment import run_session
 from excite.simulator.recording_file import json_text
 from excite.simulator.reference_trajectory import ReferenceTrajectory, read_reference
+from excite.trajectory.trajectory_file import read_trajectory
 
 ARMS = ("discriminating", "D-optimal", "random", "repeat")
 """Motions of the second recording."""
@@ -70,6 +75,8 @@ HARMONICS = 5
 """Harmonics of the designed motions, as of the random ones."""
 STARTS = 3
 """Starts of each design."""
+SAMPLES = 40 * HARMONICS
+"""Samples of the optimiser over one period, as in a design that discriminates."""
 SAMPLE_RATE = 100.0
 """Samples per second of the motions whose separation is predicted [Hz]."""
 SYNONYMS = {"drag": "nonlinear_viscous"}
@@ -241,14 +248,7 @@ class Trial:
         self.design(criterion=Criterion.D).save(self.folder / "d_optimal")
         objective = best.delivery.design.setup.problem.objective
         assert isinstance(objective, SeparationObjective)
-        rng = np.random.default_rng([self.case.spec.seed, 7])
-        motions = (
-            read_reference(self.folder / "discriminating" / "trajectory.json"),
-            read_reference(self.folder / "d_optimal" / "trajectory.json"),
-            draw_excitation(self.case.robot, PERIODS, rng),
-            self.case.motions[0],
-        )
-        return dict(zip(ARMS, motions, strict=True)), objective, seconds
+        return motions_of(self.case, self.folder), objective, seconds
 
     def record(self, arm: str, motion: ReferenceTrajectory) -> Path:
         """Record the robot along a motion; return the file."""
@@ -275,6 +275,65 @@ class Trial:
             before=self.folder / "before" / "diagnosis.json",
             with_report=False,
         )
+
+
+def motions_of(case: GeneratedCase, folder: Path) -> dict[str, ReferenceTrajectory]:
+    """Return the motion of each arm.
+
+    Args:
+        case: The case.
+        folder: Folder of its files, with both designs.
+    """
+    motions = (
+        read_reference(folder / "discriminating" / "trajectory.json"),
+        read_reference(folder / "d_optimal" / "trajectory.json"),
+        draw_excitation(case.robot, PERIODS, np.random.default_rng([case.spec.seed, 7])),
+        case.motions[0],
+    )
+    return dict(zip(ARMS, motions, strict=True))
+
+
+def renewed(path: Path) -> None:
+    """Compute the expected evidence of a case again, by its recordings and designs.
+
+    Args:
+        path: Result of the case.
+    """
+    entry, folder = _read(path), path.with_suffix("")
+    names = ("names", "severities")
+    spec = CaseSpec(**entry["spec"] | {name: tuple(entry["spec"][name]) for name in names})
+    case = generate_case(spec, locate("two_link").parent)
+    question = OpenClass(**entry["question"] | {"names": tuple(entry["question"]["names"])})
+    machine = robot.load(folder / "robot.urdf")
+    table = limits.resolve(machine)
+    train, _ = motion_samples(folder / "train.csv", machine)
+    diagnosis = folder / "before" / "diagnosis.json"
+    questions = read_questions(diagnosis, machine, table, DesignOptions()).with_given([train])
+    options = DesignOptions(
+        Criterion.D,
+        period=PERIOD,
+        harmonics=HARMONICS,
+        periods=PERIODS,
+        samples=SAMPLES,
+        noise=questions.noise,
+    )
+    setup = optimize.set_up(machine, table, options)
+    reference = read_trajectory(folder / "d_optimal" / "trajectory.json").motion.fourier
+    objective = questions.explanations.objective(setup.problem, setup.base, reference)
+    for arm, motion in motions_of(case, folder).items():
+        entry["arms"][arm]["expected"] = expected_evidence(objective, motion, question)
+    _write(entry, path)
+
+
+def renew(folder: Path, jobs: int) -> None:
+    """Compute the expected evidence of all cases again, after a change of the forecast.
+
+    Args:
+        folder: Folder of the results.
+        jobs: Number of processes.
+    """
+    paths = [path for path in sorted(folder.glob("*.json")) if _read(path)["status"] == "class"]
+    joblib.Parallel(n_jobs=jobs)(joblib.delayed(renewed)(path) for path in paths)
 
 
 def expected_evidence(
@@ -435,7 +494,11 @@ def run(
 def _examine_and_save(spec: CaseSpec, path: Path) -> None:
     """Examine a candidate and write its result."""
     warnings.simplefilter("ignore", ExciteWarning)
-    entry = examine(spec, path.with_suffix(""))
+    _write(examine(spec, path.with_suffix("")), path)
+
+
+def _write(entry: Mapping[str, Any], path: Path) -> None:
+    """Write the result of a candidate."""
     staged = path.with_suffix(".part")
     staged.write_text(json.dumps(entry), encoding="utf-8")
     staged.rename(path)

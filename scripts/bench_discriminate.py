@@ -357,7 +357,7 @@ def draw_calibration(axis: Any, by_arm: Mapping[str, FloatArray]) -> None:
     axis.set_ylim(0.0, 1.0)
     axis.set_title("calibration", loc="left", pad=3)
     axis.set_xlabel("realised / expected")
-    axis.legend(loc="lower right")
+    axis.legend(loc="lower right", handlelength=0.8)
 
 
 def main() -> int:

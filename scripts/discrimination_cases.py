@@ -489,6 +489,7 @@ def run(
 
     # candidates are drawn as processes become free, so that no work is done beyond the last case
     joblib.Parallel(n_jobs=jobs, pre_dispatch="n_jobs", batch_size=1)(open_candidates())
+    print(file=sys.stderr)
 
 
 def _examine_and_save(spec: CaseSpec, path: Path) -> None:

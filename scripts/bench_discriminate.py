@@ -65,7 +65,7 @@ JOINT = 1
 """Index of the joint that carries the effects: the shoulder, which carries load."""
 FRICTIONS = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction")
 """Effects that real joints have at once and a diagnosis fits jointly."""
-RATIO_RANGE = (1e-4, 1e4)
+RATIO_RANGE = (1e-3, 1e5)
 """Range of realised over expected evidence in the picture [1]."""
 VIEWS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "names": lambda arm: str(arm["outcome"]),

@@ -20,7 +20,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import discrimination_cases
 import numpy as np
 from concealed_trial.score import rate
-from discrimination_cases import ARMS, DECIDED, outcome
+from discrimination_cases import ARMS, outcome, outcome_by_evidence
 
 from excite._types import FloatArray
 from excite.designer import initial_guess, optimize
@@ -43,7 +43,12 @@ from excite.designer.discrimination_design import (
 )
 from excite.designer.effect_columns import RobotConstants, SymbolicEffect
 from excite.designer.evaluator import Evaluator
-from excite.designer.explanations import EffectSpecification, friction_of, symbolic_effect
+from excite.designer.explanations import (
+    CONVEX_EXPONENT,
+    EffectSpecification,
+    friction_of,
+    symbolic_effect,
+)
 from excite.designer.optimize import DesignSetup
 from excite.designer.options import DesignOptions
 from excite.errors import ExciteError, ExciteWarning
@@ -60,6 +65,14 @@ JOINT = 1
 """Index of the joint that carries the effects: the shoulder, which carries load."""
 FRICTIONS = ("stribeck", "nonlinear_viscous", "hysteresis", "load_friction")
 """Effects that real joints have at once and a diagnosis fits jointly."""
+RATIO_RANGE = (1e-3, 1e5)
+"""Range of realised over expected evidence in the picture [1]."""
+VIEWS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
+    "names": lambda arm: str(arm["outcome"]),
+    "evidence": outcome_by_evidence,
+    "both": outcome,
+}
+"""Answers of a diagnosis: its findings, its comparison of evidence, or both where they agree."""
 RANDOM_MOTIONS = 9
 """Random feasible motions, of whose separations the median counts."""
 
@@ -78,12 +91,16 @@ def pairs(constants: RobotConstants) -> dict[str, tuple[SymbolicEffect, Symbolic
     def usual(effect: str) -> SymbolicEffect:
         return symbolic_effect(EffectSpecification(effect, JOINT, {}), constants)
 
+    cubic = symbolic_effect(
+        EffectSpecification("nonlinear_viscous", JOINT, {"exponent": CONVEX_EXPONENT}), constants
+    )
+
     def thermal(dry: float, wet: float) -> SymbolicEffect:
         values = {"time_constant": 600.0, "coulomb": dry, "viscous": wet}
         return SymbolicEffect("thermal_drift", JOINT, values)
 
     return {
-        "cubic ~ drag": (usual("nonlinear_viscous"), usual("drag")),
+        "cubic ~ drag": (cubic, usual("drag")),
         "spring ~ counterbalance": (
             SymbolicEffect("spring", JOINT, {"form": 0.0}),
             SymbolicEffect("spring", JOINT, {"form": 1.0}),
@@ -222,7 +239,11 @@ def rate_words(flags: Sequence[bool]) -> str:
 def report_cases(given: argparse.Namespace) -> None:
     """Examine concealed cases, then print their outcomes and draw the evidence."""
     robots = given.robots or discrimination_cases.ROBOTS
-    discrimination_cases.run(given.folder, given.cases, given.seed, given.candidates, robots)
+    discrimination_cases.run(
+        given.folder, given.cases, given.seed, given.candidates, robots, given.jobs
+    )
+    if given.renew:
+        discrimination_cases.renew(given.folder, given.jobs)
     entries = discrimination_cases.results(given.folder)
     cases = [entry for entry in entries if entry["status"] == "class"]
     counts = {
@@ -236,40 +257,40 @@ def report_cases(given: argparse.Namespace) -> None:
     )
     if not cases:
         return
-    heads = ["motions", *DECIDED, *(f"{kind} name" for kind in DECIDED[:2])]
+    heads = ["motions"]
+    heads += [f"{view}: {kind}" for view in VIEWS for kind in ("right", "wrong")]
     heads += ["rank correlation", "realised / expected"]
     print("| " + " | ".join(heads) + " |\n|---|" + "---:|" * (len(heads) - 1))
-    print(
-        "| first alone | " + " | ".join(outcome_rates([e["before"] for e in cases], cases)) + " |"
-    )
+    print("| first alone | " + " | ".join(outcome_rates([e["before"] for e in cases])) + " | | |")
     for arm in ARMS:
-        cells = outcome_rates([entry["arms"][arm] for entry in cases], cases)
+        cells = outcome_rates([entry["arms"][arm] for entry in cases])
         pairs = evidence_pairs(cases, arm)
         ranks = np.argsort(np.argsort(pairs, axis=0), axis=0)
-        if len(pairs) > 2:
-            cells.append(f"{np.corrcoef(ranks.T)[0, 1]:.2f}")
-        if len(pairs):
-            low, middle, high = np.quantile(evidence_ratios(pairs), (0.25, 0.5, 0.75))
-            cells.append(f"{middle:.2g} ({low:.2g} to {high:.2g})")
+        cells.append(f"{np.corrcoef(ranks.T)[0, 1]:.2f}" if len(pairs) > 2 else "")
+        cells.append(ratio_words(pairs) if len(pairs) else "")
         print(f"| {arm} | " + " | ".join(cells) + " |")
     picture = given.folder / "evidence.svg"
     picture.write_text(evidence_picture(cases), encoding="utf-8")
     print(f"\nwrote {picture}")
 
 
-def outcome_rates(arms: Sequence[dict[str, Any]], cases: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the rates of all outcomes, then of right and wrong names whatever the evidence.
+def outcome_rates(arms: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the rates of right and of wrong answers by names, by evidence, and by both.
 
     Args:
         arms: Entry of the diagnosis of each case.
-        cases: The cases.
     """
-    outcomes = [outcome(a, e["question"]["truth"]) for a, e in zip(arms, cases, strict=True)]
-    names = [arm["outcome"] for arm in arms]
     return [
-        *(rate_words([o == kind for o in outcomes]) for kind in DECIDED),
-        *(rate_words([n == kind for n in names]) for kind in DECIDED[:2]),
+        rate_words([answer(arm) == kind for arm in arms])
+        for answer in VIEWS.values()
+        for kind in ("right", "wrong")
     ]
+
+
+def ratio_words(pairs: FloatArray) -> str:
+    """Return median and quartiles of realised over expected evidence."""
+    low, middle, high = np.quantile(evidence_ratios(pairs), (0.25, 0.5, 0.75))
+    return f"{middle:.2g} ({low:.2g} to {high:.2g})"
 
 
 def evidence_ratios(pairs: FloatArray) -> FloatArray:
@@ -317,18 +338,26 @@ def set_signed_decades(axis: Any, top: float) -> None:
 
 
 def draw_calibration(axis: Any, by_arm: Mapping[str, FloatArray]) -> None:
-    """Draw the share of pairs whose realised evidence is below a multiple of the expected one."""
+    """Draw the share of pairs whose realised evidence is below a multiple of the expected one.
+
+    Curves begin at the share of pairs whose evidence is for the rival.
+    """
     colors = dict(zip(ARMS, (BLUE, GREEN, ORANGE, GREY), strict=True))
+    low, high = RATIO_RANGE
     for arm, pairs in by_arm.items():
-        ratios = np.sort(evidence_ratios(pairs))
+        ratios = np.sort(np.clip(evidence_ratios(pairs), low, high))
         share = np.arange(1, len(ratios) + 1) / max(len(ratios), 1)
         axis.step(ratios, share, where="post", color=colors[arm], label=arm)
     axis.axvline(1.0, color=GREY, linewidth=0.8)
-    axis.set_xlim(-0.5, 3.0)
+    axis.set_xscale("log")
+    exponents = range(round(np.log10(low)), round(np.log10(high)) + 1, 2)
+    axis.set_xticks([10.0**k for k in exponents], [power_of_ten(k) for k in exponents])
+    axis.minorticks_off()
+    axis.set_xlim(low, high)
     axis.set_ylim(0.0, 1.0)
     axis.set_title("calibration", loc="left", pad=3)
     axis.set_xlabel("realised / expected")
-    axis.legend(loc="lower right")
+    axis.legend(loc="lower right", handlelength=0.8)
 
 
 def main() -> int:
@@ -343,6 +372,11 @@ def main() -> int:
         type=Path,
         default=Path("out/discrimination"),
         help="results of the cases; a run continues there (default %(default)s)",
+    )
+    parser.add_argument(
+        "--renew",
+        action="store_true",
+        help="compute the expected evidence of all cases in the folder again",
     )
     parser.add_argument(
         "--candidates", type=int, default=400, help="robots that are tried for the cases at most"

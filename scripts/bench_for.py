@@ -6,7 +6,9 @@ of equal length are designed: for the task (V-optimal), geometric A-optimal and 
 that differ from the URDF are recorded along each complete motion with torque noise and identified
 by maximum a posteriori; the error of the predicted torque along the task is what counts. Errors are
 over the noise of each joint; ratios have 95 % intervals by resampling the robots. The complete
-motions differ in their ramps; the periodic parts alone are exactly of equal length.
+motions differ in their ramps and therefore in length. Two comparisons are exactly of equal length:
+complete motions that go on periodically until the longest of the three ends, and the periodic parts
+alone.
 """
 
 from __future__ import annotations
@@ -131,6 +133,7 @@ def realised(
     rng: np.random.Generator,
     *,
     periodic: bool = False,
+    length: float = 0.0,
 ) -> Errors:
     """Identify random robots from a recording of a motion and predict the task of `reference`.
 
@@ -140,6 +143,7 @@ def realised(
         draws: Number of robots.
         rng: Random generator of robots and noise.
         periodic: Use the periodic part of the motion alone, without its ramps.
+        length: Time for which the robot moves [s]; a shorter motion goes on periodically.
     """
     task = reference.task_design
     assert task is not None
@@ -148,8 +152,12 @@ def realised(
     if periodic:
         part = trajectory.motion.segment(SegmentKind.FOURIER)
         times = times[(times >= part.start - 1e-9) & (times < part.end - 1e-9)]
-    motion = trajectory.motion.samples(times)
-    Y = dynamics.regressor(result.robot, setup.problem.parameters, motion) @ setup.base.geometric
+    parts = [trajectory.motion.samples(times)]
+    longer = np.arange(0.0, length - trajectory.motion.duration - 1e-9, 1.0 / TASK_RATE)
+    if len(longer):
+        parts.append(trajectory.motion.fourier.samples(longer))
+    Y = np.vstack([dynamics.regressor(result.robot, setup.problem.parameters, m) for m in parts])
+    Y = Y @ setup.base.geometric
     rows = (Y / trajectory.noise[:, None]).reshape(-1, Y.shape[2])
     along = ((task.regressor @ setup.base.geometric) / task.noise[:, None]).reshape(-1, Y.shape[2])
     _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
@@ -190,23 +198,20 @@ def compare(
         "A": api.design(machine, criterion=Criterion.A, **common),
         "D": api.design(machine, criterion=Criterion.D, **common),
     }
-    complete, periodic = (
+    length = max(design.trajectory.motion.duration for design in designs.values())
+    complete, equal, periodic = (
         {
             key: realised(
-                design,
-                designs["V"],
-                given.draws,
-                np.random.default_rng(given.seed),
-                periodic=is_periodic,
+                design, designs["V"], given.draws, np.random.default_rng(given.seed), **options
             )
             for key, design in designs.items()
         }
-        for is_periodic in (False, True)
+        for options in ({}, {"length": length}, {"periodic": True})
     )
     rng = np.random.default_rng(given.seed)
     cells = [
         "{:.3f} ({:.3f} to {:.3f})".format(*ratio_interval(errors["V"], errors[key], rng))
-        for errors in (complete, periodic)
+        for errors in (complete, equal, periodic)
         for key in ("A", "D")
     ]
     seconds = designs["V"].delivery.timing["total"]
@@ -241,6 +246,7 @@ def main() -> int:
     given = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)
     head = ["robot", "task", "V/A/D [s]", "V", "A", "D", "V predicted", "V/A", "V/D"]
+    head += ["V/A, equal length", "V/D, equal length"]
     head += ["V/A, periodic part", "V/D, periodic part", "design [s]"]
     print("| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|", flush=True)
     try:

@@ -4,20 +4,24 @@ A case is a simulated robot with hidden effects whose diagnosis from one recordi
 two or more names of which exactly one acts at the joint, and does not decide for it yet. The robot
 then moves once more: along a motion designed to discriminate, a D-optimal one, a random one and a
 repeat, each of two periods of 8 s between ramps. Each recording is diagnosed together with the
-first one. One JSON file per case, so that an interrupted run continues.
+first one. One JSON file per candidate, so that an interrupted run continues, and one folder per
+case with its recordings, designs and first diagnosis.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import tempfile
+import shutil
+import sys
 import time
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 from concealed_trial.case_plan import CasePlan, CaseSpec
 from concealed_trial.generate_cases import (
@@ -29,13 +33,17 @@ from concealed_trial.generate_cases import (
 from concealed_trial.random_excitation import PERIOD, draw_excitation
 
 from excite import api
-from excite.api.design_result import CellOptions
+from excite.api.design_result import CellOptions, motion_samples
+from excite.api.discriminating_design import read_questions
+from excite.designer import optimize
 from excite.designer.criteria import Criterion
 from excite.designer.design_objective import SampledMotion
 from excite.designer.discrimination import SeparationObjective
 from excite.designer.isolability_forecast import CONFUSABLE_PAIRS
+from excite.designer.options import DesignOptions
 from excite.diagnosis import rival_evidence
-from excite.errors import ExciteError, UnusableInput
+from excite.errors import ExciteError, ExciteWarning, UnusableInput
+from excite.robot import limits, robot
 from excite.robot.dynamics import regressor
 from excite.robot.robot import locate
 from excite.robot.samples import Samples
@@ -43,6 +51,7 @@ from excite.simulator.effect_instance import with_effects
 from excite.simulator.experiment import run_session
 from excite.simulator.recording_file import json_text
 from excite.simulator.reference_trajectory import ReferenceTrajectory, read_reference
+from excite.trajectory.trajectory_file import read_trajectory
 
 ARMS = ("discriminating", "D-optimal", "random", "repeat")
 """Motions of the second recording."""
@@ -66,6 +75,8 @@ HARMONICS = 5
 """Harmonics of the designed motions, as of the random ones."""
 STARTS = 3
 """Starts of each design."""
+SAMPLES = 40 * HARMONICS
+"""Samples of the optimiser over one period, as in a design that discriminates."""
 SAMPLE_RATE = 100.0
 """Samples per second of the motions whose separation is predicted [Hz]."""
 SYNONYMS = {"drag": "nonlinear_viscous"}
@@ -124,39 +135,45 @@ def open_classes(document: Mapping[str, Any], case: GeneratedCase) -> Iterator[O
         case: The case.
     """
     acting = {(canonical(e.name), e.joint) for e in case.effects_of_session(0)}
+    anywhere = {name for name, _ in acting}
     for finding in document["findings"]:
         rivals = (rival["effect"] for rival in finding.get("rivals", ()))
         names = tuple(dict.fromkeys((finding["effect"], *finding["equivalents"], *rivals)))
         if len({canonical(name) for name in names}) < 2:
             continue
+        joint = finding["joint"]
         true = [
             name
             for name in names
-            if {(canonical(name), finding["joint"]), (canonical(name), None)} & acting
+            if (canonical(name) in anywhere and joint is None)
+            or {(canonical(name), joint), (canonical(name), None)} & acting
         ]
         if len({canonical(name) for name in true}) == 1:
             yield OpenClass(finding["joint"], names, true[0])
 
 
-def outcome(arm: Mapping[str, Any], truth: str) -> str:
-    """Return one of `DECIDED` for a diagnosis, names and evidence together.
+def outcome_by_evidence(arm: Mapping[str, Any]) -> str:
+    """Return one of `DECIDED` for the evidence of a diagnosis alone.
 
-    Right: the truth is reported alone, and the evidence excludes every rival. Wrong: another name
-    is reported alone, and the evidence excludes the truth in favour of it.
+    Right: it excludes every rival. Wrong: it excludes the truth in favour of a rival.
 
     Args:
         arm: Entry of the diagnosis.
-        truth: The acting effect.
     """
-    odds = {name: rival_evidence.log_odds(value) for name, value in arm["realised"].items()}
-    threshold = rival_evidence.DECIDED_LOG_ODDS
-    if arm["outcome"] == "right":
-        return "right" if min(odds.values(), default=0.0) >= threshold else "open"
-    named = {canonical(finding["effect"]) for finding in arm["findings"]} - {canonical(truth)}
-    if arm["outcome"] == "wrong":
-        excluded = any(canonical(n) in named and value <= -threshold for n, value in odds.items())
-        return "wrong" if excluded else "open"
-    return "open"
+    least = min(map(rival_evidence.log_odds, arm["realised"].values()), default=0.0)
+    if least >= rival_evidence.DECIDED_LOG_ODDS:
+        return "right"
+    return "wrong" if least <= -rival_evidence.DECIDED_LOG_ODDS else "open"
+
+
+def outcome(arm: Mapping[str, Any]) -> str:
+    """Return one of `DECIDED` for a diagnosis, open where names and evidence do not agree.
+
+    Args:
+        arm: Entry of the diagnosis.
+    """
+    by_evidence = outcome_by_evidence(arm)
+    return by_evidence if by_evidence == arm["outcome"] else "open"
 
 
 def named_outcome(document: Mapping[str, Any], question: OpenClass) -> str:
@@ -231,14 +248,7 @@ class Trial:
         self.design(criterion=Criterion.D).save(self.folder / "d_optimal")
         objective = best.delivery.design.setup.problem.objective
         assert isinstance(objective, SeparationObjective)
-        rng = np.random.default_rng([self.case.spec.seed, 7])
-        motions = (
-            read_reference(self.folder / "discriminating" / "trajectory.json"),
-            read_reference(self.folder / "d_optimal" / "trajectory.json"),
-            draw_excitation(self.case.robot, PERIODS, rng),
-            self.case.motions[0],
-        )
-        return dict(zip(ARMS, motions, strict=True)), objective, seconds
+        return motions_of(self.case, self.folder), objective, seconds
 
     def record(self, arm: str, motion: ReferenceTrajectory) -> Path:
         """Record the robot along a motion; return the file."""
@@ -265,6 +275,65 @@ class Trial:
             before=self.folder / "before" / "diagnosis.json",
             with_report=False,
         )
+
+
+def motions_of(case: GeneratedCase, folder: Path) -> dict[str, ReferenceTrajectory]:
+    """Return the motion of each arm.
+
+    Args:
+        case: The case.
+        folder: Folder of its files, with both designs.
+    """
+    motions = (
+        read_reference(folder / "discriminating" / "trajectory.json"),
+        read_reference(folder / "d_optimal" / "trajectory.json"),
+        draw_excitation(case.robot, PERIODS, np.random.default_rng([case.spec.seed, 7])),
+        case.motions[0],
+    )
+    return dict(zip(ARMS, motions, strict=True))
+
+
+def renewed(path: Path) -> None:
+    """Compute the expected evidence of a case again, by its recordings and designs.
+
+    Args:
+        path: Result of the case.
+    """
+    entry, folder = _read(path), path.with_suffix("")
+    names = ("names", "severities")
+    spec = CaseSpec(**entry["spec"] | {name: tuple(entry["spec"][name]) for name in names})
+    case = generate_case(spec, locate("two_link").parent)
+    question = OpenClass(**entry["question"] | {"names": tuple(entry["question"]["names"])})
+    machine = robot.load(folder / "robot.urdf")
+    table = limits.resolve(machine)
+    train, _ = motion_samples(folder / "train.csv", machine)
+    diagnosis = folder / "before" / "diagnosis.json"
+    questions = read_questions(diagnosis, machine, table, DesignOptions()).with_given([train])
+    options = DesignOptions(
+        Criterion.D,
+        period=PERIOD,
+        harmonics=HARMONICS,
+        periods=PERIODS,
+        samples=SAMPLES,
+        noise=questions.noise,
+    )
+    setup = optimize.set_up(machine, table, options)
+    reference = read_trajectory(folder / "d_optimal" / "trajectory.json").motion.fourier
+    objective = questions.explanations.objective(setup.problem, setup.base, reference)
+    for arm, motion in motions_of(case, folder).items():
+        entry["arms"][arm]["expected"] = expected_evidence(objective, motion, question)
+    _write(entry, path)
+
+
+def renew(folder: Path, jobs: int) -> None:
+    """Compute the expected evidence of all cases again, after a change of the forecast.
+
+    Args:
+        folder: Folder of the results.
+        jobs: Number of processes.
+    """
+    paths = [path for path in sorted(folder.glob("*.json")) if _read(path)["status"] == "class"]
+    joblib.Parallel(n_jobs=jobs)(joblib.delayed(renewed)(path) for path in paths)
 
 
 def expected_evidence(
@@ -301,9 +370,15 @@ def realised_evidence(result: api.DiagnosisResult, question: OpenClass) -> dict[
         result: Diagnosis of both recordings.
         question: The class.
     """
-    joints = result.diagnosis.identified.model.robot.joints
-    joint = None if question.joint is None else joints.index(question.joint)
-    evidence = rival_evidence.compare(result.diagnosis, joint, question.names)
+    classes = () if result.decisions is None else result.decisions.classes
+    known = (
+        e for j, e in classes if j == question.joint and set(question.names) == set(e.log_evidence)
+    )
+    evidence = next(known, None)
+    if evidence is None:
+        joints = result.diagnosis.identified.model.robot.joints
+        joint = None if question.joint is None else joints.index(question.joint)
+        evidence = rival_evidence.compare(result.diagnosis, joint, question.names)
     return {
         name: evidence.log_bayes_factor(question.truth, name)
         for name in question.names
@@ -311,28 +386,32 @@ def realised_evidence(result: api.DiagnosisResult, question: OpenClass) -> dict[
     }
 
 
-def examine(spec: CaseSpec) -> dict[str, Any]:
+def examine(spec: CaseSpec, work: Path) -> dict[str, Any]:
     """Return the result of a case.
 
     Args:
         spec: Specification of the case.
+        work: Folder of its files, which stays if it has an open class.
     """
     begun = time.process_time()
     out: dict[str, Any] = {"spec": dataclasses.asdict(spec), "status": "no class"}
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
     try:
         case = generate_case(spec, locate("two_link").parent)
-        with tempfile.TemporaryDirectory(prefix="case") as work:
-            trial = Trial(case, Path(work))
-            questions = list(open_classes(trial.first.document(), case))
-            entries = [(question, _decided(trial.first, question)) for question in questions]
-            for question, before in entries:
-                if outcome(before, question.truth) != "right":
-                    out |= {"before": before} | _compared(trial, question)
-                    break
-            else:
-                out["status"] = "decided" if questions else "no class"
+        trial = Trial(case, work)
+        questions = list(open_classes(trial.first.document(), case))
+        entries = [(question, _decided(trial.first, question)) for question in questions]
+        for question, before in entries:
+            if outcome(before) != "right":
+                out |= {"before": before} | _compared(trial, question)
+                break
+        else:
+            out["status"] = "decided" if questions else "no class"
     except ExciteError as error:
         out |= {"status": "error", "error": str(error).splitlines()[0]}
+    if out["status"] != "class":
+        shutil.rmtree(work)
     out["seconds"] = time.process_time() - begun
     return out
 
@@ -371,38 +450,59 @@ def _compared(trial: Trial, question: OpenClass) -> dict[str, Any]:
 
 
 def run(
-    folder: Path, wanted: int, seed: int, candidates: int, robots: Sequence[str] = ROBOTS
+    folder: Path,
+    wanted: int,
+    seed: int,
+    candidates: int,
+    robots: Sequence[str] = ROBOTS,
+    jobs: int = 1,
 ) -> None:
     """Examine candidates until enough of them have an open class; continue where it stopped.
 
     Args:
         folder: Folder of the results, one JSON file per candidate.
-        wanted: Number of cases with an open class.
+        wanted: Number of cases with an open class; with several processes a few more.
         seed: Seed of the plan.
         candidates: Largest number of candidates.
         robots: Built-in robots of the cases, in turn.
+        jobs: Number of processes.
 
     Raises:
         UnusableInput: The folder has results of another plan.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    cases = sum(entry["status"] == "class" for entry in results(folder))
-    for number, spec in enumerate(plan(candidates, seed, robots)):
-        path = folder / f"{number:04d}.json"
-        if cases >= wanted:
-            return
-        if path.exists():
-            if _read(path)["spec"]["seed"] != spec.seed:
+
+    def open_candidates() -> Iterator[Any]:
+        for number, spec in enumerate(plan(candidates, seed, robots)):
+            cases = sum(entry["status"] == "class" for entry in results(folder))
+            print(f"candidate {number}: {cases} of {wanted} cases", end="\r", file=sys.stderr)
+            if cases >= wanted:
+                return
+            path = folder / f"{number:04d}.json"
+            if not path.exists():
+                yield joblib.delayed(_examine_and_save)(spec, path)
+            elif _read(path)["spec"]["seed"] != spec.seed:
                 raise UnusableInput(
                     f"{path}: is a case of another plan; use the same --seed, --candidates and "
                     "--robots, or another --folder"
                 )
-            continue
-        entry = examine(spec)
-        cases += entry["status"] == "class"
-        staged = path.with_suffix(".part")
-        staged.write_text(json.dumps(entry), encoding="utf-8")
-        staged.rename(path)
+
+    # candidates are drawn as processes become free, so that no work is done beyond the last case
+    joblib.Parallel(n_jobs=jobs, pre_dispatch="n_jobs", batch_size=1)(open_candidates())
+    print(file=sys.stderr)
+
+
+def _examine_and_save(spec: CaseSpec, path: Path) -> None:
+    """Examine a candidate and write its result."""
+    warnings.simplefilter("ignore", ExciteWarning)
+    _write(examine(spec, path.with_suffix("")), path)
+
+
+def _write(entry: Mapping[str, Any], path: Path) -> None:
+    """Write the result of a candidate."""
+    staged = path.with_suffix(".part")
+    staged.write_text(json.dumps(entry), encoding="utf-8")
+    staged.rename(path)
 
 
 def results(folder: Path) -> list[dict[str, Any]]:

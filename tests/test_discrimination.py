@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from functools import cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from excite.designer.criteria import Criterion
 from excite.designer.discrimination import (
     Comparison,
     Explanation,
+    RunSettings,
     SeparationObjective,
     WeightedRows,
     separations,
@@ -124,6 +126,60 @@ def test_gradient_equals_finite_differences(effect: str):
     assert gradient @ direction == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-6)
 
 
+def nominal_shape(effect: str) -> SymbolicEffect:
+    return symbolic_effect(EffectSpecification(effect, 0, {}), constants())
+
+
+@pytest.mark.parametrize(
+    ("effect", "key", "ratio"),
+    [
+        ("stribeck", "velocity", 1.5),
+        ("load_friction", "power", 1.3),
+        ("hysteresis", "reach", 1.5),
+        ("thermal_drift", "time_constant", 1.5),
+    ],
+)
+def test_a_rival_may_bend_its_curve(effect: str, key: str, ratio: float):
+    """An effect against itself with another nonlinear parameter, within its prior."""
+    form = nominal_shape(effect)
+    other = dataclasses.replace(form, values={**form.values, key: ratio * form.values[key]})
+    motion = sampled_motion(setup().problem.robot, setup().problem.parameters, reference())
+    settings = RunSettings(setup().base.geometric, np.array([0.6, 0.2]), 40)
+    values = []
+    for uncertain in (False, True):
+        columns = EffectColumns(constants(), [form, other], uncertain_forms=uncertain)
+        factor = np.zeros((columns.slices[0].stop, 1))
+        factor[0] = 100.0
+        explanations = (Explanation(form, factor, 0.5), Explanation(other, factor, 0.5))
+        comparison = (Comparison(0, 1, (), 1.0),)
+        objective = SeparationObjective(columns, explanations, comparison, settings)
+        values.append(objective.separations(motion).item())
+    assert 0.0 < values[1] < 0.2 * values[0]
+
+
+def test_the_form_of_a_rival_is_uncertain_in_units_of_its_size():
+    """A large rival bends freely, one that is expected to be small hardly."""
+    forms = [nominal_shape("stribeck"), nominal_shape("drag")]
+    motion = sampled_motion(setup().problem.robot, setup().problem.parameters, reference())
+    settings = RunSettings(setup().base.geometric, np.array([0.6, 0.2]), 40)
+
+    def separation(size: float, *, uncertain: bool = True) -> float:
+        columns = EffectColumns(constants(), forms, uncertain_forms=uncertain)
+        factors = [np.zeros((place.stop - place.start, 1)) for place in columns.slices]
+        factors[0][0], factors[1][0] = 5.0, size
+        explanations = tuple(
+            Explanation(form, factor, 0.5) for form, factor in zip(forms, factors, strict=True)
+        )
+        comparison = (Comparison(0, 1, (), 1.0),)
+        objective = SeparationObjective(columns, explanations, comparison, settings)
+        return objective.separations(motion).item()
+
+    rigid = separation(1e-4, uncertain=False)
+    assert separation(1e-4) == pytest.approx(rigid, rel=1e-3)
+    values = [separation(size) for size in (1e-4, 0.1, 1.0, 10.0, 1e3)]
+    assert all(a > b for a, b in itertools.pairwise(values))
+
+
 @pytest.mark.parametrize("over_speed", [False, True])
 @pytest.mark.parametrize("directed", [False, True])
 def test_the_column_of_an_unknown_torque_is_its_curve(over_speed: bool, directed: bool):
@@ -205,6 +261,28 @@ def test_stated_parameters_become_coefficients(
         np.testing.assert_allclose(factor, expected)
 
 
+def test_an_equivalent_has_the_size_of_its_finding_where_that_was_found():
+    """A cubic friction found at a low speed says little of the torque at a high one."""
+    problem, base = setup().problem, setup().base
+    cubic = EffectSpecification("nonlinear_viscous", 0, {"coefficient": 1.0, "exponent": 3.0})
+    form = symbolic_effect(cubic, constants())
+    candidates = (
+        CandidateExplanation(form, stated_factor(cubic, form), 0.5),
+        CandidateExplanation(nominal_shape("stribeck"), None, 0.5, like=0),
+    )
+    pairs = tuple(competing_pairs([0, 1], [0.5, 0.5], lambda a, b: ()))
+    fast = reference()
+    slow = fast.slowed(0.2)
+    sampled = sampled_motion(problem.robot, problem.parameters, slow)
+    sizes = []
+    for given in ((), (sampled,)):
+        competing = ExplanationSet(constants(), candidates, pairs, given)
+        objective = competing.objective(problem, base, fast)
+        sizes.append([float(np.abs(e.factor).max()) for e in objective.explanations])
+    assert sizes[0][0] == sizes[1][0] == 1.0
+    assert sizes[1][1] < 0.1 * sizes[0][1]
+
+
 def test_an_unknown_phase_has_the_power_of_its_amplitude():
     specification = EffectSpecification("torque_ripple", 0, {"amplitude": 2.0, "order": 5.0})
     form = symbolic_effect(specification, constants())
@@ -270,7 +348,7 @@ def test_the_command_reports_comparisons_and_a_menu(
         min(c["log_odds"][key] for c in result["comparisons"]) for key in ("d_optimal", "designed")
     ]
     assert smallest[1] > smallest[0] > 0.0
-    assert result["linearised"]["position_friction"] == "fixed spatial frequency"
+    assert result["linearised"]["position_friction"] == "spatial frequency linearised"
     assert any("backlash" in text for text in result["omitted"])
     menu = {e["experiment"]: e for e in result["menu"]}
     assert len(menu) == 8 and result["recommended"] in menu
@@ -286,6 +364,33 @@ def test_the_command_reports_comparisons_and_a_menu(
     trajectory = json.loads((out / "trajectory.json").read_text(encoding="utf-8"))
     assert trajectory["design"]["discriminate"] == str(path)
     assert main(["verify", str(out / "trajectory.json")]) == 0
+
+
+def test_the_text_states_what_was_optimised(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = write(tmp_path, {**LOAD, "joint": joints()[0]})
+    out = str(tmp_path / "out")
+    assert main(["design", "two_link", "--discriminate", str(path), "-o", out, *QUICK]) == 0
+    text = capsys.readouterr().out
+    assert "expected share of wrong decisions: " in text
+    assert "geometric" not in text
+
+
+def test_a_finding_that_is_also_an_equivalent_keeps_its_parameters(tmp_path: Path):
+    first, _ = joints()
+    ripple = {"amplitude": 0.4, "order": 21.0}
+    spring = {"stiffness": 3.0}
+    path = write(
+        tmp_path,
+        finding("spring", first, 0.9, of=spring, equivalents=["torque_ripple"]),
+        finding("torque_ripple", first, 0.8, of=ripple, equivalents=["spring"]),
+    )
+    robot = load("two_link")
+    questions = read_questions(path, robot, resolve(robot), DesignOptions()).explanations
+    wave = next(c for c in questions.candidates if c.form.effect == "torque_ripple")
+    assert wave.form.values["order"] == 21.0
+    assert wave.factor is not None and np.trace(wave.factor @ wave.factor.T) == pytest.approx(0.16)
+    asked = [(c.true, c.rival) for c in questions.comparisons]
+    assert len(asked) == len(set(asked)) == 2
 
 
 def test_the_curve_of_unknown_torque_competes(tmp_path: Path):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import loaded, random_urdf
 
 from excite import api
 from excite.api.design_result import CellOptions
@@ -19,6 +20,7 @@ from excite.designer.criteria import Criterion
 from excite.designer.evaluator import Evaluator
 from excite.designer.options import DesignOptions
 from excite.designer.task_variance import TaskPrediction, TorqueBand
+from excite.report.task import task_section
 from excite.robot import dynamics
 from excite.robot.limits import resolve
 from excite.robot.robot import load
@@ -161,6 +163,25 @@ def test_the_command_reports_the_band_before_and_after(
     assert again["before"] < 1.1 * std["after_one_more"]
     assert again["after"] < again["before"]
     assert main(["verify", str(out / "trajectory.json")]) == 0
+
+
+def test_the_text_states_what_was_optimised(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path, out = write_task(tmp_path), tmp_path / "out"
+    assert main(["design", "two_link", "--for", str(path), "-o", str(out), *QUICK]) == 0
+    text = capsys.readouterr().out
+    assert "torque variance along the task over that of the noise: " in text
+    assert "geometric" not in text
+
+
+def test_the_section_states_forces_of_sliding_joints_in_newtons():
+    machine = loaded(random_urdf(np.random.default_rng(4), 5, kinds=("revolute", "prismatic")))
+    kinds = [entry.kind for entry in machine.entries]
+    assert set(kinds) == {"revolute", "prismatic"}
+    band = TorqueBand(np.ones((3, machine.n)))
+    torque, noise = np.ones((3, machine.n)), np.ones(machine.n)
+    task = TaskPrediction("task.csv", machine.joints, torque, noise, band, band, band)
+    table = task_section(task, machine).data["table"]
+    assert [row[-1] for row in table.rows] == ["N" if k == "prismatic" else "N m" for k in kinds]
 
 
 @pytest.mark.parametrize(

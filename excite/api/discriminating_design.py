@@ -300,15 +300,21 @@ class _Builder:
 
     def add_findings(self, findings: Sequence[FindingDocument]) -> None:
         """Add each finding, its equivalents and its rivals as one class."""
-        for number, finding in enumerate(findings):
-            specification = self._specification(finding, f"findings[{number}]")
-            shares = _shares(finding)
-            names = tuple(shares)
-            main = self._add(specification, shares[finding.effect])
+        specifications = [
+            self._specification(finding, f"findings[{number}]")
+            for number, finding in enumerate(findings)
+        ]
+        shares = [_shares(finding) for finding in findings]
+        # findings first, as one that is also the equivalent of another has parameters of its own
+        mains = [
+            self._add(specification, share[finding.effect])
+            for finding, specification, share in zip(findings, specifications, shares, strict=True)
+        ]
+        for main, specification, share in zip(mains, specifications, shares, strict=True):
             members = [] if main is None else [main]
-            for name in names[1:]:
+            for name, probability in share.items():
                 rival = EffectSpecification(name, specification.joint, {})
-                index = self._add(rival, shares[name], main)
+                index = self._add(rival, probability, main)
                 if index is not None and index not in members:
                     members.append(index)
             if members:
@@ -382,5 +388,7 @@ class _Builder:
             p = probabilities[index]
             weight = max(p * (1.0 - p), MIN_PROBABILITY)
             out.append(Comparison(index, None, self._nuisance(index), weight))
-        total = sum(c.weight for c in out)
-        return tuple(Comparison(c.true, c.rival, c.nuisance, c.weight / total) for c in out)
+        # effects that are each other's equivalents form two classes with the same questions
+        unique = {(c.true, c.rival): c for c in reversed(out)}.values()
+        total = sum(c.weight for c in unique)
+        return tuple(replace(c, weight=c.weight / total) for c in reversed(unique))

@@ -134,21 +134,31 @@ def _noise(trajectory: Trajectory) -> str:
     return "1 % of the torque limits" if default else str(source)
 
 
-def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path]) -> str:
-    trajectory, certificate = result.trajectory, result.delivery.certificate
+def _optimum(result: api.DesignResult) -> str:
+    """State the value of what was optimised."""
+    trajectory, design = result.trajectory, result.delivery.design
+    objective = design.setup.problem.objective
+    if objective is not None:
+        return objective.statement(design.attempts[0].objective)
     criterion, plain = Criterion(trajectory.design["criterion"]), bool(trajectory.design["plain"])
     periodic, complete = (
         criteria.select_criterion(trajectory.criteria[part], criterion, plain=plain)
         for part in ("optimum", "exported")
     )
     kind = "" if criterion is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")
+    return (
+        f"{kind}{criterion.value}: {periodic:.6g} per sample of the periodic part, "
+        f"{complete:.6g} of the whole motion"
+    )
+
+
+def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path]) -> str:
+    trajectory, certificate = result.trajectory, result.delivery.certificate
     directions = f"{document['identifiable']} of {document['base_parameters']} directions"
     lines = [
         f"{document['robot']}: {directions} practically identifiable "
         f"(torque noise {_noise(trajectory)}, {REFERENCE_RATE:g} rows a second)",
-        f"{kind}{criterion.value}: {periodic:.6g} per sample of the periodic part, "
-        f"{complete:.6g} of the whole motion",
-        *([] if result.payload is None else [result.payload.text]),
+        _optimum(result) if result.payload is None else result.payload.text,
         f"{trajectory.motion.duration:.2f} s: "
         f"{' → '.join(s.kind for s in trajectory.motion.segments)}",
         *certificate.verdict_lines(),

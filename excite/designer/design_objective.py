@@ -58,3 +58,11 @@ class DesignObjective(Protocol):
             motion: The motion.
         """
         ...
+
+    def statement(self, value: float) -> str:
+        """Return a value of the objective in words.
+
+        Args:
+            value: The objective.
+        """
+        ...

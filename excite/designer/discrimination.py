@@ -6,7 +6,10 @@ base regressor Γ and the columns of all other effects of the model. The separat
     T_ab = min_θ ‖W^½ (C_a c_a − [Γ C_b] θ)‖²
 
 is what of a's torque its rival cannot reproduce, and the expected log-odds after the recording are
-T_ab/2 (Atkinson and Fedorov, Biometrika 62, 1975). With u the coefficients of all columns at the
+T_ab/2 (Atkinson and Fedorov, Biometrika 62, 1975). A rival, like all effects that are fitted
+jointly, may bend its curve: the columns of its uncertain form (`form_uncertainty`) belong to C_b,
+and their prior adds ‖θ_f/s_f‖² to the square, where s_f is the expected size of the coefficient of
+the column that each of them bends. With u the coefficients of all columns at the
 minimum and r the residual, ∂T = 2 rᵀ(∂C u − ∂Γ θ) (envelope theorem), so that one least-squares
 solution gives the exact gradient.
 """
@@ -29,6 +32,11 @@ PRIOR_STD = 1.0
 """Prior standard deviation of the base parameters in the metric [1], as in `task_variance`."""
 RELATIVE_RANK = 1e-10
 """Eigenvalue of a Gram matrix over the largest one, below which a column adds nothing [1]."""
+COEFFICIENT_STD = 10.0
+"""Prior standard deviation of the coefficients of an effect over the largest that is expected [1]:
+so wide that it counts where the motion shows nothing of a coefficient."""
+ABSENT_SHARE = 1e-6
+"""Size of a coefficient that is not expected, over the largest of the same effect [1]."""
 EVIDENCE_SHARE = 0.2
 """Share of the expected evidence that counts [1], because real effects have not exactly the form of
 their columns: the reciprocal of the temperature T′ of a diagnosis."""
@@ -47,7 +55,7 @@ class Explanation:
     Attributes:
         form: The effect with its nonlinear parameters.
         factor: L with E[c cᵀ] = L Lᵀ: one column where the coefficients are known, several where
-            for example a phase is not. Shape (k, r).
+            for example a phase is not; zero for the columns of its uncertain form. Shape (k, r).
         probability: Posterior probability that it is what acts there.
         nominal: True where the size is not that of the diagnosis but a usual one.
     """
@@ -226,6 +234,30 @@ def prior_rows(settings: RunSettings, count: int, std: float = PRIOR_STD) -> Wei
     return WeightedRows(np.eye(p) / std, np.zeros((p, count)))
 
 
+def coefficient_rows(
+    settings: RunSettings,
+    effects: EffectColumns,
+    explanations: Sequence[Explanation],
+    std: float = PRIOR_STD,
+) -> WeightedRows:
+    """Return the rows of the priors on the coefficients of effects, and on their uncertain forms.
+
+    Args:
+        settings: Coordinates of the base parameters.
+        effects: Columns of the explanations.
+        explanations: The explanations.
+        std: Factor on the prior standard deviation of the coefficients [1].
+    """
+    expected, largest = np.zeros(effects.count), np.zeros(effects.count)
+    for place, explanation in zip(effects.slices, explanations, strict=True):
+        sizes = np.linalg.norm(explanation.factor, axis=1)
+        largest[place] = max(float(sizes.max(initial=0.0)), 1e-300)
+        expected[place] = np.maximum(sizes, ABSENT_SHARE * largest[place])
+    is_form = effects.parents >= 0
+    size = np.where(is_form, expected[effects.parents], std * COEFFICIENT_STD * largest)
+    return WeightedRows(np.zeros((len(size), settings.coordinates.shape[1])), np.diag(1.0 / size))
+
+
 @dataclass(frozen=True)
 class RunRows:
     """Rows of a periodic motion with what their gradient needs.
@@ -296,12 +328,15 @@ class SeparationObjective:
     given: WeightedRows | None = None
 
     def known_rows(self, std: float = PRIOR_STD) -> WeightedRows:
-        """Return the rows of the prior and of earlier recordings.
+        """Return the rows of the priors and of earlier recordings.
 
         Args:
-            std: Prior standard deviation of the base parameters in the metric [1].
+            std: Prior standard deviation of the base parameters in the metric, and factor on that
+                of the coefficients of effects [1].
         """
-        prior = prior_rows(self.settings, self.effects.count, std)
+        prior = prior_rows(self.settings, self.effects.count, std).stacked(
+            coefficient_rows(self.settings, self.effects, self.explanations, std)
+        )
         return prior if self.given is None else prior.stacked(self.given)
 
     def rows(self, motion: SampledMotion) -> WeightedRows:
@@ -313,6 +348,14 @@ class SeparationObjective:
         """Return the separation of every comparison after a recording of a motion. Shape (c,)."""
         rows = self.rows(motion).stacked(self.known_rows())
         return separations(rows, self.effects.slices, self.explanations, self.comparisons).values
+
+    def statement(self, value: float) -> str:
+        """Return a value of the objective in words.
+
+        Args:
+            value: The objective.
+        """
+        return f"expected share of wrong decisions: {np.exp(-np.exp(-value)):.2g}"
 
     def evaluate(self, motion: SampledMotion) -> ObjectiveGradient:
         """Evaluate the objective and its gradient."""

@@ -101,8 +101,13 @@ class ExplanationSet:
         motion: SampledMotion,
         settings: RunSettings,
         severity: float = USUAL_SEVERITY,
+        given: WeightedRows | None = None,
     ) -> tuple[Explanation, ...]:
         """Return the explanations, those of unknown size scaled along a reference motion.
+
+        An equivalent has the size that its finding has in the recordings that are given: elsewhere
+        a finding may be extrapolated, by a power of the speed for example, to where nothing is
+        known of it. Where none is given, it has that size along the reference motion.
 
         Args:
             effects: Columns of the candidates.
@@ -110,24 +115,32 @@ class ExplanationSet:
             settings: How it is recorded.
             severity: RMS torque of an explanation of unknown size after projection off the base,
                 over the noise [1].
+            given: Rows of earlier recordings; None without.
         """
         columns = effects.evaluate(motion).columns
         rows = run_rows(motion, columns, effects, settings).rows
-        rows = rows.stacked(prior_rows(settings, effects.count))
+        prior = prior_rows(settings, effects.count)
+        rows = rows.stacked(prior)
         usual = severity**2 * settings.periods * motion.period * INDEPENDENT_RATE
         raw = [
-            _unit_factor(effects.slices[i], rows, c.factor) for i, c in enumerate(self.candidates)
+            _unit_factor(coefficients, place.stop - coefficients.stop, rows, c.factor)
+            for coefficients, place, c in zip(
+                effects.coefficients, effects.slices, self.candidates, strict=True
+            )
         ]
         sizes = _sizes(rows, effects, raw)
+        recorded = sizes if given is None else _sizes(given.stacked(prior), effects, raw)
         out = []
         for i, candidate in enumerate(self.candidates):
             if candidate.factor is not None:
                 out.append(Explanation(candidate.form, raw[i], candidate.probability))
                 continue
             model = candidate.like
-            known = model is not None and self.candidates[model].factor is not None
-            target = sizes[model] if known and model is not None else usual
-            scale = np.sqrt(target / sizes[i]) if sizes[i] > 0.0 else 0.0
+            if model is not None and self.candidates[model].factor is not None:
+                target, size = recorded[model], recorded[i]
+            else:
+                target, size = usual, sizes[i]
+            scale = np.sqrt(target / size) if size > 0.0 else 0.0
             out.append(Explanation(candidate.form, scale * raw[i], candidate.probability, True))
         return tuple(out)
 
@@ -173,15 +186,14 @@ class ExplanationSet:
         """
         noise = torque_noise_levels(self.constants.limits, problem.options.noise)
         settings = RunSettings(base.geometric, noise, problem.options.periods)
-        effects = EffectColumns(self.constants, [c.form for c in self.candidates])
+        effects = EffectColumns(
+            self.constants, [c.form for c in self.candidates], uncertain_forms=True
+        )
         motion = sampled_motion(problem.robot, problem.parameters, reference)
-        explanations = self.sized(effects, motion, settings)
+        given = self._given_rows(effects, settings)
+        explanations = self.sized(effects, motion, settings, given=given)
         objective = SeparationObjective(
-            effects,
-            explanations,
-            self.comparisons,
-            settings,
-            given=self._given_rows(effects, settings),
+            effects, explanations, self.comparisons, settings, given=given
         )
         # without the prior, against which large parameters of the base model would stand out
         rows = objective.rows(motion).stacked(objective.known_rows(VAGUE_STD))
@@ -216,12 +228,21 @@ class ExplanationSet:
         return out
 
 
-def _unit_factor(place: slice, rows: WeightedRows, factor: FloatArray | None) -> FloatArray:
-    """Return a stated factor, or one that gives all columns the same size independently."""
-    if factor is not None:
-        return factor
-    size = np.linalg.norm(rows.columns[:, place], axis=0)
-    return np.asarray(np.diag(1.0 / np.maximum(size, 1e-12 * max(float(size.max()), 1e-300))))
+def _unit_factor(
+    place: slice, form_columns: int, rows: WeightedRows, factor: FloatArray | None
+) -> FloatArray:
+    """Return a stated factor, or one that gives all columns the same size independently.
+
+    Args:
+        place: Columns of the effect.
+        form_columns: Number of columns of its uncertain form, for which the factor is zero.
+        rows: Rows along the reference motion.
+        factor: The stated factor; None if there is none.
+    """
+    if factor is None:
+        size = np.linalg.norm(rows.columns[:, place], axis=0)
+        factor = np.diag(1.0 / np.maximum(size, 1e-12 * max(float(size.max()), 1e-300)))
+    return np.vstack([factor, np.zeros((form_columns, factor.shape[1]))])
 
 
 def _sizes(rows: WeightedRows, effects: EffectColumns, factors: list[FloatArray]) -> FloatArray:

@@ -6,7 +6,7 @@ the links and of the motor's, and are written in CasADi. Effects with memory get
 along the period: the rate of the motor's torque (delay), the deflection of a spring behind the
 motor by a linear filter (elasticity), and the state of presliding friction (hysteresis). Thermal
 drift multiplies friction by a function of the run time. A payload's columns are those of the
-regressor.
+regressor. Columns of an uncertain form (`form_uncertainty`) follow those of each effect.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from ..robot.robot import Robot
 from .casadi_batch import MappedFunction
 from .casadi_model import link_torque
 from .design_objective import SampledMotion
+from .form_uncertainty import EXACT_FORMS, RELATIVE_STD, discrepancy_factors, shape_points
 from .presliding import PreslidingState, presliding_state
 
 SPEED_ROUNDING = 1e-4
@@ -42,17 +43,18 @@ MULTIPLES = {2: "twice", 3: "thrice"}
 """Multiples of a spatial frequency by their keys in the values, as in `effects.effect`."""
 LINEARISED = {
     "delay": "first order in the delay, of the torque below half the optimiser's sampling rate",
-    "elasticity": "linear oscillator with the mean inertia about the joint",
+    "elasticity": "linear oscillator with the mean inertia about the joint; stiffness and damping "
+    "linearised",
     "encoder_error": "first order in the position error",
     "gravity_tilt": "first order in the tilt",
-    "stribeck": "fixed speed and exponent",
-    "hysteresis": "fixed travel",
-    "nonlinear_viscous": "fixed exponent",
-    "torque_saturation": "fixed power",
+    "stribeck": "speed and exponent linearised",
+    "hysteresis": "travel linearised",
+    "nonlinear_viscous": "exponent linearised",
+    "torque_saturation": "power linearised",
     "torque_ripple": "fixed spatial frequency",
-    "position_friction": "fixed spatial frequency",
-    "thermal_drift": "fixed time constant and mean friction",
-    "load_friction": "fixed power of the load",
+    "position_friction": "spatial frequency linearised",
+    "thermal_drift": "time constant linearised; fixed mean friction",
+    "load_friction": "power of the load linearised",
     "coupling": "fixed ratio",
     "unknown": "fixed curve, smooth between its points and constant beyond them",
 }
@@ -105,6 +107,13 @@ class RobotConstants:
         """Mean inertia of the links about each joint. Shape (n,) [kg m²]."""
         bodies = self.parameters.of_bodies(self.psi)
         return np.maximum(mean_inertia(self.robot, self.limits, bodies), 1e-9)
+
+
+def position_range(limits: Limits, joint: int) -> tuple[float, float]:
+    """Return the range of a joint's position; a turn where it has no limits."""
+    low, high = limits.position[joint]
+    bounded = bool(np.isfinite(low) and np.isfinite(high))
+    return (float(low), float(high)) if bounded else (-np.pi, np.pi)
 
 
 @dataclass(frozen=True)
@@ -230,6 +239,11 @@ def _waves(values: Mapping[str, float], angle: ca.SX) -> list[ca.SX]:
     return [f(k * values["order"] * angle) for k in _multiples(values) for f in (ca.cos, ca.sin)]
 
 
+def _nonlinear_viscous(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
+    exponents = [values[key] for key in ("exponent", "concave") if key in values]
+    return [b.sign(j) * b.speed(j) ** exponent for exponent in exponents]
+
+
 def _load_friction(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
     scale = values["scale"]
     size = ca.sqrt((b.signals.load[j] / scale) ** 2 + LOAD_ROUNDING**2)
@@ -249,6 +263,9 @@ def _position_friction(b: _Builder, j: int, values: Mapping[str, float]) -> list
 
 def _spring(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
     q = b.signals.q[j]
+    if "waves" in values:
+        place = (q - values["low"]) / (values["high"] - values["low"])
+        return [ca.cos(np.pi * m * place) for m in range(1, int(values["waves"]) + 1)]
     if "bend" in values:
         return [ca.fmin(q - values["bend"], 0.0), ca.fmax(q - values["bend"], 0.0)]
     if "order" in values:
@@ -416,7 +433,7 @@ _COLUMNS: dict[str, Callable[[_Builder, SymbolicEffect], list[Column]]] = {
     "friction": _local(lambda b, j, v: [b.sign(j), b.signals.dq[j]]),
     "asymmetric_viscous": _local(lambda b, j, v: [b.speed(j)]),
     "stribeck": _local(_stribeck),
-    "nonlinear_viscous": _local(lambda b, j, v: [b.sign(j) * b.speed(j) ** v["exponent"]]),
+    "nonlinear_viscous": _local(_nonlinear_viscous),
     "drag": _local(lambda b, j, v: [b.signals.dq[j] * b.speed(j)]),
     "load_friction": _local(_load_friction),
     "position_friction": _local(_position_friction),
@@ -456,27 +473,84 @@ class ColumnValues:
     states: Mapping[int, PreslidingState]
 
 
+def _columns_of(builder: _Builder, effect: SymbolicEffect) -> list[Column]:
+    """Return the columns of an effect that is no payload."""
+    return (_unknown if effect.effect == UNKNOWN else _COLUMNS[effect.effect])(builder, effect)
+
+
+def _full(builder: _Builder, column: Column) -> ca.SX:
+    """Return the torque of all joints. Shape (n,)."""
+    joint, torque = column
+    if joint is None:
+        return torque
+    out = ca.SX.zeros(builder.constants.robot.n)
+    out[joint] = torque
+    return out
+
+
+def _form_columns(
+    builder: _Builder, effect: SymbolicEffect, columns: Sequence[ca.SX]
+) -> list[ca.SX]:
+    """Return the columns of the uncertain form of an effect, as many of each kind as it has."""
+    if effect.effect in EXACT_FORMS or (effect.effect == "spring" and "waves" in effect.values):
+        return []  # a curve of any form over the position has no other one
+    out: list[ca.SX] = []
+    for points in shape_points(effect.effect, effect.values):
+        if effect.effect == "thermal_drift":  # whose factor of the run time has the parameter
+            out += columns
+            continue
+        ends = [_columns_of(builder, dataclasses.replace(effect, values=v)) for v in points]
+        out += [
+            0.5 * (_full(builder, above) - _full(builder, below))
+            for above, below in zip(*ends, strict=True)
+        ]
+    if effect.joint is None:  # the shares of the joints may differ
+        units = RELATIVE_STD * np.eye(builder.constants.robot.n)
+        return out + [ca.SX(unit) * column for unit in units for column in columns]
+    limits, j = builder.constants.limits, effect.joint
+    factors = discrepancy_factors(
+        builder.signals.q[j],
+        builder.speed(j),
+        position_range(limits, j),
+        float(limits.velocity[j]),
+    )
+    return out + [factor * column for factor in factors for column in columns]
+
+
 class EffectColumns:
     """Columns of several effects; picklable.
 
     Attributes:
         effects: The effects.
-        slices: Columns of each effect.
+        slices: Columns of each effect, those of its uncertain form included.
+        coefficients: Columns of each effect alone.
         count: Number K of columns.
+        parents: Of each column of an uncertain form the column whose coefficient is its unit; −1 of
+            all others. Shape (K,).
+        uncertain_forms: True if the forms of the effects are uncertain.
     """
 
-    def __init__(self, constants: RobotConstants, effects: Sequence[SymbolicEffect]) -> None:
+    def __init__(
+        self,
+        constants: RobotConstants,
+        effects: Sequence[SymbolicEffect],
+        *,
+        uncertain_forms: bool = False,
+    ) -> None:
         """Build the CasADi functions.
 
         Args:
             constants: Robot with its parameters.
             effects: Effects, all of `SYMBOLIC_EFFECTS` or `UNKNOWN`.
+            uncertain_forms: Add the columns of uncertain forms.
         """
         self.constants, self.effects = constants, tuple(effects)
+        self.uncertain_forms = uncertain_forms
         n = constants.robot.n
         builder = _Builder(constants)
         torques: list[ca.SX] = []
-        slices, self._payload = [], dict[int, int]()
+        slices, coefficients, self._payload = [], [], dict[int, int]()
+        parents: list[int] = []
         for effect in effects:
             begin = len(torques)
             if effect.effect == "payload":
@@ -485,15 +559,16 @@ class EffectColumns:
                     self._payload[begin + k] = 10 * link + k
                     torques.append(ca.SX.zeros(n))
             else:
-                columns_of = _unknown if effect.effect == UNKNOWN else _COLUMNS[effect.effect]
-                for joint, torque in columns_of(builder, effect):
-                    full = torque
-                    if joint is not None:
-                        full = ca.SX.zeros(n)
-                        full[joint] = torque
-                    torques.append(full)
+                torques += [_full(builder, c) for c in _columns_of(builder, effect)]
+            end = len(torques)
+            coefficients.append(slice(begin, end))
+            parents += [-1] * (end - begin)
+            if uncertain_forms:
+                torques += _form_columns(builder, effect, torques[begin:end])
+                parents += [begin + k % (end - begin) for k in range(len(torques) - end)]
             slices.append(slice(begin, len(torques)))
         self.slices, self.count = tuple(slices), len(torques)
+        self.coefficients, self.parents = tuple(coefficients), np.array(parents, int)
         self._signals = tuple(builder.period_signals)
         s = builder.signals
         extra = ca.vertcat(*builder.symbols) if builder.symbols else ca.SX.sym("none", 1)
@@ -638,8 +713,19 @@ class EffectColumns:
             Factors, 1 for most columns. Shape (…, K).
         """
         out, depends = np.ones((*times.shape, self.count)), False
-        for effect, place in zip(self.effects, self.slices, strict=True):
-            if effect.effect == "thermal_drift":
-                out[..., place] = (1.0 - np.exp(-times / effect.values["time_constant"]))[..., None]
-                depends = True
+        places = zip(self.effects, self.slices, self.coefficients, strict=True)
+        for effect, place, coefficients in places:
+            if effect.effect != "thermal_drift":
+                continue
+            depends = True
+            out[..., place] = _warming(times, effect.values)[..., None]
+            if place != coefficients:
+                (points,) = shape_points(effect.effect, effect.values)
+                above, below = (_warming(times, values) for values in points)
+                out[..., coefficients.stop] = 0.5 * (above - below)
         return out if depends else None
+
+
+def _warming(times: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    """Return the share of thermal drift that has happened at each run time [1]."""
+    return np.asarray(1.0 - np.exp(-times / values["time_constant"]))

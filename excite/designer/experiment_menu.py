@@ -160,7 +160,11 @@ def _with_load(bench: _Bench) -> Experiment:
         torque = np.abs(sampled.regressor @ psi).max(axis=0)
         if not (torque <= bench.limits.torque).all():
             continue
-        loaded = EffectColumns(dataclasses.replace(constants, psi=psi), effects.effects)
+        loaded = EffectColumns(
+            dataclasses.replace(constants, psi=psi),
+            effects.effects,
+            uncertain_forms=effects.uncertain_forms,
+        )
         rows = bench.rows(bench.reference, loaded)
         spread = LOAD_STD * mass * np.array([1.0, *[LOAD_DISTANCE] * 3, *[LOAD_DISTANCE**2] * 6])
         scale = run_rows(

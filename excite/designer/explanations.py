@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray
-from .effect_columns import RobotConstants, SymbolicEffect
+from .effect_columns import RobotConstants, SymbolicEffect, position_range
 
 STRIBECK_SPEED = 0.05
 """Usual Stribeck speed over the velocity limit [1] (0.02-0.3 rad/s)."""
@@ -39,6 +39,9 @@ FRICTION_SHARE = 0.05
 limit [1]."""
 POSITION_WAVES = 2.0
 """Waves of friction over the position where it is only a rival [1]."""
+SPRING_WAVES = 12.0
+"""Half waves over the range of the joint of a spring whose curve may have any form, as in
+`effects.spring`."""
 
 Stated = Mapping[str, float]
 """Parameters as a diagnosis states them, by name."""
@@ -59,13 +62,6 @@ class EffectSpecification:
     joint: int | None
     parameters: Stated
     other: int | None = None
-
-
-def _range_of(constants: RobotConstants, joint: int) -> tuple[float, float]:
-    """Return the range of a joint's position; a turn where it has no limits."""
-    low, high = constants.limits.position[joint]
-    bounded = bool(np.isfinite(low) and np.isfinite(high))
-    return (float(low), float(high)) if bounded else (-np.pi, np.pi)
 
 
 def friction_of(constants: RobotConstants, joint: int) -> tuple[float, float]:
@@ -95,13 +91,24 @@ def _stribeck(c: RobotConstants, j: int, p: Stated) -> Values:
     return {"velocity": p.get("velocity", usual), "exponent": 1.0}
 
 
+def _nonlinear_viscous(c: RobotConstants, j: int, p: Stated) -> Values:
+    """The stated exponent; without one, a curve of both kinds."""
+    if "exponent" in p:
+        return {"exponent": p["exponent"]}
+    return {"exponent": CONVEX_EXPONENT, "concave": CONCAVE_EXPONENT}
+
+
 def _position_friction(c: RobotConstants, j: int, p: Stated) -> Values:
-    low, high = _range_of(c, j)
+    low, high = position_range(c.limits, j)
     return {"order": 1.0, "waves": POSITION_WAVES, "low": low, "high": high}
 
 
 def _spring(c: RobotConstants, j: int, p: Stated) -> Values:
-    return {"form": 0.0 if set(p) == {"stiffness"} else 1.0}
+    """A straight line, a wave of one turn, or a curve of any form where no stiffness is stated."""
+    if "stiffness" in p:
+        return {"form": 0.0 if set(p) == {"stiffness"} else 1.0}
+    low, high = position_range(c.limits, j)
+    return {"waves": SPRING_WAVES, "low": low, "high": high}
 
 
 def _hysteresis(c: RobotConstants, j: int, p: Stated) -> Values:
@@ -124,7 +131,7 @@ def _elasticity(c: RobotConstants, j: int, p: Stated) -> Values:
 
 _VALUES: dict[str, Callable[[RobotConstants, int, Stated], Values]] = {
     "stribeck": _stribeck,
-    "nonlinear_viscous": lambda c, j, p: {"exponent": p.get("exponent", CONVEX_EXPONENT)},
+    "nonlinear_viscous": _nonlinear_viscous,
     "load_friction": lambda c, j, p: {"power": 1.0, "scale": float(c.limits.torque[j])},
     "position_friction": _position_friction,
     "spring": _spring,
@@ -197,6 +204,9 @@ def _stated_factor(effect: str, p: Stated, form: SymbolicEffect) -> FloatArray:
     if effect == "spring":
         if form.values.get("form") == 0.0:
             return np.array([[p["stiffness"]]])
+        if "waves" in form.values:  # prior sizes 1/m, as in `effects.spring`
+            sizes = 1.0 / np.arange(1.0, form.values["waves"] + 1.0)
+            return np.diag(p["amplitude"] / np.linalg.norm(sizes) * sizes)
         return _phase_unknown(p["amplitude"])
     single: dict[str, Callable[[], list[float]]] = {
         "rotor_inertia": lambda: [p["inertia"]],

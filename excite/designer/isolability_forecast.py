@@ -21,8 +21,6 @@ from .discrimination import (
     Comparison,
     RunSettings,
     SeparationObjective,
-    prior_rows,
-    separations,
 )
 from .discrimination_design import (
     CandidateExplanation,
@@ -144,11 +142,10 @@ def forecast_isolability(
         )
         candidates = tuple(CandidateExplanation(form, None, 0.5) for form in effects.values())
         question = ExplanationSet(constants, candidates, comparisons)
-        columns = EffectColumns(constants, list(effects.values()))
+        columns = EffectColumns(constants, list(effects.values()), uncertain_forms=True)
         explanations = question.sized(columns, sampled, settings, SMALLEST_SEVERITY)
         objective = SeparationObjective(columns, explanations, comparisons, settings)
-        rows = objective.rows(sampled).stacked(prior_rows(settings, columns.count))
-        values = separations(rows, columns.slices, explanations, comparisons).values
+        values = objective.separations(sampled)
         odds = 0.5 * values.reshape(len(pairs), 2).min(axis=1)
         out += [
             PairForecast(robot.joints[joint], a, b, float(value))

@@ -73,6 +73,17 @@ class TaskVariance:
             float(np.log(variance)), self.weighting.regressor_gradient(motion.regressor, slope)
         )
 
+    def statement(self, value: float) -> str:
+        """Return a value of the objective in words.
+
+        Args:
+            value: The objective.
+        """
+        return (
+            f"torque variance along the task over that of the noise: {np.exp(value):.6g} per "
+            "sample of the periodic part"
+        )
+
 
 def task_moment(Y: FloatArray, weighting: Weighting) -> FloatArray:
     """Return M of `TaskVariance`.

@@ -145,7 +145,7 @@ def design_page(
         _collision_section(trajectory, cell, near),
         *identifiability_sections(identifiability, parameters, cases),
         _path_section(subject),
-        *([] if task is None else [task_section(task)]),
+        *([] if task is None else [task_section(task, robot)]),
         *([] if discrimination is None else [discrimination_section(discrimination)]),
         *([isolability_section(isolability)] if isolability else []),
         *([] if second is None else [_validation_section(trajectory, second, robot)]),

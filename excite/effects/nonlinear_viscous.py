@@ -27,10 +27,11 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """The curves of `dense_model`, or |q̇|^k sgn q̇ of `designer.effect_columns`."""
     j = model.joint_index
     if "top_speed" in model.values:
+        # beyond the speeds of the fit the friction goes on linearly
         top_speed = model.values["top_speed"]
         columns = motion.for_all_fits(
             f"viscous curves of joint {j} up to {top_speed}",
-            lambda: motion.lowpass(_continued_curves(joint_speed(motion, j) / top_speed)),
+            lambda: motion.lowpass(_curves(np.clip(joint_speed(motion, j) / top_speed, -1.0, 1.0))),
         )
         return single_joint_rows(motion, j, columns)
     return single_joint_columns(
@@ -55,22 +56,6 @@ def _curves(share: FloatArray) -> FloatArray:
     concave += [np.sign(share) * np.sqrt(size)]
     convex = [share * size, share**3]
     return np.column_stack([curve - share for curve in (*concave, *convex)])
-
-
-def _continued_curves(share: FloatArray) -> FloatArray:
-    """Friction curves that go on along their tangents beyond the largest speed of the fit.
-
-    Args:
-        share: Speed over that speed, shape (M,).
-
-    Returns:
-        Shape (M, k).
-    """
-    inside = np.clip(share, -1.0, 1.0)
-    slopes = [1.0 / (v * np.hypot(1.0, 1.0 / v) * np.arcsinh(1.0 / v)) for v in ASINH_SPEEDS]
-    slopes += [2.0 / (v * np.sinh(2.0 / v)) for v in TANH_SPEEDS]
-    slopes += [0.5, 2.0, 3.0]
-    return _curves(inside) + (share - inside)[:, None] * (np.array(slopes) - 1.0)
 
 
 def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:

@@ -112,20 +112,13 @@ def _stribeck(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tu
 def _nonlinear_viscous(
     v: dict[str, float], c: list[float], x: JointMotion, m: Any
 ) -> tuple[Any, Any]:
-    # beyond the speeds of the fit each curve goes on along its tangent
+    # beyond the speeds of the fit the friction goes on linearly
     share = m.fmin(m.fmax(x.dq / v["top_speed"], -1.0), 1.0)
-    beyond, size = x.dq / v["top_speed"] - share, m.fabs(share)
+    size = m.fabs(share)
     curves = [m.arcsinh(share / w) / float(np.arcsinh(1.0 / w)) for w in ASINH_SPEEDS]
     curves += [m.tanh(share / w) / float(np.tanh(1.0 / w)) for w in TANH_SPEEDS]
     curves += [m.sign(share) * m.sqrt(size), share * size, share**3]
-    slopes = [1.0 / (w * np.hypot(1.0, 1.0 / w) * np.arcsinh(1.0 / w)) for w in ASINH_SPEEDS]
-    slopes += [2.0 / (w * np.sinh(2.0 / w)) for w in TANH_SPEEDS]
-    slopes += [0.5, 2.0, 3.0]
-    parts = [
-        curve - share + (float(slope) - 1.0) * beyond
-        for curve, slope in zip(curves, slopes, strict=True)
-    ]
-    return _combination(c, parts), 0.0
+    return _combination(c, [curve - share for curve in curves]), 0.0
 
 
 def _combination(c: list[float], curves: list[Any]) -> Any:

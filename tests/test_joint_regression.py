@@ -207,7 +207,7 @@ def test_regression_on_rows_is_that_of_these_rows_alone():
         regression.sigma,
         regression.independent_share,
     )
-    alone.add(Columns.of(columns[rows, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
+    alone.add(columns_on_all_joints(columns[rows, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
     some = regression.on_rows(rows)
     np.testing.assert_allclose(some.solution.coefficients, alone.solution.coefficients, rtol=1e-8)
     assert some.solution.objective == pytest.approx(alone.solution.objective)

@@ -56,13 +56,14 @@ def _attractions(model: JointModel, alone: JointRegression) -> FloatArray:
         model: The joint model.
         alone: The regression of the base model alone.
     """
-    folds = [_Fold.of(model, alone, rows) for rows in cross_validation.folds(model)]
+    judged = ~joint_model.transient_rows(model.models, model.motions)
+    folds = [_Fold.of(model, alone, rows, judged) for rows in cross_validation.folds(model)]
     base = np.sum([fold.base_error for fold in folds], axis=0)
     steps = np.zeros(model.n, int)
     tried: list[tuple[float, FloatArray]] = []
     while True:
         alpha = np.array(ATTRACTIONS)[steps]
-        ratio = np.sum([fold.error(alpha) for fold in folds], axis=0) / base
+        ratio = np.sum([fold.error(alpha) for fold in folds], axis=0) / np.maximum(base, 1e-300)
         tried.append((float(ratio.max()), alpha))
         raised = (ratio > cross_validation.WORSE) & (steps < len(ATTRACTIONS) - 1)
         if not raised.any():
@@ -75,7 +76,7 @@ class _Fold:
     """Rows that are predicted by fits to the others.
 
     Attributes:
-        rows: The rows, shape (N,).
+        rows: The rows that are predicted, shape (N,).
         model: The joint model.
         fitted: Its regression on the other rows.
         mean: Base parameters of the base model alone, fitted to the other rows, shape (p,).
@@ -91,24 +92,28 @@ class _Fold:
     base_error: FloatArray
 
     @classmethod
-    def of(cls, model: JointModel, alone: JointRegression, rows: BoolArray) -> _Fold:
+    def of(
+        cls, model: JointModel, alone: JointRegression, rows: BoolArray, judged: BoolArray
+    ) -> _Fold:
         """Fit the base model alone to the other rows.
 
         Args:
             model: The joint model.
             alone: The regression of the base model alone.
-            rows: The rows.
+            rows: The rows of the fold, shape (N,).
+            judged: Rows that are predicted at all, shape (N,).
         """
         p = len(model.free)
         others = alone.on_rows(~rows)
         base = _without_changes(others, model)
+        predicted = rows & judged
         return cls(
-            rows,
+            predicted,
             model,
             model.regression.on_rows(~rows),
             base.coefficients[:p],
             others.information_by_joint(p),
-            _squared_error(alone, base, rows),
+            _squared_error(alone, base, predicted),
         )
 
     def error(self, alpha: FloatArray) -> FloatArray:

@@ -237,8 +237,8 @@ def with_unmodelled(
         u = float(left.max() if effect.joint is None else left[effect.joint])
         present = effect.probability
         if effect.needed and u > 0.0:
-            own = effect.unique_severity**2 / (effect.unique_severity**2 + u**2)
-            present = own * present + (1.0 - own) * _by_other_joints(effect, effects, model.n)
+            share = effect.unique_severity**2 / (effect.unique_severity**2 + u**2)
+            present = share * present + (1.0 - share) * _by_other_joints(effect, effects, model.n)
         out.append(replace(effect, probability=present))
     return sorted(out, key=lambda e: (-e.probability, -e.log_bayes_factor))
 

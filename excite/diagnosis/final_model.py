@@ -93,7 +93,8 @@ def fit(
     # the saved model has the widths and the delay of the motions, and no further change of them
     base_model.fix_at_zero(range(len(model.free), model.delay_place + 1))
     first = _with_effects(base_model, model, model.motions, shapes)
-    joint_model.reweight(first)  # the effects that were left out explain nothing of it
+    # the effects that were left out explain nothing of the residual
+    joint_model.reweight(first, joint_model.transient_rows(shapes, model.motions))
     effects = _fitted(shapes, first)
     cleaned = [_cleaned(effects, recording, model.motions) for recording in recordings]
     refitted = identification.identify(

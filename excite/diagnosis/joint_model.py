@@ -346,16 +346,45 @@ def base_regression(
     )
 
 
-def reweight(regression: JointRegression) -> None:
-    """Set the weights of the rows by the residual, twice, since they change it."""
-    rows = np.maximum(regression.moving.sum(axis=0), 1)
+def reweight(regression: JointRegression, transient: BoolArray | None = None) -> None:
+    """Set the weights of the rows by the residual, twice, since they change it.
+
+    Args:
+        regression: The regression.
+        transient: Rows that do not count, since their residual is that of a transient effect,
+            shape (N,).
+    """
+    moving = regression.moving
+    if transient is not None:
+        lasting = moving & ~transient[:, None]
+        moving = np.where(lasting.any(axis=0), lasting, moving)
+    rows = np.maximum(moving.sum(axis=0), 1)
     for _ in range(2):
         residual = regression.residual()
         freedom = np.maximum(rows - regression.fitted_per_joint(), MIN_FREEDOM * rows)
         regression.reweighted(
-            rms(residual, regression.moving) * np.sqrt(rows / freedom),
-            independent_share(residual, regression.moving),
+            rms(residual, moving) * np.sqrt(rows / freedom), independent_share(residual, moving)
         )
+
+
+def transient_rows(
+    models: Sequence[CandidateModel], motions: Sequence[RecordedMotion]
+) -> BoolArray:
+    """Return the rows in which an effect acts that other rows do not show, shape (N,).
+
+    Args:
+        models: The effects.
+        motions: The motions.
+    """
+    out = []
+    for motion in motions:
+        acting = np.zeros(len(motion), bool)
+        for model in models:
+            if model.interval is not None and model.source == motion.segment.source:
+                low, high = model.interval
+                acting |= (motion.time >= low) & (motion.time <= high)
+        out.append(acting)
+    return np.concatenate(out)
 
 
 def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:

@@ -92,6 +92,7 @@ def test_the_parameters_of_a_hidden_effect_are_estimated(name):
             "torque_loss": "5.3 noise floors",
             "torque_limit": "8.0 noise floors",
             "elasticity": "2.5 noise floors",
+            "dragging_contact": "1.42 noise floors: half a sine stands for another course",
         },
     ),
 )

@@ -109,20 +109,20 @@ class Elimination:
         target = b[m] - eliminated[:, -1]
         return cls(scale, f, m, cross, schur, target, _log_determinant(factor))
 
-    def minimum(self, system: System, used: BoolArray, likely: BoolArray | None) -> Solution:
+    def minimum(self, system: System, used: BoolArray, likely: BoolArray) -> Solution:
         """Return the minimum over the used coefficients.
 
         Args:
             system: The normal equations.
             used: The coefficients that are used, shape (K,).
-            likely: Coefficients that are probably active, by a similar problem.
+            likely: Coefficients that are probably active, by a similar problem, shape (K,).
         """
         x = np.zeros(len(used))
         on = np.flatnonzero(used[self.bounded])
-        start = np.ones(len(on), bool) if likely is None else likely[self.bounded[on]]
-        solved = _nonnegative_minimum(self.schur[np.ix_(on, on)], self.target[on], start)
         values = np.zeros(len(self.bounded))
-        values[on], active_on, log_determinant = solved
+        values[on], active_on, log_determinant = _nonnegative_minimum(
+            self.schur[np.ix_(on, on)], self.target[on], likely[self.bounded[on]]
+        )
         x[self.bounded] = values
         x[self.free] = self.cross[:, -1] - self.cross[:, :-1] @ values
         x *= self.scale

@@ -90,7 +90,7 @@ class JointRegression:
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
     _solution: Solution | None = None
-    _active: BoolArray | None = None
+    _likely: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     _system: System | None = None
     _eliminations: dict[bytes, Elimination] = field(default_factory=dict)
 
@@ -119,7 +119,7 @@ class JointRegression:
         out = cls(torque, moving, p, sigma, independent_share)
         out.prior_matrix, out._prior_score = information.copy(), information @ mean
         out._prior_power = float(mean @ information @ mean)
-        out.nonnegative = np.zeros(p, bool)
+        out.nonnegative, out._likely = np.zeros(p, bool), np.ones(p, bool)
         for j in range(torque.shape[1]):
             used = np.flatnonzero(np.abs(base[:, j]).max(axis=0) > 0.0)
             x = base[:, j, used] * moving[:, j, None]
@@ -165,7 +165,7 @@ class JointRegression:
         )
         out.prior_matrix = self.prior_matrix[np.ix_(kept, kept)]
         out._prior_score, out._prior_power = self._prior_score[kept], self._prior_power
-        out.nonnegative = self.nonnegative[kept]
+        out.nonnegative, out._likely = self.nonnegative[kept], self._likely[kept]
         for e in effects:
             start = int(place[self.slices[e].start])
             out.slices.append(slice(start, start + self.slices[e].stop - self.slices[e].start))
@@ -241,8 +241,7 @@ class JointRegression:
         )
         self._prior_score = np.concatenate([self._prior_score, np.zeros(columns.count)])
         self.slices.append(slice(start, start + columns.count))
-        if self._active is not None:
-            self._active = np.concatenate([self._active, np.ones(columns.count, bool)])
+        self._likely = np.concatenate([self._likely, np.ones(columns.count, bool)])
         self._changed()
         return len(self.slices) - 1
 
@@ -317,10 +316,8 @@ class JointRegression:
         key = free.tobytes()
         if key not in self._eliminations:
             self._eliminations[key] = Elimination.of(system, free, self.nonnegative)
-        solution = self._eliminations[key].minimum(system, used, self._active)
-        if self._active is None:
-            self._active = np.ones(len(used), bool)
-        self._active = np.where(used, solution.active, self._active)
+        solution = self._eliminations[key].minimum(system, used, self._likely)
+        self._likely = np.where(used, solution.active, self._likely)
         return solution
 
     def cross_validated(

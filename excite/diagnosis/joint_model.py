@@ -63,8 +63,8 @@ MAX_WIDTH_STEP = 0.7
 """Largest change of the logarithm of a Coulomb width in a round."""
 MIN_RIPPLE_EVIDENCE = 5.0
 """Log Bayes factor from which a wave enters the model, after the search over its order."""
-MAX_RIPPLE_ORDER = 300.0
-"""Largest spatial frequency that is searched [1/rad]."""
+MIN_RIPPLE_ORDER, MAX_RIPPLE_ORDER = 3.0, 300.0
+"""Spatial frequencies that are searched [1/rad]; the travel of a prismatic joint counts as a turn."""
 ORDER_STEPS = 4.0
 """Length of the Fourier transform over the range of the angle."""
 NEAR_ORDERS = 9
@@ -563,10 +563,15 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         if span <= 0.0:
             continue
         width = 2.0 * np.pi / span
-        low = max(3.0, MIN_WAVES * width)
+        is_prismatic = fitted.motions[0].fitted_robot.robot.entries[j].kind == "prismatic"
+        radian = span / (2.0 * np.pi) if is_prismatic else 1.0
+        low = max(MIN_RIPPLE_ORDER / radian, MIN_WAVES * width)
         while len(known) < MAX_WAVES:
             residual = regression.residual()[:, j]
-            order, gain, count = _spectrum_peak(residual, angle, speed, moving, low, hertz)
+            order, gain, count = _spectrum_peak(
+                residual, angle / radian, speed / radian, moving, low * radian, hertz
+            )
+            order /= radian
             gain *= share / float(np.mean(residual[moving] ** 2))
             evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
             if evidence < MIN_RIPPLE_EVIDENCE or any(

@@ -64,7 +64,7 @@ MAX_WIDTH_STEP = 0.7
 MIN_RIPPLE_EVIDENCE = 5.0
 """Log Bayes factor from which a wave enters the model, after the search over its order."""
 MIN_RIPPLE_ORDER, MAX_RIPPLE_ORDER = 3.0, 300.0
-"""Spatial frequencies that are searched [1/rad]; the travel of a prismatic joint counts as a turn."""
+"""Spatial frequencies that are searched [1/rad]; the travel of a sliding joint counts as a turn."""
 ORDER_STEPS = 4.0
 """Length of the Fourier transform over the range of the angle."""
 NEAR_ORDERS = 9

@@ -58,12 +58,14 @@ def _attractions(model: JointModel, alone: JointRegression) -> FloatArray:
     """
     judged = ~joint_model.transient_rows(model.models, model.motions)
     folds = [_Fold.of(model, alone, rows, judged) for rows in cross_validation.folds(model)]
-    base = np.sum([fold.base_error for fold in folds], axis=0)
+    rows = np.array([fold.count for fold in folds], float)
+    base = cross_validation.mean_log(np.array([fold.base_error for fold in folds]), rows)
     steps = np.zeros(model.n, int)
     tried: list[tuple[float, FloatArray]] = []
     while True:
         alpha = np.array(ATTRACTIONS)[steps]
-        ratio = np.sum([fold.error(alpha) for fold in folds], axis=0) / np.maximum(base, 1e-300)
+        errors = np.array([fold.error(alpha) for fold in folds])
+        ratio = np.exp(cross_validation.mean_log(errors, rows) - base)
         tried.append((float(ratio.max()), alpha))
         raised = (ratio > cross_validation.WORSE) & (steps < len(ATTRACTIONS) - 1)
         if not raised.any():
@@ -115,6 +117,11 @@ class _Fold:
             others.information_by_joint(p),
             _squared_error(alone, base, predicted),
         )
+
+    @property
+    def count(self) -> FloatArray:
+        """Number of rows that are predicted, shape (n,)."""
+        return np.asarray(self.model.regression.moving[self.rows].sum(axis=0), float)
 
     def error(self, alpha: FloatArray) -> FloatArray:
         """Return the squared error of the joint model on the rows, shape (n,).

@@ -1,6 +1,12 @@
 """Cross-validation of effects: what is fitted to some recordings has to predict the others.
 
-Folds are the training recordings, or the thirds of a single one.
+Folds are the training recordings, or the thirds of a single one. The errors E of fold f at joint j,
+each over its N rows, are compared as by a likelihood whose variance is the error itself,
+
+    Σ_j Σ_f N_fj ln E_fj / Σ_f N_fj,
+
+the logarithm of a geometric mean. Fitted to a slow recording, any model predicts a fast one badly:
+in a sum of squares that fold would decide alone, and by what the slow recording does not show.
 """
 
 from __future__ import annotations
@@ -33,7 +39,12 @@ def folds(model: JointModel) -> list[BoolArray]:
     return [np.asarray(third == part) for part in range(PARTS)]
 
 
-def pays(model: JointModel, effects: Sequence[int], left_out: Collection[int] = ()) -> bool:
+def pays(
+    model: JointModel,
+    effects: Sequence[int],
+    left_out: Collection[int] = (),
+    replaced: Collection[int] = (),
+) -> bool:
     """Tell whether effects lower the error on recordings to which they are not fitted.
 
     An effect that acts only for some time cannot be judged in this way, and passes.
@@ -42,10 +53,11 @@ def pays(model: JointModel, effects: Sequence[int], left_out: Collection[int] = 
         model: A joint model that has them.
         effects: Their numbers.
         left_out: Numbers of other effects that are left out.
+        replaced: Numbers of those that are in the model without the effects alone.
     """
     if any(model.models[e].interval is not None for e in effects):
         return True
-    without, with_ = _errors(model, [{*left_out, *effects}, left_out])
+    without, with_ = _log_errors(model, [{*left_out, *effects}, {*left_out, *replaced}])
     return bool(with_.sum() < without.sum())
 
 
@@ -65,9 +77,9 @@ def without_unpredictive(
     out = set(left_out)
     everything = set(range(len(model.models)))
     while True:
-        base, present = _errors(model, [everything, out])
-        joint = int(np.argmax(present / base))
-        if present[joint] <= WORSE * base[joint]:
+        base, present = _log_errors(model, [everything, out])
+        joint = int(np.argmax(present - base))
+        if present[joint] - base[joint] <= np.log(WORSE):
             return frozenset(out)
         # a joint without effects is predicted worse where the folds do not determine the base model
         group = _spoiling_group(model, joint, out, present, evidence)
@@ -92,7 +104,7 @@ def _spoiling_group(
         model: The joint model.
         joint: Index of the joint.
         left_out: Effects that are left out already.
-        present: Cross-validated errors of all joints with all others, shape (n,).
+        present: Logarithms of the errors of all joints with all others, shape (n,).
         evidence: Evidence of all effects.
     """
     groups = [
@@ -105,16 +117,30 @@ def _spoiling_group(
     if not groups:
         return frozenset()
     groups.append(frozenset().union(*groups))
-    errors = _errors(model, [{*left_out, *group} for group in groups])
+    errors = _log_errors(model, [{*left_out, *group} for group in groups])
     total = np.where(errors[:, joint] < present[joint], errors.sum(axis=1), np.inf)
     best = int(np.argmin(total))
     return groups[best] if total[best] < present.sum() else frozenset()
 
 
-def _errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
-    """Cross-validated errors of variants, shape (variants, n)."""
+def mean_log(errors: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the mean logarithm of squared errors over folds, shape (…, n).
+
+    Args:
+        errors: Sum over the rows of each fold, shape (folds, …, n).
+        rows: Number of rows of each joint, shape (folds, n).
+    """
+    weights = rows / np.maximum(rows.sum(axis=0), 1.0)
+    logs = np.log(np.maximum(errors, 1e-300))
+    return np.asarray(np.einsum("fj,f...j->...j", weights, logs))
+
+
+def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
+    """Mean logarithms of the cross-validated squared errors of variants, shape (variants, n)."""
     regression = model.regression
     unused = np.zeros(len(regression.nonnegative), bool)
     unused[model.session_places] = True
     unused[model.form_places] = True  # the saved model has none
-    return regression.cross_validated(folds(model), variants, unused)
+    parts = folds(model)
+    rows = np.array([regression.moving[part].sum(axis=0) for part in parts], float)
+    return mean_log(regression.cross_validated(parts, variants, unused), rows)

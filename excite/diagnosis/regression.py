@@ -331,16 +331,16 @@ class JointRegression:
             unused: Coefficients that say nothing about other rows, shape (K,).
 
         Returns:
-            Sum over all folds, in units of the noise variance, shape (variants, n).
+            Sum over the rows of each fold [(N m)²], shape (folds, variants, n).
         """
         used = np.tile(~unused, (len(variants), 1))
         for mask, left_out in zip(used, variants, strict=True):
             for e in left_out:
                 mask[self.slices[e]] = False
-        out = np.zeros((len(variants), self.n))
+        out = np.zeros((len(folds), len(variants), self.n))
         measured = np.where(self.moving, self.torque, 0.0)
         parts = [self._products(fold, measured) for fold in folds]
-        for held_out in parts:
+        for errors, held_out in zip(out, parts, strict=True):
             # a sum over the other folds: a difference would leave the rounding errors of the whole
             system = self._system_of([part for part in parts if part is not held_out])
             for v, mask in enumerate(used):
@@ -350,8 +350,7 @@ class JointRegression:
                     zip(self._grams, held_out, strict=True)
                 ):
                     x = c[gram.places]
-                    error = max(power - float(x @ (2.0 * score - matrix @ x)), 0.0)
-                    out[v, j] += float(self.weights[j]) * error
+                    errors[v, j] = max(power - float(x @ (2.0 * score - matrix @ x)), 0.0)
         return out
 
     def residual(self, solution: Solution | None = None) -> FloatArray:

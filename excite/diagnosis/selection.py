@@ -55,7 +55,8 @@ class RareEffect:
     Attributes:
         key: Effect and joint.
         evidence: Its log Bayes factor before it was added.
-        before: Log Bayes factors of all other effects before it was added.
+        before: Log Bayes factors, before it was added, of all other effects that were not tried in
+            vain.
         after: The same after it was added; an effect that is not listed has none.
         final: Its log Bayes factor with the weights of the rows after it was added.
     """
@@ -370,7 +371,7 @@ def find_rare_effects(
         others = {
             k: score
             for k, score in scores.items()
-            if k != key and (k[0] in LAST_RESORTS) is (key[0] in LAST_RESORTS)
+            if k != key and k not in rejected and (k[0] in LAST_RESORTS) is (key[0] in LAST_RESORTS)
         }
         effects.append(RareEffect(key, scores[key], others, {}, evidence.log_bayes_factor))
     return _with_better_flexible_models(identified, motions, model, rare, effects, progress)
@@ -478,7 +479,7 @@ def _accepted(
     members = posterior.effect_groups(extended).get(key)
     if members is None:
         return None
-    result, left_out = posterior.judge(extended, key)
+    result, replaced = posterior.judge(extended, key)
     joints = extended.motions[0].fitted_robot.robot.joints
     place = "" if key[1] is None else f" at {joints[key[1]]}"
     progress(
@@ -488,7 +489,7 @@ def _accepted(
     if (
         result.is_needed
         and _is_plausible(extended, members)
-        and cross_validation.pays(extended, members, left_out)
+        and cross_validation.pays(extended, members, replaced=replaced)
     ):
         return result
     return None

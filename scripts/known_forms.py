@@ -19,7 +19,7 @@ import numpy as np
 from excite._types import FloatArray
 from excite.exporters.mujoco_replay import PositionLoop
 from excite.identification.identified_model import IdentifiedModel
-from excite.identification.regression import regressor
+from excite.robot.dynamics import regressor
 from excite.robot.samples import Samples
 from excite.simulator.effect_instance import EffectInstance
 from excite.simulator.mujoco_dynamics import RigidBodyDynamics, build_dynamics

@@ -22,6 +22,8 @@ from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics
 T = TypeVar("T")
 STANDSTILL_SPEED_RATIO = 0.01
 """Speed below which a joint stands still, over its largest speed."""
+BREAKAWAY_TRAVEL_RATIO = 0.02
+"""Travel after a standstill until friction is no longer static, over the joint's range."""
 MIN_STANDSTILL = 0.06
 """Duration from which a joint at standstill is excluded [s]."""
 MIN_STANDSTILL_COARSE = 0.2
@@ -219,7 +221,7 @@ class RecordedMotion:
                 if STANDSTILL_SPEED_RATIO * float(np.abs(speed).max()) * MIN_STANDSTILL > steps
                 else MIN_STANDSTILL_COARSE
             )
-            moving = _moving(speed, self.segment.rate, standstill)[rows]
+            moving = _moving(self.samples.q[:, j], speed, self.segment.rate, standstill)[rows]
             out[:, j] = moving if moving.mean() > MIN_MOVING_SHARE else True
         return out
 
@@ -407,19 +409,21 @@ class RecordedMotion:
         return np.asarray((jacobians[:, None, :3] + turning) * carries[:, None] @ robot.spread)
 
 
-def _moving(dq: FloatArray, rate: float, standstill: float) -> BoolArray:
-    """Samples at which a joint moves.
+def _moving(q: FloatArray, dq: FloatArray, rate: float, standstill: float) -> BoolArray:
+    """Samples at which a joint moves: neither at standstill nor still close to where it stood.
 
     Args:
+        q: Joint position, shape (M,).
         dq: Joint velocity, shape (M,).
         rate: Sample rate [Hz].
         standstill: Duration from which a standstill counts [s].
     """
-    out = np.ones(len(dq), bool)
+    out, breakaway = np.ones(len(q), bool), BREAKAWAY_TRAVEL_RATIO * float(np.ptp(q))
     still = np.abs(dq) < STANDSTILL_SPEED_RATIO * np.abs(dq).max()
     for start, end in true_runs(still).tolist():
         if end - start > standstill * rate:
-            out[start:end] = False
+            away = np.abs(q[end:] - q[end - 1]) > breakaway
+            out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False
     return out
 
 

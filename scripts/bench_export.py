@@ -12,8 +12,9 @@ error is the RMS over joints and time against the recorded positions.
 "Noise-limited" is the same robot without hidden effects, along the same motions with the same
 noise, identified and replayed in the same way: the form of the model is then exact, and what
 remains is due to measurement noise in the parameters and in the position loop, and to MuJoCo's
-integration. It has fewer parameters than any model of the dense robot, so that nobody who fits
-those to the recorded torque could be expected to do better.
+integration. It has fewer parameters than any model of the dense robot. "Forms known" is what one
+has to expect who knows the form of every hidden effect and fits all parameters: the noise-limited
+error plus what the bound of `known_forms` adds for the parameters of the effects.
 
 With --sysid, MuJoCo's own identification (`peers/mujoco_sysid.py`) gets the first motion as well,
 for the stated processor time. With --folder, recordings, models and errors are kept, and a later
@@ -35,6 +36,7 @@ from pathlib import Path
 
 import numpy as np
 from concealed_trial.random_excitation import draw_excitation
+from known_forms import KnownForms
 from peers import mujoco_sysid
 
 import excite
@@ -46,8 +48,13 @@ from excite.exporters.mujoco_replay import PositionLoop, Replay, ReplayInput
 from excite.exporters.simulator_model import SimulatorModel
 from excite.robot.robot import locate
 from excite.simulator import dense_robot
-from excite.simulator.effect_instance import with_effects
-from excite.simulator.experiment import ExperimentSettings, build_robot, run_session
+from excite.simulator.effect_instance import EffectInstance, with_effects
+from excite.simulator.experiment import (
+    ExperimentSettings,
+    build_robot,
+    measurement_chain,
+    run_session,
+)
 from excite.simulator.mujoco_dynamics import build_dynamics
 from excite.simulator.recording_file import json_text
 from excite.simulator.reference_trajectory import ReferenceTrajectory
@@ -69,6 +76,7 @@ VARIANTS = {
     "module": "with module",
     "sysid": "mujoco.sysid",
     "exact": "noise-limited",
+    "known": "forms known",
 }
 """Replayed robots: key in score.json and head of the column."""
 
@@ -116,28 +124,68 @@ def robot_name(seed: int) -> str:
     return ROBOTS[seed % len(ROBOTS)]
 
 
-def simulate_case(seed: int, folder: Path) -> None:
-    """Write train.csv and unseen.csv of a dense robot, and both of it without hidden effects into
-    the folder `exact`."""
-    rng = np.random.default_rng([seed, 23])
-    path, settings = locate(robot_name(seed)), ExperimentSettings(seed=seed)
-    joints = read_urdf(path).joints
-    still = ReferenceTrajectory(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
-    robot = build_robot(path, still, settings)
-    motions = [draw_excitation(robot, PERIODS, rng) for _ in range(2)]
-    load = dense_robot.static_load(robot, motions[0])
-    effects = dense_robot.draw_dense_effects(robot, load, rng)
-    (folder / "exact").mkdir()
-    for place, machine in (
-        (folder, with_effects(robot, effects)),
-        (folder / "exact", robot),
-    ):
-        for motion, file in zip(motions, ("train", "unseen"), strict=True):
-            servo = with_gains_of(machine, motions[0], motion)
-            session = run_session(servo, motion, settings)
-            (place / f"{file}.csv").write_text(session.recording.to_csv(), encoding="utf-8")
-            sidecar = json_text({**session.recording.to_sidecar(), "notes": ""})
-            (place / f"{file}.json").write_text(sidecar, encoding="utf-8")
+@dataclass(frozen=True)
+class DenseCase:
+    """A simulated robot and its motions.
+
+    Attributes:
+        robot: The robot without hidden effects.
+        effects: Its hidden effects.
+        motions: The motion that is learnt, and the one that is replayed.
+        settings: How it is measured.
+    """
+
+    robot: SimulatedRobot
+    effects: tuple[EffectInstance, ...]
+    motions: tuple[ReferenceTrajectory, ReferenceTrajectory]
+    settings: ExperimentSettings
+
+    @classmethod
+    def of(cls, seed: int) -> DenseCase:
+        """Draw the case of a seed."""
+        rng = np.random.default_rng([seed, 23])
+        path, settings = locate(robot_name(seed)), ExperimentSettings(seed=seed)
+        joints = read_urdf(path).joints
+        still = ReferenceTrajectory(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
+        robot = build_robot(path, still, settings)
+        motions = draw_excitation(robot, PERIODS, rng), draw_excitation(robot, PERIODS, rng)
+        load = dense_robot.static_load(robot, motions[0])
+        effects = dense_robot.draw_dense_effects(robot, load, rng)
+        return cls(robot, effects, motions, settings)
+
+    def simulate(self, folder: Path) -> None:
+        """Write train.csv and unseen.csv, and both without hidden effects into `exact`."""
+        (folder / "exact").mkdir()
+        for place, machine in (
+            (folder, with_effects(self.robot, self.effects)),
+            (folder / "exact", self.robot),
+        ):
+            for motion, file in zip(self.motions, ("train", "unseen"), strict=True):
+                servo = with_gains_of(machine, self.motions[0], motion)
+                session = run_session(servo, motion, self.settings)
+                (place / f"{file}.csv").write_text(session.recording.to_csv(), encoding="utf-8")
+                sidecar = json_text({**session.recording.to_sidecar(), "notes": ""})
+                (place / f"{file}.json").write_text(sidecar, encoding="utf-8")
+
+    def known_forms_error(self, case: ReplayCase, noise_limited: float) -> float:
+        """Return the position error to expect of one who knows the form of every effect [rad].
+
+        Args:
+            case: The replay of a model of this robot, with the fitted position loop.
+            noise_limited: Position error without hidden effects [rad].
+        """
+        chain = measurement_chain(self.robot, self.settings)
+        forms = KnownForms(
+            self.robot,
+            self.effects,
+            case.model.model,
+            chain.noise_floor(0.5 * chain.rate),
+            chain.rate,
+        )
+        end = int(np.searchsorted(case.data.t, REPLAY_SECONDS))
+        unseen = case.data.motion.rows(slice(0, end))
+        dense, plain = forms.position_error(case.learnt.motion, unseen, case.loop)
+        return float(np.sqrt(noise_limited**2 + dense**2 - plain**2))
 
 
 def with_gains_of(
@@ -192,12 +240,12 @@ def score_case(seed: int, folder: Path, sysid_seconds: float) -> dict[str, list[
         sysid_seconds: Processor time of mujoco.sysid [s]; 0: it is not run.
 
     Returns:
-        Position error, torque error and processor time by variant.
+        Position error, torque error (0: not computed) and processor time by variant.
     """
     place, name = folder / f"{seed:02d}", robot_name(seed)
     if not place.exists():
         with finished_folder(place) as part:
-            simulate_case(seed, part)
+            DenseCase.of(seed).simulate(part)
     train, unseen = place / "train.csv", place / "unseen.csv"
     models: dict[str, tuple[Path, Callable[[Path], object]]] = {
         "identified": (place, lambda out: excite.identify(name, [train]).save(out)),
@@ -233,12 +281,17 @@ def score_case(seed: int, folder: Path, sysid_seconds: float) -> dict[str, list[
         out.write_text(text, encoding="utf-8")
         return known.errors(nominal_model(known.model, out))
 
+    def with_known_forms() -> tuple[float, float]:
+        error = DenseCase.of(seed).known_forms_error(case("diagnosed"), scores["exact"][0])
+        return error, 0.0
+
     runs: dict[str, Callable[[], tuple[float, float]]] = {
         "identified": lambda: case("identified").errors(case("identified").model),
         "exact": lambda: case("exact").errors(case("exact").model),
         "urdf": lambda: case("diagnosed").errors(nominal_model(case("diagnosed").model)),
         "diagnosed": lambda: case("diagnosed").errors(case("diagnosed").model),
         "module": with_module,
+        "known": with_known_forms,
     }
     if sysid_seconds:
         runs["sysid"] = by_sysid
@@ -253,9 +306,9 @@ def score_case(seed: int, folder: Path, sysid_seconds: float) -> dict[str, list[
 def table_row(seed: int, scores: dict[str, list[float]]) -> str:
     """Return a row of the table: position errors [mrad], their ratio, torque errors."""
     position = [f"{1e3 * scores[key][0]:.3g}" if key in scores else "–" for key in VARIANTS]
-    ratio = scores["module"][0] / scores["exact"][0]
+    ratio = " / ".join(f"{scores['module'][0] / scores[k][0]:.2f}" for k in ("exact", "known"))
     torque = " / ".join(f"{scores[key][1]:.3g}" for key in ("urdf", "identified", "module"))
-    cells = (str(seed), robot_name(seed), *position, f"{ratio:.2f}", torque)
+    cells = (str(seed), robot_name(seed), *position, ratio, torque)
     return f"| {' | '.join(cells)} |"
 
 
@@ -263,14 +316,15 @@ def summary(scores: Sequence[dict[str, list[float]]]) -> str:
     """Return medians over the robots."""
     lines = []
     for key, words in VARIANTS.items():
-        errors = [score[key][0] / score["exact"][0] for score in scores if key in score]
-        if errors and key != "exact":
-            within = sum(error <= LARGEST_RATIO for error in errors)
-            lines.append(
-                f"{words}: {np.median(errors):.3g} times the noise-limited error in the median "
-                f"({min(errors):.3g} to {max(errors):.3g}), at most {LARGEST_RATIO:g} in {within} "
-                f"of {len(errors)}"
-            )
+        for limit in ("exact", "known"):
+            errors = [score[key][0] / score[limit][0] for score in scores if key in score]
+            if errors and key not in ("exact", limit):
+                within = sum(error <= LARGEST_RATIO for error in errors)
+                lines.append(
+                    f"{words}: {np.median(errors):.3g} times the error '{VARIANTS[limit]}' in the "
+                    f"median ({min(errors):.3g} to {max(errors):.3g}), at most {LARGEST_RATIO:g} "
+                    f"in {within} of {len(errors)}"
+                )
     return "\n".join(lines)
 
 

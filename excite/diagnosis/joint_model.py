@@ -547,14 +547,13 @@ def consistent_estimate(identified: Identification, fitted: JointModel) -> Consi
 def find_waves(fitted: JointModel) -> list[CandidateModel]:
     """Find torque ripple in the residual, at each joint until no wave has evidence.
 
-    The order of each wave is that of the highest peak of the order spectrum, refined by
-    Gauss-Newton steps jointly with all other coefficients. The waves are added to the regression.
+    The order of each wave is that of the highest peak of the order spectrum. It is refined jointly
+    with those of the waves found before it, which were biased without it.
     """
-    regression, share = fitted.regression, fitted.regression.independent_share
-    hertz = fitted.motions[0].band.hertz
+    share, hertz = fitted.regression.independent_share, fitted.motions[0].band.hertz
     out = []
     for j in range(fitted.n):
-        moving = regression.moving[:, j]
+        moving = fitted.regression.moving[:, j]
         angle, speed = _angle_and_speed(fitted.motions, j)
         known = [
             m.values["order"] for m in fitted.models if m.effect == "torque_ripple" and m.joint == j
@@ -566,7 +565,9 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         is_prismatic = fitted.motions[0].fitted_robot.robot.entries[j].kind == "prismatic"
         radian = span / (2.0 * np.pi) if is_prismatic else 1.0
         low = max(MIN_RIPPLE_ORDER / radian, MIN_WAVES * width)
-        while len(known) < MAX_WAVES:
+        waves: list[CandidateModel] = []
+        regression = fitted.regression
+        while len(known) + len(waves) < MAX_WAVES:
             residual = regression.residual()[:, j]
             order, gain, count = _spectrum_peak(
                 residual, angle / radian, speed / radian, moving, low * radian, hertz
@@ -574,42 +575,59 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             order /= radian
             gain *= share / float(np.mean(residual[moving] ** 2))
             evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
-            if evidence < MIN_RIPPLE_EVIDENCE or any(
-                abs(order - k) < MIN_ORDER_DISTANCE * width for k in known
-            ):
+            before = [wave.values["order"] for wave in waves]
+            if evidence < MIN_RIPPLE_EVIDENCE or _are_near([*known, *before, order], width):
                 break
-            order = _refined_order(fitted, j, order, width)
-            if order < low:  # of so few periods, a spring
+            orders = _refined_orders(fitted, j, [*before, order], width)
+            # of so few periods, a spring; near another one, a part of it
+            if min(orders) < low or _are_near([*known, *orders], width):
                 break
-            wave = torque_ripple.wave_model(fitted.motions, j, order)
-            columns = model_columns(wave, fitted.motions, fitted.level)
-            known.append(order)
-            if columns is None:
-                break
-            regression.add(columns)
-            out.append(wave)
+            waves = [torque_ripple.wave_model(fitted.motions, j, order) for order in orders]
+            columns = [model_columns(wave, fitted.motions, fitted.level) for wave in waves]
+            regression = fitted.regression.keeping(range(len(fitted.regression.slices)))
+            for part in columns:
+                if part is not None:
+                    regression.add(part)
+        out += waves
     return out
+
+
+def _are_near(orders: Sequence[float], width: float) -> bool:
+    """Tell whether two orders are too close to count as two waves.
+
+    Args:
+        orders: The orders [1/rad].
+        width: Width of a peak in the order spectrum [1/rad].
+    """
+    distances = np.diff(np.sort(orders))
+    return bool(np.any(distances < MIN_ORDER_DISTANCE * width))
 
 
 def refined_waves(fitted: JointModel) -> list[CandidateModel]:
     """Return the waves of a joint model with orders refined by a Gauss-Newton step.
 
-    Each order was found before the waves after it were known: of several waves at a joint, those
-    not yet found bias it. A wave whose order comes near that of an earlier one was a part of it.
+    All orders of a joint are refined jointly. A wave whose order comes near that of an earlier one
+    was a part of it.
     """
     out = list[CandidateModel]()
-    for i, wave in enumerate(fitted.models):
-        if wave.effect != "torque_ripple":
+    for j in range(fitted.n):
+        waves = [
+            (wave.values["order"], fitted.coefficients(i))
+            for i, wave in enumerate(fitted.models)
+            if wave.effect == "torque_ripple" and wave.joint == j
+        ]
+        if not waves:
             continue
-        j, order = wave.joint_index, wave.values["order"]
-        slope = _order_slope(fitted.motions, j, order, fitted.coefficients(i))
-        step = float(fitted.regression.candidate(_free_columns(j, slope)).coefficients[0])
+        slopes = np.hstack([_order_slope(_wave(fitted.motions, j, k), c) for k, c in waves])
+        steps = fitted.regression.candidate(_free_columns(j, slopes)).coefficients
         angle, _ = _angle_and_speed(fitted.motions, j)
         width = 2.0 * np.pi / float(np.ptp(angle))
-        order += float(np.clip(step, -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
-        known = [model.values["order"] for model in out if model.joint == j]
-        if not any(abs(order - k) < MIN_ORDER_DISTANCE * width for k in known):
-            out.append(torque_ripple.wave_model(fitted.motions, j, order))
+        limit = MAX_ORDER_STEP * width
+        known: list[float] = []
+        for (order, _), step in zip(waves, np.clip(steps, -limit, limit).tolist(), strict=True):
+            if not _are_near([*known, order + step], width):
+                known.append(order + step)
+        out += [torque_ripple.wave_model(fitted.motions, j, order) for order in known]
     return out
 
 
@@ -687,50 +705,75 @@ def _spectrum_peak(
     return float(orders[wanted][k]), 0.5 * float(power[k]), len(wanted)
 
 
-def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -> float:
-    """Refine an order by Gauss-Newton steps, jointly with all coefficients of a joint model."""
+def _refined_orders(
+    fitted: JointModel, joint: int, orders: Sequence[float], width: float
+) -> list[float]:
+    """Refine orders by Gauss-Newton steps, jointly with all coefficients of a joint model.
 
-    def waves(*orders: float) -> FloatArray:
-        return _filtered(
-            fitted.motions, joint, lambda q: [f(k * q) for k in orders for f in (np.cos, np.sin)]
-        )
+    Args:
+        fitted: The joint model, without the waves.
+        joint: Index of the joint.
+        orders: Their orders; the last one is that of a peak in the order spectrum [1/rad].
+        width: Width of a peak [1/rad].
+    """
 
-    near = order + width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
-    pairs = np.split(waves(*near.tolist()), NEAR_ORDERS, axis=1)
+    distances = width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
+
+    def near(q: FloatArray) -> FloatArray:
+        """Waves of all near orders, by powers of the phasor between two of them."""
+        first, between = orders[-1] - width, distances[1] - distances[0]
+        lowest, step = (np.exp(1j * k * q) for k in (first, between))
+        waves = np.cumprod([lowest, *[step] * (NEAR_ORDERS - 1)], axis=0)
+        return np.stack([waves.real, waves.imag], axis=1).reshape(-1, len(q)).T
+
+    pairs = np.split(_filtered(fitted.motions, joint, near), NEAR_ORDERS, axis=1)
+    others = np.zeros((len(pairs[0]), 0))
+    if len(orders) > 1:
+        known = [_wave(fitted.motions, joint, order)[:, :2] for order in orders[:-1]]
+        others = np.hstack(known)
     batch = CandidateBatch.of(
-        [_free_columns(joint, pair) for pair in pairs], fitted.regression.moving
+        [_free_columns(joint, np.hstack([others, pair])) for pair in pairs],
+        fitted.regression.moving,
     )
     gains = [fit.gain for fit in fitted.regression.candidates(batch)]
-    order = float(near[int(np.argmax(gains))])
+    refined = np.array(orders, float)
+    refined[-1] += distances[int(np.argmax(gains))]
+    count, limit = 2 * len(refined), MAX_ORDER_STEP * width
     for _ in range(GAUSS_NEWTON_STEPS):
-        pair = waves(order)
-        c = fitted.regression.candidate(_free_columns(joint, pair)).coefficients
-        slope = _order_slope(fitted.motions, joint, order, c)
-        fit = fitted.regression.candidate(_free_columns(joint, np.hstack([pair, slope])))
-        step = float(np.clip(fit.coefficients[2], -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
-        order += step
-        if abs(step) < ORDER_TOLERANCE * width:
+        waves = [_wave(fitted.motions, joint, order) for order in refined.tolist()]
+        columns = np.hstack([wave[:, :2] for wave in waves])
+        c = fitted.regression.candidate(_free_columns(joint, columns)).coefficients
+        slopes = [_order_slope(*part) for part in zip(waves, c.reshape(-1, 2), strict=True)]
+        fit = fitted.regression.candidate(_free_columns(joint, np.hstack([columns, *slopes])))
+        steps = np.clip(fit.coefficients[count:], -limit, limit)
+        refined += steps
+        if np.abs(steps).max() < ORDER_TOLERANCE * width:
             break
-    return order
+    return refined.tolist()
 
 
-def _order_slope(
-    motions: Sequence[RecordedMotion], joint: int, order: float, c: FloatArray
-) -> FloatArray:
-    """Return the derivative of a wave with coefficients c by its order, shape (N, 1)."""
-    return _filtered(
-        motions,
-        joint,
-        lambda q: [q * (c[1] * np.cos(order * q) - c[0] * np.sin(order * q))],
-    )
+def _wave(motions: Sequence[RecordedMotion], joint: int, order: float) -> FloatArray:
+    """Low-pass cos kq, sin kq, q cos kq and q sin kq of one order k, shape (N, 4)."""
+
+    def wave(q: FloatArray) -> FloatArray:
+        cosine, sine = np.cos(order * q), np.sin(order * q)
+        return np.array([cosine, sine, q * cosine, q * sine]).T
+
+    return _filtered(motions, joint, wave)
+
+
+def _order_slope(wave: FloatArray, c: FloatArray) -> FloatArray:
+    """Return the derivative of a wave with coefficients c by its order, shape (N, 1).
+
+    Args:
+        wave: What `_wave` returns.
+        c: Coefficients of its cosine and sine.
+    """
+    return c[1] * wave[:, 2:3] - c[0] * wave[:, 3:]
 
 
 def _filtered(
-    motions: Sequence[RecordedMotion],
-    joint: int,
-    functions: Callable[[FloatArray], list[FloatArray]],
+    motions: Sequence[RecordedMotion], joint: int, functions: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
     """Low-pass functions of a joint's angle, shape (N, k)."""
-    return np.concatenate(
-        [m.lowpass(np.column_stack(functions(m.samples.q[:, joint]))) for m in motions]
-    )
+    return np.concatenate([m.lowpass(functions(m.samples.q[:, joint])) for m in motions])

@@ -28,15 +28,23 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 
 
 def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> CandidateModel:
-    """Return the wave of one order [1/rad] at a joint, whose amplitude may grow with the load."""
-    load = max(float(np.abs(motion.transmitted_torque[:, joint]).max()) for motion in motions)
-    values = {"order": order, "load": max(load, 1e-9)}
+    """Return the wave of one order [1/rad] at a joint, whose amplitude may grow with the load.
+
+    At a load as large as the largest torque of the joint, the growth has the prior of the wave
+    itself: a joint that carried next to nothing says nothing about loads.
+    """
+    torque = max(float(np.abs(motion.torque[:, joint]).max()) for motion in motions)
+    load = np.concatenate([motion.transmitted_torque[:, joint] for motion in motions])
+    scale = max(torque, float(np.abs(load).max()), 1e-9)
+    share = float(np.sqrt(np.mean(load**2))) / scale
+    values = {"order": order, "load": scale}
     return CandidateModel(
         "torque_ripple",
         joint,
         _columns,
         values,
         parameters=lambda c: {"amplitude": float(np.hypot(c[0], c[1])), "order": order},
+        prior_shares=(1.0, 1.0, share, share),
     )
 
 

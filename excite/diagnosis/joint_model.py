@@ -166,6 +166,14 @@ class JointModel:
         """Return the columns of a model over all motions; None if they are zero or not finite."""
         return model_columns(model, self.motions, self.level)
 
+    def with_effects(self, models: Sequence[CandidateModel]) -> JointModel:
+        """Return the model with further effects, except those whose columns are zero."""
+        columns = [self.columns(model) for model in models]
+        kept = [model for model, c in zip(models, columns, strict=True) if c is not None]
+        regression = self.regression.copy()
+        regression.add_all([c for c in columns if c is not None])
+        return replace(self, models=(*self.models, *kept), regression=regression)
+
 
 def model_columns(
     model: CandidateModel, motions: Sequence[RecordedMotion], level: FloatArray
@@ -210,10 +218,23 @@ def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
     ]
 
 
+def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:
+    """Return the frictions of all joints at the identified parameters, which start every fit.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+    """
+    psi = initial_parameters(identified)
+    present = renewed(identified, motions, psi, identified.model.widths)
+    return base_model(identified, present, psi).with_effects(dense_models(present))
+
+
 def fit(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     rare: Sequence[CandidateModel] = (),
+    start: JointModel | None = None,
 ) -> JointModel:
     """Fit the joint model to recorded motions.
 
@@ -221,27 +242,13 @@ def fit(
         identified: The base model.
         motions: The motions to fit.
         rare: Further effects.
+        start: What `first_round` returns, if it is at hand.
     """
-    coulomb = _coulomb_columns(identified)
-    psi, widths = initial_parameters(identified), identified.model.widths
-    recorded = [motion.segment.torque for motion in motions]
-    delay = 0.0
+    widths, delay = identified.model.widths, 0.0
     waves: list[CandidateModel] = []
-    weights: tuple[FloatArray, float] | None = None
-    for step in range(ROUNDS):
-        present = [
-            motion.with_torque(_moved(motion, torque, delay))
-            for motion, torque in zip(motions, recorded, strict=True)
-        ]
-        current = renewed(identified, present, psi, widths, coulomb)
-        fitted = _fit_round(
-            identified, current, [*dense_models(current), *rare, *waves], delay, psi, weights
-        )
-        weights = fitted.regression.sigma, fitted.regression.independent_share
-        if step == ROUNDS - 1:
-            for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
-                motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
-            break
+    fitted = (start or first_round(identified, motions)).with_effects(rare)
+    for step in range(ROUNDS - 1):
+        reweight(fitted.regression)
         x = fitted.solution.coefficients
         delay += float(x[fitted.delay_place])
         if delay_evidence(fitted, delay)[0] <= MIN_DELAY_EVIDENCE:
@@ -253,6 +260,14 @@ def fit(
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
             waves = [*refined_waves(fitted), *find_waves(fitted)]
+        moved = [m.with_torque(_moved(m, m.segment.torque, delay)) for m in motions]
+        present = renewed(identified, moved, psi, widths)
+        weights = fitted.regression.sigma, fitted.regression.independent_share
+        fitted = base_model(identified, present, psi, delay, weights)
+        fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
+    reweight(fitted.regression)
+    for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
+        motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
     return fitted
 
 
@@ -296,54 +311,37 @@ def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateMod
     return with_form_error(model, fitted.motions, coefficients)
 
 
-def _fit_round(
+def base_model(
     identified: Identification,
     motions: Sequence[RecordedMotion],
-    models: Sequence[CandidateModel],
-    delay: float,
     psi: FloatArray,
-    weights: tuple[FloatArray, float] | None,
-) -> JointModel:
-    """Fit the coefficients of given models, and the weights of the rows."""
-    regression = base_regression(identified, motions, weights)
-    level, free = friction_level(motions), free_parameters(identified)
-    known = np.concatenate([known_torque(motion, free) for motion in motions])
-    kept = []
-    for model in models:
-        columns = model_columns(model, motions, level)
-        if columns is not None:
-            regression.add(columns)
-            kept.append(model)
-    reweight(regression)
-    return JointModel(tuple(motions), tuple(kept), regression, delay, level, psi, free, known)
-
-
-def base_regression(
-    identified: Identification,
-    motions: Sequence[RecordedMotion],
+    delay: float = 0.0,
     weights: tuple[FloatArray, float] | None = None,
-) -> JointRegression:
-    """Return the regression of the base model without effects.
+) -> JointModel:
+    """Return the joint model of the base model without effects.
 
     Args:
         identified: The base model.
         motions: The motions to fit.
+        psi: Its standard parameters, shape (P,).
+        delay: Time by which all torque is recorded late, which was moved already [s].
         weights: RMS residual of each joint [N m] and share of independent rows; of the motions'
             base model if None.
     """
-    free = free_parameters(identified)
+    free, level = free_parameters(identified), friction_level(motions)
     known = np.concatenate([known_torque(motion, free) for motion in motions])
     moving = np.concatenate([motion.moving for motion in motions])
     if weights is None:
         residual = np.concatenate([motion.residual for motion in motions])
         weights = rms(residual, moving), independent_share(residual, moving)
-    return JointRegression.of_base(
+    regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
-        _base_columns(motions, friction_level(motions), free),
+        _base_columns(motions, level, free),
         _base_prior(identified, motions, free),
         *weights,
     )
+    return JointModel(tuple(motions), (), regression, delay, level, psi, free, known)
 
 
 def reweight(regression: JointRegression, transient: BoolArray | None = None) -> None:
@@ -478,12 +476,11 @@ def renewed(
     motions: Sequence[RecordedMotion],
     psi: FloatArray,
     widths: FloatArray,
-    coulomb: IntArray | None = None,
 ) -> list[RecordedMotion]:
     """Return motions with the base model of other parameters."""
     model = identified.model
     robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
-    columns = _coulomb_columns(identified) if coulomb is None else coulomb
+    columns = _coulomb_columns(identified)
     return [m.with_base_model(robot, widths, model.base.matrix @ psi, columns) for m in motions]
 
 
@@ -565,7 +562,7 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         width = 2.0 * np.pi / span
         low = max(3.0, MIN_WAVES * width)
         while len(known) < MAX_WAVES:
-            residual = regression.residual()[:, j]
+            residual = regression.residual_of(j)
             order, gain, count = _spectrum_peak(residual, angle, speed, moving, low, hertz)
             gain *= share / float(np.mean(residual[moving] ** 2))
             evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
@@ -597,7 +594,7 @@ def refined_waves(fitted: JointModel) -> list[CandidateModel]:
         if wave.effect != "torque_ripple":
             continue
         j, order = wave.joint_index, wave.values["order"]
-        slope = _order_slope(fitted.motions, j, order, fitted.coefficients(i))
+        slope = _order_slope(_wave(fitted.motions, j, order), fitted.coefficients(i))
         step = float(fitted.regression.candidate(_free_columns(j, slope)).coefficients[0])
         angle, _ = _angle_and_speed(fitted.motions, j)
         width = 2.0 * np.pi / float(np.ptp(angle))
@@ -685,23 +682,25 @@ def _spectrum_peak(
 def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -> float:
     """Refine an order by Gauss-Newton steps, jointly with all coefficients of a joint model."""
 
-    def waves(*orders: float) -> FloatArray:
-        return _filtered(
-            fitted.motions, joint, lambda q: [f(k * q) for k in orders for f in (np.cos, np.sin)]
-        )
+    distances = width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
 
-    near = order + width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
-    pairs = np.split(waves(*near.tolist()), NEAR_ORDERS, axis=1)
+    def near(q: FloatArray) -> FloatArray:
+        """Waves of all near orders, by powers of the phasor between two of them."""
+        lowest, step = (np.exp(1j * k * q) for k in (order - width, distances[1] - distances[0]))
+        waves = lowest[:, None] * np.vander(step, NEAR_ORDERS, increasing=True)
+        return waves.view(float)
+
+    pairs = np.split(_filtered(fitted.motions, joint, near), NEAR_ORDERS, axis=1)
     batch = CandidateBatch.of(
         [_free_columns(joint, pair) for pair in pairs], fitted.regression.moving
     )
     gains = [fit.gain for fit in fitted.regression.candidates(batch)]
-    order = float(near[int(np.argmax(gains))])
+    order += float(distances[int(np.argmax(gains))])
     for _ in range(GAUSS_NEWTON_STEPS):
-        pair = waves(order)
-        c = fitted.regression.candidate(_free_columns(joint, pair)).coefficients
-        slope = _order_slope(fitted.motions, joint, order, c)
-        fit = fitted.regression.candidate(_free_columns(joint, np.hstack([pair, slope])))
+        wave = _wave(fitted.motions, joint, order)
+        c = fitted.regression.candidate(_free_columns(joint, wave[:, :2])).coefficients
+        columns = np.hstack([wave[:, :2], _order_slope(wave, c)])
+        fit = fitted.regression.candidate(_free_columns(joint, columns))
         step = float(np.clip(fit.coefficients[2], -MAX_ORDER_STEP * width, MAX_ORDER_STEP * width))
         order += step
         if abs(step) < ORDER_TOLERANCE * width:
@@ -709,23 +708,28 @@ def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -
     return order
 
 
-def _order_slope(
-    motions: Sequence[RecordedMotion], joint: int, order: float, c: FloatArray
-) -> FloatArray:
-    """Return the derivative of a wave with coefficients c by its order, shape (N, 1)."""
-    return _filtered(
-        motions,
-        joint,
-        lambda q: [q * (c[1] * np.cos(order * q) - c[0] * np.sin(order * q))],
-    )
+def _wave(motions: Sequence[RecordedMotion], joint: int, order: float) -> FloatArray:
+    """Low-pass cos kq, sin kq, q cos kq and q sin kq of one order k, shape (N, 4)."""
+
+    def wave(q: FloatArray) -> FloatArray:
+        cosine, sine = np.cos(order * q), np.sin(order * q)
+        return np.column_stack([cosine, sine, q * cosine, q * sine])
+
+    return _filtered(motions, joint, wave)
+
+
+def _order_slope(wave: FloatArray, c: FloatArray) -> FloatArray:
+    """Return the derivative of a wave with coefficients c by its order, shape (N, 1).
+
+    Args:
+        wave: What `_wave` returns.
+        c: Coefficients of its cosine and sine.
+    """
+    return c[1] * wave[:, 2:3] - c[0] * wave[:, 3:]
 
 
 def _filtered(
-    motions: Sequence[RecordedMotion],
-    joint: int,
-    functions: Callable[[FloatArray], list[FloatArray]],
+    motions: Sequence[RecordedMotion], joint: int, functions: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
     """Low-pass functions of a joint's angle, shape (N, k)."""
-    return np.concatenate(
-        [m.lowpass(np.column_stack(functions(m.samples.q[:, joint]))) for m in motions]
-    )
+    return np.concatenate([m.lowpass(functions(m.samples.q[:, joint])) for m in motions])

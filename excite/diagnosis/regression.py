@@ -12,7 +12,7 @@ eliminated by a Schur complement (`normal_equations`).
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
@@ -89,10 +89,10 @@ class JointRegression:
     _grams: list[_JointGram] = field(default_factory=list)
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
-    _solution: Solution | None = None
     _likely: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     _system: System | None = None
     _eliminations: dict[bytes, Elimination] = field(default_factory=dict)
+    _solutions: dict[bytes, Solution] = field(default_factory=dict)
 
     @classmethod
     def of_base(
@@ -144,9 +144,17 @@ class JointRegression:
         """Weight ρ/σ² of the rows of each joint, shape (n,)."""
         return self.independent_share / self.sigma**2
 
-    def base_only(self) -> JointRegression:
-        """Return a regression on the base model alone, with the same rows and weights."""
-        return self.keeping(())
+    def copy(self) -> JointRegression:
+        """Return a regression to which columns and priors can be added without changing this."""
+        return replace(
+            self,
+            slices=list(self.slices),
+            prior_matrix=self.prior_matrix.copy(),
+            _grams=list(self._grams),
+            _prior_score=self._prior_score.copy(),
+            _eliminations={},
+            _solutions={},
+        )
 
     def keeping(self, effects: Sequence[int]) -> JointRegression:
         """Return a regression with some of the effects, and the same rows and weights.
@@ -188,12 +196,13 @@ class JointRegression:
         Args:
             rows: The rows, shape (N,).
         """
-        out = self.keeping(range(len(self.slices)))
+        out = self.copy()
         out.moving = self.moving & rows[:, None]
         for j, gram in enumerate(self._grams):
             x, tau = gram.columns * rows[:, None], self.torque[:, j]
             power = float(np.sum(tau[out.moving[:, j]] ** 2))
             out._grams[j] = _JointGram(x, gram.places, x.T @ x, x.T @ tau, power)
+        out._changed()
         return out
 
     def information_by_joint(self, count: int) -> FloatArray:
@@ -229,21 +238,32 @@ class JointRegression:
 
     def add(self, columns: Columns) -> int:
         """Append the columns of an effect; return its number."""
-        start = len(self.nonnegative)
-        places = np.arange(start, start + columns.count)
-        for j, values in zip(columns.joints, columns.values, strict=True):
-            self._grams[j] = self._grams[j].appended(
-                values * self.moving[:, j, None], places, self.torque[:, j]
-            )
-        self.nonnegative = np.concatenate([self.nonnegative, columns.nonnegative])
-        self.prior_matrix = linalg.block_diag(
-            self.prior_matrix, np.diag(1.0 / columns.prior_std**2)
-        )
-        self._prior_score = np.concatenate([self._prior_score, np.zeros(columns.count)])
-        self.slices.append(slice(start, start + columns.count))
-        self._likely = np.concatenate([self._likely, np.ones(columns.count, bool)])
-        self._changed()
+        self.add_all([columns])
         return len(self.slices) - 1
+
+    def add_all(self, effects: Sequence[Columns]) -> None:
+        """Append the columns of some effects."""
+        start = len(self.nonnegative)
+        for columns in effects:
+            stop = start + columns.count
+            self.slices.append(slice(start, stop))
+            start = stop
+        parts = self.slices[len(self.slices) - len(effects) :]
+        for j, gram in enumerate(self._grams):
+            acting = [(c, part) for c, part in zip(effects, parts, strict=True) if j in c.joints]
+            if acting:
+                values = np.hstack([c.values[c.joints.index(j)] for c, _ in acting])
+                places = np.concatenate([np.arange(p.start, p.stop) for _, p in acting])
+                self._grams[j] = gram.appended(
+                    values * self.moving[:, j, None], places, self.torque[:, j]
+                )
+        count = start - len(self.nonnegative)
+        self.nonnegative = np.concatenate([self.nonnegative, *(c.nonnegative for c in effects)])
+        precision = [np.diag(c.prior_std**-2.0) for c in effects]
+        self.prior_matrix = linalg.block_diag(self.prior_matrix, *precision)
+        self._prior_score = np.concatenate([self._prior_score, np.zeros(count)])
+        self._likely = np.concatenate([self._likely, np.ones(count, bool)])
+        self._changed()
 
     def reweighted(self, sigma: FloatArray, independent_share: float) -> None:
         """Replace the weights of the rows."""
@@ -253,9 +273,7 @@ class JointRegression:
     @property
     def solution(self) -> Solution:
         """The minimum of the objective."""
-        if self._solution is None:
-            self._solution = self._solve(np.ones(len(self.nonnegative), bool))
-        return self._solution
+        return self.without(())
 
     def without(self, effects: Iterable[int], unused: Sequence[int] = ()) -> Solution:
         """Return the minimum of the objective without some effects, all others refitted.
@@ -272,10 +290,9 @@ class JointRegression:
 
     def _assembled(self) -> System:
         """Normal equations of the weighted rows and the priors."""
-        if self._system is not None:
-            return self._system
-        products = [(gram.matrix, gram.score, gram.power) for gram in self._grams]
-        self._system = self._system_of([products])
+        if self._system is None:
+            products = [(gram.matrix, gram.score, gram.power) for gram in self._grams]
+            self._system = self._system_of([products])
         return self._system
 
     def _products(self, rows: BoolArray, torque: FloatArray) -> list[_Products]:
@@ -306,19 +323,26 @@ class JointRegression:
 
     def _changed(self) -> None:
         """Forget all that was computed with other columns, weights or priors."""
-        self._solution, self._system = None, None
+        self._system = None
         self._eliminations.clear()
+        self._solutions.clear()
 
     def _solve(self, used: BoolArray) -> Solution:
         """Minimum of the objective over the used coefficients, with the present weights."""
-        system = self._assembled()
-        free = used & ~self.nonnegative
-        key = free.tobytes()
-        if key not in self._eliminations:
-            self._eliminations[key] = Elimination.of(system, free, self.nonnegative)
-        solution = self._eliminations[key].minimum(system, used, self._likely)
-        self._likely = np.where(used, solution.active, self._likely)
-        return solution
+        key = used.tobytes()
+        if key not in self._solutions:
+            system, base = self._assembled(), used[: self.base_count].tobytes()
+            if base not in self._eliminations:
+                self._eliminations[base] = self._elimination_of(system, used)
+            solution = self._eliminations[base].minimum(system, used, self._likely)
+            self._likely = np.where(used, solution.active, self._likely)
+            self._solutions[key] = solution
+        return self._solutions[key]
+
+    def _elimination_of(self, system: System, used: BoolArray) -> Elimination:
+        """Normal equations from which the used coefficients of the base model are eliminated."""
+        base, others = np.split(np.arange(len(used)), [self.base_count])
+        return Elimination.of(system, base[used[base]], others, self.nonnegative[others])
 
     def cross_validated(
         self, folds: Sequence[BoolArray], variants: Sequence[Collection[int]], unused: BoolArray
@@ -343,8 +367,8 @@ class JointRegression:
         for held_out in parts:
             # a sum over the other folds: a difference would leave the rounding errors of the whole
             system = self._system_of([part for part in parts if part is not held_out])
+            elimination = self._elimination_of(system, ~unused)
             for v, mask in enumerate(used):
-                elimination = Elimination.of(system, mask & ~self.nonnegative, self.nonnegative)
                 c = elimination.minimum(system, mask, self.solution.active).coefficients
                 for j, (gram, (matrix, score, power)) in enumerate(
                     zip(self._grams, held_out, strict=True)
@@ -356,8 +380,17 @@ class JointRegression:
 
     def residual(self, solution: Solution | None = None) -> FloatArray:
         """Return the torque residual, shape (N, n) [N m]; rows at standstill have the torque."""
-        x = (solution or self.solution).coefficients
-        return self.torque - np.column_stack([g.columns @ x[g.places] for g in self._grams])
+        return self.torque - self.torque_along((solution or self.solution).coefficients)
+
+    def residual_of(self, joint: int) -> FloatArray:
+        """Return the torque residual of one joint, shape (N,) [N m].
+
+        Args:
+            joint: Index of the joint.
+        """
+        gram = self._grams[joint]
+        fitted = gram.columns @ self.solution.coefficients[gram.places]
+        return np.asarray(self.torque[:, joint] - fitted)
 
     def residual_rms(self, solution: Solution) -> FloatArray:
         """Return the RMS residual of each joint over its rows in motion, shape (n,) [N m].

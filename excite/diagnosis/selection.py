@@ -319,7 +319,8 @@ def find_rare_effects(
     """
     rare: tuple[CandidateModel, ...] = ()
     effects: list[RareEffect] = []
-    model = joint_model.fit(identified, motions)
+    start = joint_model.first_round(identified, motions)
+    model = joint_model.fit(identified, motions, start=start)
     rejected: set[Key] = set()
     candidates = CandidateColumns(model, trusted, names)
     while len(rare) < MAX_RARE_EFFECTS:
@@ -357,7 +358,7 @@ def find_rare_effects(
                 if chosen is not None and scores[key] < scores[chosen[0]] - TIE:
                     break
                 shape = best[key].model
-                extended = joint_model.fit(identified, motions, (*rare, shape))
+                extended = joint_model.fit(identified, motions, (*rare, shape), start)
                 evidence = _accepted(extended, key, progress)
                 if evidence is None:
                     rejected.add(key)
@@ -373,12 +374,13 @@ def find_rare_effects(
             if k != key and (k[0] in LAST_RESORTS) is (key[0] in LAST_RESORTS)
         }
         effects.append(RareEffect(key, scores[key], others, {}, evidence.log_bayes_factor))
-    return _with_better_flexible_models(identified, motions, model, rare, effects, progress)
+    return _with_better_flexible_models(identified, motions, start, model, rare, effects, progress)
 
 
 def _with_better_flexible_models(
     identified: Identification,
     motions: Sequence[RecordedMotion],
+    start: JointModel,
     model: JointModel,
     rare: tuple[CandidateModel, ...],
     effects: Sequence[RareEffect],
@@ -389,6 +391,7 @@ def _with_better_flexible_models(
     Args:
         identified: The base model.
         motions: The motions to fit.
+        start: What starts every fit (`joint_model.first_round`).
         model: The joint model with all rare effects.
         rare: Their models.
         effects: The rare effects.
@@ -401,7 +404,7 @@ def _with_better_flexible_models(
         columns = [model.columns(shape) for shape in rare]
         kept = [i for i, c in enumerate(columns) if c is None or c.joints != (joint,)]
         shapes = (*(rare[i] for i in kept), flexible.model)
-        extended = joint_model.fit(identified, motions, shapes)
+        extended = joint_model.fit(identified, motions, shapes, start)
         key = UNMODELLED, joint
         evidence = _accepted(extended, key, progress)
         if evidence is not None:

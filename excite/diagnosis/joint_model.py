@@ -687,8 +687,8 @@ def _refined_order(fitted: JointModel, joint: int, order: float, width: float) -
     def near(q: FloatArray) -> FloatArray:
         """Waves of all near orders, by powers of the phasor between two of them."""
         lowest, step = (np.exp(1j * k * q) for k in (order - width, distances[1] - distances[0]))
-        waves = lowest[:, None] * np.vander(step, NEAR_ORDERS, increasing=True)
-        return waves.view(float)
+        waves = np.cumprod([lowest, *[step] * (NEAR_ORDERS - 1)], axis=0)
+        return np.stack([waves.real, waves.imag], axis=1).reshape(-1, len(q)).T
 
     pairs = np.split(_filtered(fitted.motions, joint, near), NEAR_ORDERS, axis=1)
     batch = CandidateBatch.of(
@@ -713,7 +713,7 @@ def _wave(motions: Sequence[RecordedMotion], joint: int, order: float) -> FloatA
 
     def wave(q: FloatArray) -> FloatArray:
         cosine, sine = np.cos(order * q), np.sin(order * q)
-        return np.column_stack([cosine, sine, q * cosine, q * sine])
+        return np.array([cosine, sine, q * cosine, q * sine]).T
 
     return _filtered(motions, joint, wave)
 

@@ -193,9 +193,7 @@ def harmonic_columns(values: Mapping[str, float], angle: FloatArray) -> FloatArr
         Columns of shape (M, k).
     """
     numbers = [1, *(k for k, key in HARMONIC_KEYS.items() if key in values)]
-    return np.column_stack(
-        [f(k * values["order"] * angle) for k in numbers for f in (np.cos, np.sin)]
-    )
+    return np.array([f(k * values["order"] * angle) for k in numbers for f in (np.cos, np.sin)]).T
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .joint_model import JointModel
 from .regression import JointRegression
-from .selection import Candidate
+from .selection import Candidate, CandidateShapes
 
 
 @dataclass(frozen=True)
@@ -136,9 +136,7 @@ def _log_evidence(regression: JointRegression, left_out: Sequence[int]) -> float
 
 def _present(reduced: JointModel, group: Sequence[CandidateModel]) -> list[Candidate]:
     """Return the models of an effect that the joint model has, fitted to what the others leave."""
-    plain = (without_form_error(shape) for shape in group)
-    fitted = ((shape, reduced.columns(shape)) for shape in plain)
-    return [Candidate.of(reduced, shape, c) for shape, c in fitted if c is not None]
+    return CandidateShapes.of(reduced, map(without_form_error, group)).fitted(reduced)
 
 
 def _best_form(
@@ -149,12 +147,9 @@ def _best_form(
     Its nonlinear parameters are optimised where that may bring it near the evidence of the
     strongest member that the model has.
     """
-    fitted = []
-    for shape in EFFECTS_BY_NAME[name].candidates(reduced.motions):
-        columns = reduced.columns(shape) if _is_at(shape, joint) else None
-        if columns is not None:
-            fitted.append(Candidate.of(reduced, shape, columns))
-    plausible = [candidate for candidate in fitted if candidate.is_plausible]
+    forms = EFFECTS_BY_NAME[name].candidates(reduced.motions)
+    shapes = CandidateShapes.of(reduced, (shape for shape in forms if _is_at(shape, joint)))
+    plausible = [candidate for candidate in shapes.fitted(reduced) if candidate.is_plausible]
     if not plausible:
         return []
     best = max(plausible, key=lambda c: c.evidence)

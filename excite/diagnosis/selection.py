@@ -8,7 +8,7 @@ hides itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -152,6 +152,47 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class CandidateShapes:
+    """Candidate models with their columns over the motions of a joint model.
+
+    Attributes:
+        models: Those whose columns are not zero.
+        prior_std: Prior standard deviation of the coefficients of each.
+        batch: Their columns.
+    """
+
+    models: tuple[CandidateModel, ...]
+    prior_std: tuple[FloatArray, ...]
+    batch: CandidateBatch
+
+    @classmethod
+    def of(cls, joint: JointModel, shapes: Iterable[CandidateModel]) -> CandidateShapes:
+        """Compute the columns of some models.
+
+        Args:
+            joint: The joint model over whose motions they are computed.
+            shapes: The models.
+        """
+        computed = ((shape, joint.columns(shape)) for shape in shapes)
+        kept = [(shape, columns) for shape, columns in computed if columns is not None]
+        all_columns = [columns for _, columns in kept]
+        return cls(
+            tuple(shape for shape, _ in kept),
+            tuple(columns.prior_std for columns in all_columns),
+            CandidateBatch.of(all_columns, joint.regression.moving),
+        )
+
+    def fitted(self, joint: JointModel) -> list[Candidate]:
+        """Return the candidates, each fitted alone on top of a joint model of the same motions."""
+        regression = joint.regression
+        fits = regression.candidates(self.batch)
+        return [
+            Candidate(shape, std, fit, regression.independent_share)
+            for shape, std, fit in zip(self.models, self.prior_std, fits, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
 class Ranking:
     """All candidates of an effect at a joint, fitted one by one on top of a joint model.
 
@@ -201,15 +242,7 @@ class CandidateColumns:
                 if shape.joint is None or noise_ratio[shape.joint] <= shape.max_noise_ratio
             )
         shapes += flexible_models(model.motions, model.regression.sigma)
-        self._shapes: list[CandidateModel] = []
-        columns = []
-        for shape in shapes:
-            of_shape = model.columns(shape)
-            if of_shape is not None:
-                self._shapes.append(shape)
-                columns.append(of_shape)
-        self._batch = CandidateBatch.of(columns, model.regression.moving)
-        self._prior_std = [c.prior_std for c in columns]
+        self._shapes = CandidateShapes.of(model, shapes)
 
     def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
         """Return the ranking of the shapes of every effect at every joint.
@@ -217,14 +250,10 @@ class CandidateColumns:
         Args:
             model: The joint model on top of which they are fitted.
         """
-        share = model.regression.independent_share
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
-        for shape, prior_std, fit in zip(
-            self._shapes, self._prior_std, model.regression.candidates(self._batch), strict=True
-        ):
-            key = shape.effect, shape.joint
-            candidate = Candidate(shape, prior_std, fit, share)
+        for candidate in self._shapes.fitted(model):
+            key = candidate.model.effect, candidate.model.joint
             counts[key] = counts.get(key, 0) + 1
             if candidate.is_plausible:
                 plausible.setdefault(key, []).append(candidate)
@@ -439,14 +468,11 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     reduced = model.keeping(kept)
     named = posterior.log_bayes_factor(model, reduced)
     sigma = reduced.regression.residual_rms(reduced.solution)
-    best: Candidate | None = None
-    for shape in flexible_models(model.motions, sigma, [joint]):
-        # a smooth curve of the position is a spring
-        columns = None if shape.signature == "position" else reduced.columns(shape)
-        if columns is not None:
-            candidate = Candidate.of(reduced, shape, columns)
-            if best is None or candidate.log_bayes_factor > best.log_bayes_factor:
-                best = candidate
+    flexible = flexible_models(model.motions, sigma, [joint])
+    # a smooth curve of the position is a spring
+    shapes_tried = (shape for shape in flexible if shape.signature != "position")
+    fitted = CandidateShapes.of(reduced, shapes_tried).fitted(reduced)
+    best = max(fitted, key=lambda c: c.log_bayes_factor, default=None)
     # each of them is as improbable beforehand as the flexible model
     improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
     needed = named - improbability * (count - 1) + TIE

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import lapack
 from scipy.optimize import nnls
 
 from .._types import BoolArray, FloatArray, IntArray
@@ -62,7 +63,7 @@ class Solution:
             scale = 1.0 / np.sqrt(np.diag(a))
             self._factor = _cholesky(a * scale[:, None] * scale, RIDGE), scale
         factor, scale = self._factor
-        return np.asarray(scale[:, None] * linalg.cho_solve((factor, True), scale[:, None] * x))
+        return scale[:, None] * _solved(factor, scale[:, None] * x)
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class Elimination:
         a, b = system.matrix * scale[:, None] * scale, system.score * scale
         factor = _cholesky(a[np.ix_(base, base)], RIDGE)
         mixed = a[np.ix_(base, others)]
-        cross = linalg.cho_solve((factor, True), np.column_stack([mixed, b[base]]))
+        cross = _solved(factor, np.column_stack([mixed, b[base]]))
         eliminated = mixed.T @ cross
         schur = a[np.ix_(others, others)] - eliminated[:, :-1]
         schur[np.diag_indices(len(others))] += RIDGE
@@ -123,24 +124,23 @@ class Elimination:
             used: The coefficients that are used, shape (K,).
             likely: Coefficients that are probably active, by a similar problem, shape (K,).
         """
-        x = np.zeros(len(used))
-        on = np.flatnonzero(used[self.others])
-        values = np.zeros(len(self.others))
-        values[on], active_on, log_determinant = _bounded_minimum(
-            self.schur[np.ix_(on, on)], self.target[on], self.bounded[on], likely[self.others[on]]
+        x, active = np.zeros(len(used)), used.copy()
+        x[self.others], active[self.others], log_determinant = _bounded_minimum(
+            self.schur, self.target, used[self.others], self.bounded, likely[self.others]
         )
-        x[self.others] = values
-        x[self.base] = self.cross[:, -1] - self.cross[:, :-1] @ values
+        x[self.base] = self.cross[:, -1] - self.cross[:, :-1] @ x[self.others]
         x *= self.scale
-        active = used.copy()
-        active[self.others[on]] = active_on
         objective = 0.5 * (system.power + x @ system.matrix @ x) - system.score @ x
         log_determinant += self.log_determinant - 2.0 * float(np.sum(np.log(self.scale[active])))
         return Solution(x, active, float(objective), system.matrix, log_determinant)
 
 
 def _bounded_minimum(
-    matrix: FloatArray, target: FloatArray, bounded: BoolArray, active: BoolArray
+    matrix: FloatArray,
+    target: FloatArray,
+    used: BoolArray,
+    bounded: BoolArray,
+    likely: BoolArray,
 ) -> tuple[FloatArray, BoolArray, float]:
     """Minimise ½ xᵀ M x − tᵀ x, some of x ≥ 0, by block principal pivoting.
 
@@ -152,26 +152,24 @@ def _bounded_minimum(
     Args:
         matrix: M, shape (m, m).
         target: t, shape (m,).
+        used: Coefficients that are used; all others are zero, shape (m,).
         bounded: Coefficients that cannot be negative, shape (m,).
-        active: Coefficients that are probably not zero, shape (m,).
+        likely: Coefficients that are probably not zero, shape (m,).
 
     Returns:
         x, its active coefficients, and log det M over these.
     """
+    bounded = bounded & used
     tolerance = RELATIVE_TOLERANCE * float(np.abs(target[bounded]).max(initial=0.0))
     fewest, tries = len(target) + 1, BLOCK_EXCHANGES
-    active = active | ~bounded
+    active = used & (likely | ~bounded)
     for exchange in range(MAX_EXCHANGES + 1):
         if exchange == MAX_EXCHANGES:
-            root = linalg.cholesky(matrix)
-            right = linalg.solve_triangular(root, target, trans=1)
-            both_signs = np.hstack([root, -root[:, ~bounded]])
-            nonzero = nnls(both_signs, right, maxiter=30 * len(target))[0] > 0.0
-            active = nonzero[: len(target)] | ~bounded
+            active = _active_set(matrix, target, used, bounded)
         p = np.flatnonzero(active)
         x = np.zeros(len(target))
         factor = _cholesky(matrix[np.ix_(p, p)])
-        x[p] = linalg.cho_solve((factor, True), target[p]) if len(p) else 0.0
+        x[p] = _solved(factor, target[p])
         gradient = matrix @ x - target
         negative = x < -RELATIVE_TOLERANCE * np.abs(x[bounded]).max(initial=0.0)
         wrong = np.flatnonzero(bounded & np.where(active, negative, gradient < -tolerance))
@@ -186,10 +184,34 @@ def _bounded_minimum(
     return x, active, _log_determinant(factor)
 
 
+def _active_set(
+    matrix: FloatArray, target: FloatArray, used: BoolArray, bounded: BoolArray
+) -> BoolArray:
+    """Active set of `_bounded_minimum`, sought from the start by nonnegative least squares."""
+    on = np.flatnonzero(used)
+    root = linalg.cholesky(matrix[np.ix_(on, on)])
+    right = linalg.solve_triangular(root, target[on], trans=1)
+    either_sign = np.hstack([root, -root[:, ~bounded[on]]])
+    active = used.copy()
+    active[on] = nnls(either_sign, right, maxiter=30 * len(on))[0][: len(on)] > 0.0
+    return np.asarray(used & (active | ~bounded))
+
+
 def _cholesky(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
-    """Lower Cholesky factor of a matrix with a share of the unit matrix added."""
+    """Cholesky factor of a matrix with a share of the unit matrix added, in its lower triangle."""
     regular = matrix + ridge * np.eye(len(matrix)) if ridge else matrix
-    return np.asarray(linalg.cholesky(regular, lower=True))
+    if not len(regular):
+        return regular
+    # without the checks of scipy.linalg, which take longer than small matrices
+    factor, failed = lapack.dpotrf(regular.T, lower=1, clean=0)
+    if failed:
+        raise np.linalg.LinAlgError("matrix is not positive definite")
+    return np.asarray(factor)
+
+
+def _solved(factor: FloatArray, right: FloatArray) -> FloatArray:
+    """Solution of the equations of a matrix with a Cholesky factor."""
+    return np.asarray(lapack.dpotrs(factor, right, lower=1)[0]) if right.size else right
 
 
 def _log_determinant(factor: FloatArray) -> float:

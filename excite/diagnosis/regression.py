@@ -334,7 +334,13 @@ class JointRegression:
             system, base = self._assembled(), used[: self.base_count].tobytes()
             if base not in self._eliminations:
                 self._eliminations[base] = self._elimination_of(system, used)
-            solution = self._eliminations[base].minimum(system, used, self._likely)
+            likely = self._likely
+            if self._solutions:  # that of the most similar problem
+                masks = np.array([np.frombuffer(k, bool) for k in self._solutions])
+                nearest = int(np.argmin(np.count_nonzero(masks != used, axis=1)))
+                near = list(self._solutions.values())[nearest].active
+                likely = np.where(masks[nearest], near, likely)
+            solution = self._eliminations[base].minimum(system, used, likely)
             self._likely = np.where(used, solution.active, self._likely)
             self._solutions[key] = solution
         return self._solutions[key]

@@ -186,10 +186,9 @@ def model_columns(
         level: Friction level of each joint, shape (n,) [N m].
     """
     parts = [model.columns(motion) for motion in motions]
+    acting = np.any([part.any(axis=(0, 2)) for part in parts], axis=0)
     values = {
-        j: np.concatenate([part[:, j] for part in parts])
-        for j in range(motions[0].n)
-        if any(part[:, j].any() for part in parts)
+        j: np.concatenate([part[:, j] for part in parts]) for j in np.flatnonzero(acting).tolist()
     }
     largest = max((float(np.abs(x).max()) for x in values.values()), default=0.0)
     if not 1e-9 < largest < np.inf:
@@ -437,7 +436,7 @@ def _base_columns(
     for motion in motions:
         slopes = np.zeros((len(motion), motion.n, motion.n))
         slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
-        slope = -motion.band.transform(motion.segment.torque).filter(Grid.KEPT, 1)[motion.kept]
+        slope = -motion.band.filter(motion.segment.torque, Grid.KEPT, 1)[motion.kept]
         changes = session_changes.columns(motion, motions)
         parts.append(
             np.concatenate([motion.gamma[:, :, free], slopes, slope[:, :, None], changes], axis=2)

@@ -160,7 +160,8 @@ class NonlinearParameter:
 
     def at(self, value: float) -> CandidateModel:
         """Return the model at a value; the value may be optimised further in the same range."""
-        return replace(self.model(value), nonlinear=replace(self, value=value))
+        here = self if value == self.value else replace(self, value=value)
+        return replace(self.model(value), nonlinear=here)
 
 
 def variants_within(

@@ -328,7 +328,8 @@ def base_model(
             base model if None.
     """
     free, level = free_parameters(identified), friction_level(motions)
-    known = np.concatenate([known_torque(motion, free) for motion in motions])
+    fixed = np.delete(np.arange(identified.model.base.count), free)
+    known = np.concatenate([m.gamma[:, :, fixed] @ m.theta[fixed] for m in motions])
     moving = np.concatenate([motion.moving for motion in motions])
     if weights is None:
         residual = np.concatenate([motion.residual for motion in motions])
@@ -417,12 +418,6 @@ def initial_parameters(identified: Identification) -> FloatArray:
     for place, value in identified.options.trusted.items():
         psi[place] = value
     return psi
-
-
-def known_torque(motion: RecordedMotion, free: IntArray) -> FloatArray:
-    """Return the torque of the base parameters that are not refit, shape (N, n) [N m]."""
-    fixed = np.delete(np.arange(motion.gamma.shape[2]), free)
-    return np.asarray(motion.gamma[:, :, fixed] @ motion.theta[fixed])
 
 
 def _base_columns(

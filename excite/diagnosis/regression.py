@@ -430,31 +430,21 @@ class JointRegression:
         """Return the torque of given coefficients, shape (N, n) [N m]; zero at standstill."""
         return np.column_stack([g.columns @ coefficients[g.places] for g in self._grams])
 
-    def sensitivity(
-        self, joints: Sequence[int], values: Sequence[FloatArray], solution: Solution
-    ) -> tuple[FloatArray, float]:
+    def sensitivity(self, column: Columns, solution: Solution) -> tuple[FloatArray, float]:
         """Return how the active coefficients follow one more column, and its information.
 
         Args:
-            joints: Joints on which the column acts.
-            values: The column on each, shapes (N, 1).
+            column: The column.
             solution: A solution of the regression.
 
         Returns:
             Change of the active coefficients per unit of the column's coefficient, shape (a,), and
             the information of that coefficient after their elimination.
         """
-        active = np.flatnonzero(solution.active)
-        position = np.full(len(solution.active), -1)
-        position[active] = np.arange(len(active))
-        cross, square = np.zeros((len(active), 1)), 0.0
-        for j, column in zip(joints, values, strict=True):
-            gram, weight = self._grams[j], float(self.weights[j])
-            x = column * self.moving[:, j, None]
-            on = position[gram.places]
-            cross[on[on >= 0]] += weight * (gram.columns.T @ x)[on >= 0]
-            square += weight * float(np.sum(x * x))
+        batch = CandidateBatch.of([column], self.moving)
+        cross, _ = self._coupling(batch, solution)
         change = -solution.solve(cross)
+        square = self.weights @ batch.groups[0].squares[:, 0, 0, 0]
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
 
     def count_of(self, effect: int) -> int:
@@ -484,11 +474,24 @@ class JointRegression:
             batch: Columns of the candidates.
         """
         solution = self.solution
-        active = np.flatnonzero(solution.active)
-        position = np.full(len(solution.active), -1)
-        position[active] = np.arange(len(active))
+        cross, score = self._coupling(batch, solution)
+        change = solution.solve(cross)
+        out: list[CandidateFit | None] = [None] * batch.count
+        for group in batch.groups:
+            fits = group.fits(self.weights, cross, change, score)
+            for member, fit in zip(group.members.tolist(), fits, strict=True):
+                out[member] = fit
+        return [fit for fit in out if fit is not None]
+
+    def _coupling(self, batch: CandidateBatch, solution: Solution) -> tuple[FloatArray, FloatArray]:
+        """Information that the active coefficients share with all columns, and the columns' score.
+
+        Returns:
+            Shapes (a, S) and (S,).
+        """
+        position = np.where(solution.active, np.cumsum(solution.active) - 1, -1)
         total = sum(group.places.size for group in batch.groups)
-        cross, score = np.zeros((len(active), total)), np.zeros(total)
+        cross, score = np.zeros((int(solution.active.sum()), total)), np.zeros(total)
         for j, (gram, weight) in enumerate(zip(self._grams, self.weights.tolist(), strict=True)):
             x, places, on = batch.values[j], batch.places[j], position[gram.places]
             if not len(places):
@@ -497,13 +500,7 @@ class JointRegression:
             cross[np.ix_(on[on >= 0], places)] += weight * shared[on >= 0]
             residual = x.T @ self.torque[:, j] - shared.T @ solution.coefficients[gram.places]
             score[places] += weight * residual
-        change = solution.solve(cross)
-        out: list[CandidateFit | None] = [None] * batch.count
-        for group in batch.groups:
-            fits = group.fits(self.weights, cross, change, score)
-            for member, fit in zip(group.members.tolist(), fits, strict=True):
-                out[member] = fit
-        return [fit for fit in out if fit is not None]
+        return cross, score
 
 
 def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:

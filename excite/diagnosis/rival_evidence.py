@@ -25,7 +25,6 @@ from .columns import Columns
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .joint_model import JointModel
-from .regression import JointRegression
 from .selection import Candidate, CandidateShapes
 
 
@@ -107,7 +106,10 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> Cl
     ]
     reduced = model.keeping(kept)
     regression = reduced.regression
-    present = {name: _present(reduced, group) for name, group in members.items()}
+    present = {
+        name: CandidateShapes.of(reduced, map(without_form_error, group)).fitted(reduced)
+        for name, group in members.items()
+    }
     strongest = max((c.evidence for group in present.values() for c in group), default=0.0)
     columns_of = {
         name: _varied(reduced, group or _best_form(reduced, name, joint, strongest))
@@ -116,27 +118,16 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> Cl
     numbers = {
         name: [regression.add(columns) for columns in group] for name, group in columns_of.items()
     }
-    return ClassEvidence(
-        joint,
-        {
-            name: _log_evidence(regression, [n for k in names if k != name for n in numbers[k]])
-            for name in names
-        },
-    )
+    log_evidence = {}
+    for name in names:
+        others = [number for k in names if k != name for number in numbers[k]]
+        log_evidence[name] = posterior.log_evidence(regression, regression.without(others))
+    return ClassEvidence(joint, log_evidence)
 
 
 def _is_at(shape: CandidateModel, joint: int | None) -> bool:
     """Tell whether a model belongs to a joint, or to the whole robot."""
     return joint is None or shape.joint in (None, joint)
-
-
-def _log_evidence(regression: JointRegression, left_out: Sequence[int]) -> float:
-    return posterior.log_evidence(regression, regression.without(left_out))
-
-
-def _present(reduced: JointModel, group: Sequence[CandidateModel]) -> list[Candidate]:
-    """Return the models of an effect that the joint model has, fitted to what the others leave."""
-    return CandidateShapes.of(reduced, map(without_form_error, group)).fitted(reduced)
 
 
 def _best_form(

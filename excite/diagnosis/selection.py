@@ -21,7 +21,6 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
 from .candidate_fits import CandidateBatch, CandidateFit
-from .columns import Columns
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
 from .posterior import DENSE_NAMES, EffectEvidence, Key
@@ -136,19 +135,6 @@ class Candidate:
     def is_plausible(self) -> bool:
         """True if its coefficients are physically possible."""
         return self.model.is_plausible(self.fit.coefficients)
-
-    @classmethod
-    def of(cls, joint: JointModel, model: CandidateModel, columns: Columns) -> Candidate:
-        """Return a candidate fitted on top of a joint model.
-
-        Args:
-            joint: The joint model.
-            model: The candidate.
-            columns: Its columns.
-        """
-        regression = joint.regression
-        fit = regression.candidate(columns)
-        return cls(model, columns.prior_std, fit, regression.independent_share)
 
 
 @dataclass(frozen=True)
@@ -310,8 +296,7 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     """Return a candidate for the present joint model, with its nonlinear parameters optimised."""
 
     def fitted(shape: CandidateModel) -> Candidate | None:
-        columns = model.columns(shape)
-        return None if columns is None else Candidate.of(model, shape, columns)
+        return next(iter(CandidateShapes.of(model, [shape]).fitted(model)), None)
 
     def gain(shape: CandidateModel) -> float:
         trial = fitted(shape)

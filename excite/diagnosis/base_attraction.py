@@ -38,7 +38,7 @@ def attract(identified: Identification, model: JointModel) -> None:
     """
     psi = joint_model.initial_parameters(identified)
     motions = joint_model.renewed(identified, model.motions, psi, identified.model.widths)
-    alone = joint_model.base_regression(identified, motions)
+    alone = joint_model.base_model(identified, motions, psi).regression
     alone.fix_at_zero(range(len(model.free), model.delay_place + 1))
     alpha = _attractions(model, alone)
     if alpha.any():
@@ -129,7 +129,7 @@ class _Fold:
         Args:
             alpha: Attraction of its base model to the base model alone, shape (n,).
         """
-        fitted = self.fitted.keeping(range(len(self.fitted.slices)))
+        fitted = self.fitted.copy()
         fitted.attract(self.mean, np.tensordot(alpha, self.information, 1))
         solution = _without_changes(fitted, self.model)
         return _squared_error(self.model.regression, solution, self.rows)

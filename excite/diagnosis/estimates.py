@@ -17,6 +17,7 @@ from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import position_range
 from ..effects.spring import CURVE_WAVES
 from . import joint_model, posterior, probability
+from .columns import Columns
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .normal_equations import Solution
@@ -430,7 +431,8 @@ class _Posterior:
             ((a - b) @ cu / (2.0 * LOG_STEP))[:, None]
             for a, b in zip(up.values, down.values, strict=True)
         )
-        slope, information = self.model.regression.sensitivity(up.joints, values, self.solution)
+        change = Columns(up.joints, values, np.zeros(1, bool), np.ones(1))
+        slope, information = self.model.regression.sensitivity(change, self.solution)
         place = np.searchsorted(self.active, places)
         return slope[place], float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
 

@@ -104,7 +104,7 @@ def fit(
         for i, (shape, part) in enumerate(zip(model.models, model.regression.slices, strict=True))
         if i not in left_out and shape.effect != UNMODELLED and solution.coefficients[part].any()
     ]
-    base_model = model.regression.base_only()
+    base_model = model.regression.keeping(())
     # the saved model has the widths and the delay of the motions, and no further change of them
     base_model.fix_at_zero(range(len(model.free), model.delay_place + 1))
     first = _with_effects(base_model, model, model.motions, shapes)

@@ -91,7 +91,7 @@ class _Columns:
     def model(self, features: FloatArray, regime: str, other: int | None = None) -> CandidateModel:
         """Return the model of features, shape (N, k), each scaled to unit RMS."""
         moving = self.rows.moving[:, self.joint]
-        size = np.sqrt(np.mean(np.square(features[moving]), axis=0))
+        size = np.sqrt(moving @ np.square(features) / np.count_nonzero(moving))
         kept = size > MIN_COLUMN_SHARE * max(float(size.max(initial=0.0)), 1e-300)
         scaled = features[:, kept] / size[kept]
         parts = split_by_motion(scaled, self.motions)

@@ -166,6 +166,14 @@ class JointModel:
         """Return the columns of a model over all motions; None if they are zero or not finite."""
         return model_columns(model, self.motions, self.level)
 
+    def with_effects(self, models: Sequence[CandidateModel]) -> JointModel:
+        """Return the model with further effects, except those whose columns are zero."""
+        columns = [self.columns(model) for model in models]
+        kept = [model for model, c in zip(models, columns, strict=True) if c is not None]
+        regression = self.regression.copy()
+        regression.add_all([c for c in columns if c is not None])
+        return replace(self, models=(*self.models, *kept), regression=regression)
+
 
 def model_columns(
     model: CandidateModel, motions: Sequence[RecordedMotion], level: FloatArray
@@ -178,10 +186,9 @@ def model_columns(
         level: Friction level of each joint, shape (n,) [N m].
     """
     parts = [model.columns(motion) for motion in motions]
+    acting = np.any([part.any(axis=(0, 2)) for part in parts], axis=0)
     values = {
-        j: np.concatenate([part[:, j] for part in parts])
-        for j in range(motions[0].n)
-        if any(part[:, j].any() for part in parts)
+        j: np.concatenate([part[:, j] for part in parts]) for j in np.flatnonzero(acting).tolist()
     }
     largest = max((float(np.abs(x).max()) for x in values.values()), default=0.0)
     if not 1e-9 < largest < np.inf:
@@ -210,10 +217,23 @@ def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
     ]
 
 
+def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:
+    """Return the frictions of all joints at the identified parameters, which start every fit.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+    """
+    psi = initial_parameters(identified)
+    present = renewed(identified, motions, psi, identified.model.widths)
+    return base_model(identified, present, psi).with_effects(dense_models(present))
+
+
 def fit(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     rare: Sequence[CandidateModel] = (),
+    start: JointModel | None = None,
 ) -> JointModel:
     """Fit the joint model to recorded motions.
 
@@ -221,27 +241,13 @@ def fit(
         identified: The base model.
         motions: The motions to fit.
         rare: Further effects.
+        start: What `first_round` returns, if it is at hand.
     """
-    coulomb = _coulomb_columns(identified)
-    psi, widths = initial_parameters(identified), identified.model.widths
-    recorded = [motion.segment.torque for motion in motions]
-    delay = 0.0
+    widths, delay = identified.model.widths, 0.0
     waves: list[CandidateModel] = []
-    weights: tuple[FloatArray, float] | None = None
-    for step in range(ROUNDS):
-        present = [
-            motion.with_torque(_moved(motion, torque, delay))
-            for motion, torque in zip(motions, recorded, strict=True)
-        ]
-        current = renewed(identified, present, psi, widths, coulomb)
-        fitted = _fit_round(
-            identified, current, [*dense_models(current), *rare, *waves], delay, psi, weights
-        )
-        weights = fitted.regression.sigma, fitted.regression.independent_share
-        if step == ROUNDS - 1:
-            for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
-                motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
-            break
+    fitted = (start or first_round(identified, motions)).with_effects(rare)
+    for step in range(ROUNDS - 1):
+        reweight(fitted.regression)
         x = fitted.solution.coefficients
         delay += float(x[fitted.delay_place])
         if delay_evidence(fitted, delay)[0] <= MIN_DELAY_EVIDENCE:
@@ -253,6 +259,14 @@ def fit(
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
             waves = [*refined_waves(fitted), *find_waves(fitted)]
+        moved = [m.with_torque(_moved(m, m.segment.torque, delay)) for m in motions]
+        present = renewed(identified, moved, psi, widths)
+        weights = fitted.regression.sigma, fitted.regression.independent_share
+        fitted = base_model(identified, present, psi, delay, weights)
+        fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
+    reweight(fitted.regression)
+    for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
+        motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
     return fitted
 
 
@@ -296,54 +310,38 @@ def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateMod
     return with_form_error(model, fitted.motions, coefficients)
 
 
-def _fit_round(
+def base_model(
     identified: Identification,
     motions: Sequence[RecordedMotion],
-    models: Sequence[CandidateModel],
-    delay: float,
     psi: FloatArray,
-    weights: tuple[FloatArray, float] | None,
-) -> JointModel:
-    """Fit the coefficients of given models, and the weights of the rows."""
-    regression = base_regression(identified, motions, weights)
-    level, free = friction_level(motions), free_parameters(identified)
-    known = np.concatenate([known_torque(motion, free) for motion in motions])
-    kept = []
-    for model in models:
-        columns = model_columns(model, motions, level)
-        if columns is not None:
-            regression.add(columns)
-            kept.append(model)
-    reweight(regression)
-    return JointModel(tuple(motions), tuple(kept), regression, delay, level, psi, free, known)
-
-
-def base_regression(
-    identified: Identification,
-    motions: Sequence[RecordedMotion],
+    delay: float = 0.0,
     weights: tuple[FloatArray, float] | None = None,
-) -> JointRegression:
-    """Return the regression of the base model without effects.
+) -> JointModel:
+    """Return the joint model of the base model without effects.
 
     Args:
         identified: The base model.
         motions: The motions to fit.
+        psi: Its standard parameters, shape (P,).
+        delay: Time by which all torque is recorded late, which was moved already [s].
         weights: RMS residual of each joint [N m] and share of independent rows; of the motions'
             base model if None.
     """
-    free = free_parameters(identified)
-    known = np.concatenate([known_torque(motion, free) for motion in motions])
+    free, level = free_parameters(identified), friction_level(motions)
+    fixed = np.delete(np.arange(identified.model.base.count), free)
+    known = np.concatenate([m.gamma[:, :, fixed] @ m.theta[fixed] for m in motions])
     moving = np.concatenate([motion.moving for motion in motions])
     if weights is None:
         residual = np.concatenate([motion.residual for motion in motions])
         weights = rms(residual, moving), independent_share(residual, moving)
-    return JointRegression.of_base(
+    regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
-        _base_columns(motions, friction_level(motions), free),
+        _base_columns(motions, level, free),
         _base_prior(identified, motions, free),
         *weights,
     )
+    return JointModel(tuple(motions), (), regression, delay, level, psi, free, known)
 
 
 def reweight(regression: JointRegression, transient: BoolArray | None = None) -> None:
@@ -422,12 +420,6 @@ def initial_parameters(identified: Identification) -> FloatArray:
     return psi
 
 
-def known_torque(motion: RecordedMotion, free: IntArray) -> FloatArray:
-    """Return the torque of the base parameters that are not refit, shape (N, n) [N m]."""
-    fixed = np.delete(np.arange(motion.gamma.shape[2]), free)
-    return np.asarray(motion.gamma[:, :, fixed] @ motion.theta[fixed])
-
-
 def _base_columns(
     motions: Sequence[RecordedMotion], level: FloatArray, free: IntArray
 ) -> FloatArray:
@@ -439,7 +431,7 @@ def _base_columns(
     for motion in motions:
         slopes = np.zeros((len(motion), motion.n, motion.n))
         slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
-        slope = -motion.band.transform(motion.segment.torque).filter(Grid.KEPT, 1)[motion.kept]
+        slope = -motion.band.filter(motion.segment.torque, Grid.KEPT, 1)[motion.kept]
         changes = session_changes.columns(motion, motions)
         parts.append(
             np.concatenate([motion.gamma[:, :, free], slopes, slope[:, :, None], changes], axis=2)
@@ -478,12 +470,11 @@ def renewed(
     motions: Sequence[RecordedMotion],
     psi: FloatArray,
     widths: FloatArray,
-    coulomb: IntArray | None = None,
 ) -> list[RecordedMotion]:
     """Return motions with the base model of other parameters."""
     model = identified.model
     robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
-    columns = _coulomb_columns(identified) if coulomb is None else coulomb
+    columns = _coulomb_columns(identified)
     return [m.with_base_model(robot, widths, model.base.matrix @ psi, columns) for m in motions]
 
 
@@ -568,7 +559,7 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         waves: list[CandidateModel] = []
         regression = fitted.regression
         while len(known) + len(waves) < MAX_WAVES:
-            residual = regression.residual()[:, j]
+            residual = regression.residual_of(j)
             order, gain, count = _spectrum_peak(
                 residual, angle / radian, speed / radian, moving, low * radian, hertz
             )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import lapack
 from scipy.optimize import nnls
 
 from .._types import BoolArray, FloatArray, IntArray
@@ -62,52 +63,58 @@ class Solution:
             scale = 1.0 / np.sqrt(np.diag(a))
             self._factor = _cholesky(a * scale[:, None] * scale, RIDGE), scale
         factor, scale = self._factor
-        return np.asarray(scale[:, None] * linalg.cho_solve((factor, True), scale[:, None] * x))
+        return scale[:, None] * _solved(factor, scale[:, None] * x)
 
 
 @dataclass(frozen=True)
 class Elimination:
-    """Normal equations of the coefficients with a sign constraint, all others eliminated.
+    """Normal equations of the coefficients of all effects, those of the base model eliminated.
+
+    Which effects are left out changes nothing here, so that one elimination serves all refits.
 
     Attributes:
         scale: Units of all coefficients, in which A has a unit diagonal, shape (K,).
-        free: Coefficients without a sign constraint that are used, shape (f,).
-        bounded: Coefficients that cannot be negative, shape (m,).
-        cross: Change of the free coefficients per unit of the bounded ones, and their values
+        base: Eliminated coefficients, shape (f,).
+        others: The coefficients that remain, shape (m,).
+        bounded: Those of them that cannot be negative, shape (m,).
+        cross: Change of the eliminated coefficients per unit of the others, and their values
             without these, shape (f, m + 1).
-        schur: Information of the bounded coefficients, shape (m, m).
+        schur: Information of the others, shape (m, m).
         target: Their score, shape (m,).
-        log_determinant: log det of the information of the free coefficients, in these units.
+        log_determinant: log det of the information of the eliminated ones, in these units.
     """
 
     scale: FloatArray
-    free: IntArray
-    bounded: IntArray
+    base: IntArray
+    others: IntArray
+    bounded: BoolArray
     cross: FloatArray
     schur: FloatArray
     target: FloatArray
     log_determinant: float
 
     @classmethod
-    def of(cls, system: System, free: BoolArray, nonnegative: BoolArray) -> Elimination:
-        """Eliminate the free coefficients by a Schur complement.
+    def of(
+        cls, system: System, base: IntArray, others: IntArray, bounded: BoolArray
+    ) -> Elimination:
+        """Eliminate the coefficients of the base model by a Schur complement.
 
         Args:
             system: The normal equations.
-            free: Coefficients without a sign constraint that are used, shape (K,).
-            nonnegative: Coefficients that cannot be negative, shape (K,).
+            base: Coefficients that are eliminated, shape (f,).
+            others: Coefficients that remain, shape (m,).
+            bounded: Those of them that cannot be negative, shape (m,).
         """
         scale = 1.0 / np.sqrt(np.maximum(np.diag(system.matrix), 1e-300))
         a, b = system.matrix * scale[:, None] * scale, system.score * scale
-        f, m = np.flatnonzero(free), np.flatnonzero(nonnegative)
-        factor = _cholesky(a[np.ix_(f, f)], RIDGE)
-        mixed = a[np.ix_(f, m)]
-        cross = linalg.cho_solve((factor, True), np.column_stack([mixed, b[f]]))
+        factor = _cholesky(a[np.ix_(base, base)], RIDGE)
+        mixed = a[np.ix_(base, others)]
+        cross = _solved(factor, np.column_stack([mixed, b[base]]))
         eliminated = mixed.T @ cross
-        schur = a[np.ix_(m, m)] - eliminated[:, :-1]
-        schur[np.diag_indices(len(m))] += RIDGE
-        target = b[m] - eliminated[:, -1]
-        return cls(scale, f, m, cross, schur, target, _log_determinant(factor))
+        schur = a[np.ix_(others, others)] - eliminated[:, :-1]
+        schur[np.diag_indices(len(others))] += RIDGE
+        target = b[others] - eliminated[:, -1]
+        return cls(scale, base, others, bounded, cross, schur, target, _log_determinant(factor))
 
     def minimum(self, system: System, used: BoolArray, likely: BoolArray) -> Solution:
         """Return the minimum over the used coefficients.
@@ -117,26 +124,25 @@ class Elimination:
             used: The coefficients that are used, shape (K,).
             likely: Coefficients that are probably active, by a similar problem, shape (K,).
         """
-        x = np.zeros(len(used))
-        on = np.flatnonzero(used[self.bounded])
-        values = np.zeros(len(self.bounded))
-        values[on], active_on, log_determinant = _nonnegative_minimum(
-            self.schur[np.ix_(on, on)], self.target[on], likely[self.bounded[on]]
+        x, active = np.zeros(len(used)), used.copy()
+        x[self.others], active[self.others], log_determinant = _bounded_minimum(
+            self.schur, self.target, used[self.others], self.bounded, likely[self.others]
         )
-        x[self.bounded] = values
-        x[self.free] = self.cross[:, -1] - self.cross[:, :-1] @ values
+        x[self.base] = self.cross[:, -1] - self.cross[:, :-1] @ x[self.others]
         x *= self.scale
-        active = used.copy()
-        active[self.bounded[on]] = active_on
         objective = 0.5 * (system.power + x @ system.matrix @ x) - system.score @ x
         log_determinant += self.log_determinant - 2.0 * float(np.sum(np.log(self.scale[active])))
         return Solution(x, active, float(objective), system.matrix, log_determinant)
 
 
-def _nonnegative_minimum(
-    matrix: FloatArray, target: FloatArray, active: BoolArray
+def _bounded_minimum(
+    matrix: FloatArray,
+    target: FloatArray,
+    used: BoolArray,
+    bounded: BoolArray,
+    likely: BoolArray,
 ) -> tuple[FloatArray, BoolArray, float]:
-    """Minimise ½ xᵀ M x − tᵀ x over x ≥ 0, by block principal pivoting.
+    """Minimise ½ xᵀ M x − tᵀ x, some of x ≥ 0, by block principal pivoting.
 
     All coefficients that violate an optimality condition change sides at once, or the last of them
     where that does not help (Portugal, Júdice & Vicente, Math. Comput. 63, 1994). From the active
@@ -146,25 +152,27 @@ def _nonnegative_minimum(
     Args:
         matrix: M, shape (m, m).
         target: t, shape (m,).
-        active: Coefficients that are probably not zero, shape (m,).
+        used: Coefficients that are used; all others are zero, shape (m,).
+        bounded: Coefficients that cannot be negative, shape (m,).
+        likely: Coefficients that are probably not zero, shape (m,).
 
     Returns:
         x, its active coefficients, and log det M over these.
     """
-    tolerance = RELATIVE_TOLERANCE * float(np.abs(target).max(initial=0.0))
+    bounded = bounded & used
+    tolerance = RELATIVE_TOLERANCE * float(np.abs(target[bounded]).max(initial=0.0))
     fewest, tries = len(target) + 1, BLOCK_EXCHANGES
+    active = used & (likely | ~bounded)
     for exchange in range(MAX_EXCHANGES + 1):
         if exchange == MAX_EXCHANGES:
-            root = linalg.cholesky(matrix)
-            right = linalg.solve_triangular(root, target, trans=1)
-            active = nnls(root, right, maxiter=30 * len(target))[0] > 0.0
+            active = _active_set(matrix, target, used, bounded)
         p = np.flatnonzero(active)
         x = np.zeros(len(target))
         factor = _cholesky(matrix[np.ix_(p, p)])
-        x[p] = linalg.cho_solve((factor, True), target[p]) if len(p) else 0.0
-        gradient = matrix[:, p] @ x[p] - target
-        negative = x < -RELATIVE_TOLERANCE * np.abs(x).max(initial=0.0)
-        wrong = np.flatnonzero(np.where(active, negative, gradient < -tolerance))
+        x[p] = _solved(factor, target[p])
+        gradient = matrix @ x - target
+        negative = x < -RELATIVE_TOLERANCE * np.abs(x[bounded]).max(initial=0.0)
+        wrong = np.flatnonzero(bounded & np.where(active, negative, gradient < -tolerance))
         if not len(wrong) or exchange == MAX_EXCHANGES:
             break
         tries = BLOCK_EXCHANGES if len(wrong) < fewest else tries - 1
@@ -172,13 +180,38 @@ def _nonnegative_minimum(
         active = active.copy()
         changed = wrong if tries > 0 else wrong[-1:]  # one at a time always ends
         active[changed] = ~active[changed]
-    return np.maximum(x, 0.0), active, _log_determinant(factor)
+    x[bounded] = np.maximum(x[bounded], 0.0)
+    return x, active, _log_determinant(factor)
+
+
+def _active_set(
+    matrix: FloatArray, target: FloatArray, used: BoolArray, bounded: BoolArray
+) -> BoolArray:
+    """Active set of `_bounded_minimum`, sought from the start by nonnegative least squares."""
+    on = np.flatnonzero(used)
+    root = linalg.cholesky(matrix[np.ix_(on, on)])
+    right = linalg.solve_triangular(root, target[on], trans=1)
+    either_sign = np.hstack([root, -root[:, ~bounded[on]]])
+    active = used.copy()
+    active[on] = nnls(either_sign, right, maxiter=30 * len(on))[0][: len(on)] > 0.0
+    return np.asarray(used & (active | ~bounded))
 
 
 def _cholesky(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
-    """Lower Cholesky factor of a matrix with a share of the unit matrix added."""
+    """Cholesky factor of a matrix with a share of the unit matrix added, in its lower triangle."""
     regular = matrix + ridge * np.eye(len(matrix)) if ridge else matrix
-    return np.asarray(linalg.cholesky(regular, lower=True))
+    if not len(regular):
+        return regular
+    # without the checks of scipy.linalg, which take longer than small matrices
+    factor, failed = lapack.dpotrf(regular.T, lower=1, clean=0)
+    if failed:
+        raise np.linalg.LinAlgError("matrix is not positive definite")
+    return np.asarray(factor)
+
+
+def _solved(factor: FloatArray, right: FloatArray) -> FloatArray:
+    """Solution of the equations of a matrix with a Cholesky factor."""
+    return np.asarray(lapack.dpotrs(factor, right, lower=1)[0]) if right.size else right
 
 
 def _log_determinant(factor: FloatArray) -> float:

@@ -196,8 +196,8 @@ def _next_to_form_errors(
     )
     if len(present) < 2:
         return {}
-    extended = model.keeping(range(len(model.models)))
-    regression = extended.regression
+    regression = model.regression.copy()
+    extended = replace(model, regression=regression)
     out: dict[Key, EffectEvidence] = {}
     gone = set(left_out)
     for larger, smaller in itertools.pairwise(present):

@@ -12,7 +12,7 @@ eliminated by a Schur complement (`normal_equations`).
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
@@ -89,10 +89,10 @@ class JointRegression:
     _grams: list[_JointGram] = field(default_factory=list)
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
-    _solution: Solution | None = None
     _likely: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     _system: System | None = None
     _eliminations: dict[bytes, Elimination] = field(default_factory=dict)
+    _solutions: dict[bytes, Solution] = field(default_factory=dict)
 
     @classmethod
     def of_base(
@@ -144,9 +144,17 @@ class JointRegression:
         """Weight ρ/σ² of the rows of each joint, shape (n,)."""
         return self.independent_share / self.sigma**2
 
-    def base_only(self) -> JointRegression:
-        """Return a regression on the base model alone, with the same rows and weights."""
-        return self.keeping(())
+    def copy(self) -> JointRegression:
+        """Return a regression to which columns and priors can be added without changing this."""
+        return replace(
+            self,
+            slices=list(self.slices),
+            prior_matrix=self.prior_matrix.copy(),
+            _grams=list(self._grams),
+            _prior_score=self._prior_score.copy(),
+            _eliminations={},
+            _solutions={},
+        )
 
     def keeping(self, effects: Sequence[int]) -> JointRegression:
         """Return a regression with some of the effects, and the same rows and weights.
@@ -188,12 +196,13 @@ class JointRegression:
         Args:
             rows: The rows, shape (N,).
         """
-        out = self.keeping(range(len(self.slices)))
+        out = self.copy()
         out.moving = self.moving & rows[:, None]
         for j, gram in enumerate(self._grams):
             x, tau = gram.columns * rows[:, None], self.torque[:, j]
             power = float(np.sum(tau[out.moving[:, j]] ** 2))
             out._grams[j] = _JointGram(x, gram.places, x.T @ x, x.T @ tau, power)
+        out._changed()
         return out
 
     def information_by_joint(self, count: int) -> FloatArray:
@@ -229,21 +238,32 @@ class JointRegression:
 
     def add(self, columns: Columns) -> int:
         """Append the columns of an effect; return its number."""
-        start = len(self.nonnegative)
-        places = np.arange(start, start + columns.count)
-        for j, values in zip(columns.joints, columns.values, strict=True):
-            self._grams[j] = self._grams[j].appended(
-                values * self.moving[:, j, None], places, self.torque[:, j]
-            )
-        self.nonnegative = np.concatenate([self.nonnegative, columns.nonnegative])
-        self.prior_matrix = linalg.block_diag(
-            self.prior_matrix, np.diag(1.0 / columns.prior_std**2)
-        )
-        self._prior_score = np.concatenate([self._prior_score, np.zeros(columns.count)])
-        self.slices.append(slice(start, start + columns.count))
-        self._likely = np.concatenate([self._likely, np.ones(columns.count, bool)])
-        self._changed()
+        self.add_all([columns])
         return len(self.slices) - 1
+
+    def add_all(self, effects: Sequence[Columns]) -> None:
+        """Append the columns of some effects."""
+        start = len(self.nonnegative)
+        for columns in effects:
+            stop = start + columns.count
+            self.slices.append(slice(start, stop))
+            start = stop
+        parts = self.slices[len(self.slices) - len(effects) :]
+        for j, gram in enumerate(self._grams):
+            acting = [(c, part) for c, part in zip(effects, parts, strict=True) if j in c.joints]
+            if acting:
+                values = np.hstack([c.values[c.joints.index(j)] for c, _ in acting])
+                places = np.concatenate([np.arange(p.start, p.stop) for _, p in acting])
+                self._grams[j] = gram.appended(
+                    values * self.moving[:, j, None], places, self.torque[:, j]
+                )
+        count = start - len(self.nonnegative)
+        self.nonnegative = np.concatenate([self.nonnegative, *(c.nonnegative for c in effects)])
+        precision = [np.diag(c.prior_std**-2.0) for c in effects]
+        self.prior_matrix = linalg.block_diag(self.prior_matrix, *precision)
+        self._prior_score = np.concatenate([self._prior_score, np.zeros(count)])
+        self._likely = np.concatenate([self._likely, np.ones(count, bool)])
+        self._changed()
 
     def reweighted(self, sigma: FloatArray, independent_share: float) -> None:
         """Replace the weights of the rows."""
@@ -253,9 +273,7 @@ class JointRegression:
     @property
     def solution(self) -> Solution:
         """The minimum of the objective."""
-        if self._solution is None:
-            self._solution = self._solve(np.ones(len(self.nonnegative), bool))
-        return self._solution
+        return self.without(())
 
     def without(self, effects: Iterable[int], unused: Sequence[int] = ()) -> Solution:
         """Return the minimum of the objective without some effects, all others refitted.
@@ -272,10 +290,9 @@ class JointRegression:
 
     def _assembled(self) -> System:
         """Normal equations of the weighted rows and the priors."""
-        if self._system is not None:
-            return self._system
-        products = [(gram.matrix, gram.score, gram.power) for gram in self._grams]
-        self._system = self._system_of([products])
+        if self._system is None:
+            products = [(gram.matrix, gram.score, gram.power) for gram in self._grams]
+            self._system = self._system_of([products])
         return self._system
 
     def _products(self, rows: BoolArray, torque: FloatArray) -> list[_Products]:
@@ -306,19 +323,32 @@ class JointRegression:
 
     def _changed(self) -> None:
         """Forget all that was computed with other columns, weights or priors."""
-        self._solution, self._system = None, None
+        self._system = None
         self._eliminations.clear()
+        self._solutions.clear()
 
     def _solve(self, used: BoolArray) -> Solution:
         """Minimum of the objective over the used coefficients, with the present weights."""
-        system = self._assembled()
-        free = used & ~self.nonnegative
-        key = free.tobytes()
-        if key not in self._eliminations:
-            self._eliminations[key] = Elimination.of(system, free, self.nonnegative)
-        solution = self._eliminations[key].minimum(system, used, self._likely)
-        self._likely = np.where(used, solution.active, self._likely)
-        return solution
+        key = used.tobytes()
+        if key not in self._solutions:
+            system, base = self._assembled(), used[: self.base_count].tobytes()
+            if base not in self._eliminations:
+                self._eliminations[base] = self._elimination_of(system, used)
+            likely = self._likely
+            if self._solutions:  # that of the most similar problem
+                masks = np.array([np.frombuffer(k, bool) for k in self._solutions])
+                nearest = int(np.argmin(np.count_nonzero(masks != used, axis=1)))
+                near = list(self._solutions.values())[nearest].active
+                likely = np.where(masks[nearest], near, likely)
+            solution = self._eliminations[base].minimum(system, used, likely)
+            self._likely = np.where(used, solution.active, self._likely)
+            self._solutions[key] = solution
+        return self._solutions[key]
+
+    def _elimination_of(self, system: System, used: BoolArray) -> Elimination:
+        """Normal equations from which the used coefficients of the base model are eliminated."""
+        base, others = np.split(np.arange(len(used)), [self.base_count])
+        return Elimination.of(system, base[used[base]], others, self.nonnegative[others])
 
     def cross_validated(
         self, folds: Sequence[BoolArray], variants: Sequence[Collection[int]], unused: BoolArray
@@ -343,8 +373,8 @@ class JointRegression:
         for errors, held_out in zip(out, parts, strict=True):
             # a sum over the other folds: a difference would leave the rounding errors of the whole
             system = self._system_of([part for part in parts if part is not held_out])
+            elimination = self._elimination_of(system, ~unused)
             for v, mask in enumerate(used):
-                elimination = Elimination.of(system, mask & ~self.nonnegative, self.nonnegative)
                 c = elimination.minimum(system, mask, self.solution.active).coefficients
                 for j, (gram, (matrix, score, power)) in enumerate(
                     zip(self._grams, held_out, strict=True)
@@ -355,8 +385,17 @@ class JointRegression:
 
     def residual(self, solution: Solution | None = None) -> FloatArray:
         """Return the torque residual, shape (N, n) [N m]; rows at standstill have the torque."""
-        x = (solution or self.solution).coefficients
-        return self.torque - np.column_stack([g.columns @ x[g.places] for g in self._grams])
+        return self.torque - self.torque_along((solution or self.solution).coefficients)
+
+    def residual_of(self, joint: int) -> FloatArray:
+        """Return the torque residual of one joint, shape (N,) [N m].
+
+        Args:
+            joint: Index of the joint.
+        """
+        gram = self._grams[joint]
+        fitted = gram.columns @ self.solution.coefficients[gram.places]
+        return np.asarray(self.torque[:, joint] - fitted)
 
     def residual_rms(self, solution: Solution) -> FloatArray:
         """Return the RMS residual of each joint over its rows in motion, shape (n,) [N m].
@@ -390,31 +429,21 @@ class JointRegression:
         """Return the torque of given coefficients, shape (N, n) [N m]; zero at standstill."""
         return np.column_stack([g.columns @ coefficients[g.places] for g in self._grams])
 
-    def sensitivity(
-        self, joints: Sequence[int], values: Sequence[FloatArray], solution: Solution
-    ) -> tuple[FloatArray, float]:
+    def sensitivity(self, column: Columns, solution: Solution) -> tuple[FloatArray, float]:
         """Return how the active coefficients follow one more column, and its information.
 
         Args:
-            joints: Joints on which the column acts.
-            values: The column on each, shapes (N, 1).
+            column: The column.
             solution: A solution of the regression.
 
         Returns:
             Change of the active coefficients per unit of the column's coefficient, shape (a,), and
             the information of that coefficient after their elimination.
         """
-        active = np.flatnonzero(solution.active)
-        position = np.full(len(solution.active), -1)
-        position[active] = np.arange(len(active))
-        cross, square = np.zeros((len(active), 1)), 0.0
-        for j, column in zip(joints, values, strict=True):
-            gram, weight = self._grams[j], float(self.weights[j])
-            x = column * self.moving[:, j, None]
-            on = position[gram.places]
-            cross[on[on >= 0]] += weight * (gram.columns.T @ x)[on >= 0]
-            square += weight * float(np.sum(x * x))
+        batch = CandidateBatch.of([column], self.moving)
+        cross, _ = self._coupling(batch, solution)
         change = -solution.solve(cross)
+        square = self.weights @ batch.groups[0].squares[:, 0, 0, 0]
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
 
     def count_of(self, effect: int) -> int:
@@ -444,11 +473,24 @@ class JointRegression:
             batch: Columns of the candidates.
         """
         solution = self.solution
-        active = np.flatnonzero(solution.active)
-        position = np.full(len(solution.active), -1)
-        position[active] = np.arange(len(active))
+        cross, score = self._coupling(batch, solution)
+        change = solution.solve(cross)
+        out: list[CandidateFit | None] = [None] * batch.count
+        for group in batch.groups:
+            fits = group.fits(self.weights, cross, change, score)
+            for member, fit in zip(group.members.tolist(), fits, strict=True):
+                out[member] = fit
+        return [fit for fit in out if fit is not None]
+
+    def _coupling(self, batch: CandidateBatch, solution: Solution) -> tuple[FloatArray, FloatArray]:
+        """Information that the active coefficients share with all columns, and the columns' score.
+
+        Returns:
+            Shapes (a, S) and (S,).
+        """
+        position = np.where(solution.active, np.cumsum(solution.active) - 1, -1)
         total = sum(group.places.size for group in batch.groups)
-        cross, score = np.zeros((len(active), total)), np.zeros(total)
+        cross, score = np.zeros((int(solution.active.sum()), total)), np.zeros(total)
         for j, (gram, weight) in enumerate(zip(self._grams, self.weights.tolist(), strict=True)):
             x, places, on = batch.values[j], batch.places[j], position[gram.places]
             if not len(places):
@@ -457,13 +499,7 @@ class JointRegression:
             cross[np.ix_(on[on >= 0], places)] += weight * shared[on >= 0]
             residual = x.T @ self.torque[:, j] - shared.T @ solution.coefficients[gram.places]
             score[places] += weight * residual
-        change = solution.solve(cross)
-        out: list[CandidateFit | None] = [None] * batch.count
-        for group in batch.groups:
-            fits = group.fits(self.weights, cross, change, score)
-            for member, fit in zip(group.members.tolist(), fits, strict=True):
-                out[member] = fit
-        return [fit for fit in out if fit is not None]
+        return cross, score
 
 
 def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:

@@ -25,8 +25,7 @@ from .columns import Columns
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .joint_model import JointModel
-from .regression import JointRegression
-from .selection import Candidate
+from .selection import Candidate, CandidateShapes
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,10 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> Cl
     ]
     reduced = model.keeping(kept)
     regression = reduced.regression
-    present = {name: _present(reduced, group) for name, group in members.items()}
+    present = {
+        name: CandidateShapes.of(reduced, map(without_form_error, group)).fitted(reduced)
+        for name, group in members.items()
+    }
     strongest = max((c.evidence for group in present.values() for c in group), default=0.0)
     columns_of = {
         name: _varied(reduced, group or _best_form(reduced, name, joint, strongest))
@@ -116,29 +118,16 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> Cl
     numbers = {
         name: [regression.add(columns) for columns in group] for name, group in columns_of.items()
     }
-    return ClassEvidence(
-        joint,
-        {
-            name: _log_evidence(regression, [n for k in names if k != name for n in numbers[k]])
-            for name in names
-        },
-    )
+    log_evidence = {}
+    for name in names:
+        others = [number for k in names if k != name for number in numbers[k]]
+        log_evidence[name] = posterior.log_evidence(regression, regression.without(others))
+    return ClassEvidence(joint, log_evidence)
 
 
 def _is_at(shape: CandidateModel, joint: int | None) -> bool:
     """Tell whether a model belongs to a joint, or to the whole robot."""
     return joint is None or shape.joint in (None, joint)
-
-
-def _log_evidence(regression: JointRegression, left_out: Sequence[int]) -> float:
-    return posterior.log_evidence(regression, regression.without(left_out))
-
-
-def _present(reduced: JointModel, group: Sequence[CandidateModel]) -> list[Candidate]:
-    """Return the models of an effect that the joint model has, fitted to what the others leave."""
-    plain = (without_form_error(shape) for shape in group)
-    fitted = ((shape, reduced.columns(shape)) for shape in plain)
-    return [Candidate.of(reduced, shape, c) for shape, c in fitted if c is not None]
 
 
 def _best_form(
@@ -149,12 +138,9 @@ def _best_form(
     Its nonlinear parameters are optimised where that may bring it near the evidence of the
     strongest member that the model has.
     """
-    fitted = []
-    for shape in EFFECTS_BY_NAME[name].candidates(reduced.motions):
-        columns = reduced.columns(shape) if _is_at(shape, joint) else None
-        if columns is not None:
-            fitted.append(Candidate.of(reduced, shape, columns))
-    plausible = [candidate for candidate in fitted if candidate.is_plausible]
+    forms = EFFECTS_BY_NAME[name].candidates(reduced.motions)
+    shapes = CandidateShapes.of(reduced, (shape for shape in forms if _is_at(shape, joint)))
+    plausible = [candidate for candidate in shapes.fitted(reduced) if candidate.is_plausible]
     if not plausible:
         return []
     best = max(plausible, key=lambda c: c.evidence)

@@ -8,7 +8,7 @@ hides itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,7 +21,6 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
 from .candidate_fits import CandidateBatch, CandidateFit
-from .columns import Columns
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
 from .posterior import DENSE_NAMES, EffectEvidence, Key
@@ -138,18 +137,46 @@ class Candidate:
         """True if its coefficients are physically possible."""
         return self.model.is_plausible(self.fit.coefficients)
 
+
+@dataclass(frozen=True)
+class CandidateShapes:
+    """Candidate models with their columns over the motions of a joint model.
+
+    Attributes:
+        models: Those whose columns are not zero.
+        prior_std: Prior standard deviation of the coefficients of each.
+        batch: Their columns.
+    """
+
+    models: tuple[CandidateModel, ...]
+    prior_std: tuple[FloatArray, ...]
+    batch: CandidateBatch
+
     @classmethod
-    def of(cls, joint: JointModel, model: CandidateModel, columns: Columns) -> Candidate:
-        """Return a candidate fitted on top of a joint model.
+    def of(cls, joint: JointModel, shapes: Iterable[CandidateModel]) -> CandidateShapes:
+        """Compute the columns of some models.
 
         Args:
-            joint: The joint model.
-            model: The candidate.
-            columns: Its columns.
+            joint: The joint model over whose motions they are computed.
+            shapes: The models.
         """
+        computed = ((shape, joint.columns(shape)) for shape in shapes)
+        kept = [(shape, columns) for shape, columns in computed if columns is not None]
+        all_columns = [columns for _, columns in kept]
+        return cls(
+            tuple(shape for shape, _ in kept),
+            tuple(columns.prior_std for columns in all_columns),
+            CandidateBatch.of(all_columns, joint.regression.moving),
+        )
+
+    def fitted(self, joint: JointModel) -> list[Candidate]:
+        """Return the candidates, each fitted alone on top of a joint model of the same motions."""
         regression = joint.regression
-        fit = regression.candidate(columns)
-        return cls(model, columns.prior_std, fit, regression.independent_share)
+        fits = regression.candidates(self.batch)
+        return [
+            Candidate(shape, std, fit, regression.independent_share)
+            for shape, std, fit in zip(self.models, self.prior_std, fits, strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -202,15 +229,7 @@ class CandidateColumns:
                 if shape.joint is None or noise_ratio[shape.joint] <= shape.max_noise_ratio
             )
         shapes += flexible_models(model.motions, model.regression.sigma)
-        self._shapes: list[CandidateModel] = []
-        columns = []
-        for shape in shapes:
-            of_shape = model.columns(shape)
-            if of_shape is not None:
-                self._shapes.append(shape)
-                columns.append(of_shape)
-        self._batch = CandidateBatch.of(columns, model.regression.moving)
-        self._prior_std = [c.prior_std for c in columns]
+        self._shapes = CandidateShapes.of(model, shapes)
 
     def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
         """Return the ranking of the shapes of every effect at every joint.
@@ -218,14 +237,10 @@ class CandidateColumns:
         Args:
             model: The joint model on top of which they are fitted.
         """
-        share = model.regression.independent_share
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
-        for shape, prior_std, fit in zip(
-            self._shapes, self._prior_std, model.regression.candidates(self._batch), strict=True
-        ):
-            key = shape.effect, shape.joint
-            candidate = Candidate(shape, prior_std, fit, share)
+        for candidate in self._shapes.fitted(model):
+            key = candidate.model.effect, candidate.model.joint
             counts[key] = counts.get(key, 0) + 1
             if candidate.is_plausible:
                 plausible.setdefault(key, []).append(candidate)
@@ -282,8 +297,7 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
     """Return a candidate for the present joint model, with its nonlinear parameters optimised."""
 
     def fitted(shape: CandidateModel) -> Candidate | None:
-        columns = model.columns(shape)
-        return None if columns is None else Candidate.of(model, shape, columns)
+        return next(iter(CandidateShapes.of(model, [shape]).fitted(model)), None)
 
     def gain(shape: CandidateModel) -> float:
         trial = fitted(shape)
@@ -320,7 +334,8 @@ def find_rare_effects(
     """
     rare: tuple[CandidateModel, ...] = ()
     effects: list[RareEffect] = []
-    model = joint_model.fit(identified, motions)
+    start = joint_model.first_round(identified, motions)
+    model = joint_model.fit(identified, motions, start=start)
     rejected: set[Key] = set()
     candidates = CandidateColumns(model, trusted, names)
     while len(rare) < MAX_RARE_EFFECTS:
@@ -358,7 +373,7 @@ def find_rare_effects(
                 if chosen is not None and scores[key] < scores[chosen[0]] - TIE:
                     break
                 shape = best[key].model
-                extended = joint_model.fit(identified, motions, (*rare, shape))
+                extended = joint_model.fit(identified, motions, (*rare, shape), start)
                 evidence = _accepted(extended, key, progress)
                 if evidence is None:
                     rejected.add(key)
@@ -374,12 +389,13 @@ def find_rare_effects(
             if k != key and k not in rejected and (k[0] in LAST_RESORTS) is (key[0] in LAST_RESORTS)
         }
         effects.append(RareEffect(key, scores[key], others, {}, evidence.log_bayes_factor))
-    return _with_better_flexible_models(identified, motions, model, rare, effects, progress)
+    return _with_better_flexible_models(identified, motions, start, model, rare, effects, progress)
 
 
 def _with_better_flexible_models(
     identified: Identification,
     motions: Sequence[RecordedMotion],
+    start: JointModel,
     model: JointModel,
     rare: tuple[CandidateModel, ...],
     effects: Sequence[RareEffect],
@@ -390,6 +406,7 @@ def _with_better_flexible_models(
     Args:
         identified: The base model.
         motions: The motions to fit.
+        start: What starts every fit (`joint_model.first_round`).
         model: The joint model with all rare effects.
         rare: Their models.
         effects: The rare effects.
@@ -402,7 +419,7 @@ def _with_better_flexible_models(
         columns = [model.columns(shape) for shape in rare]
         kept = [i for i, c in enumerate(columns) if c is None or c.joints != (joint,)]
         shapes = (*(rare[i] for i in kept), flexible.model)
-        extended = joint_model.fit(identified, motions, shapes)
+        extended = joint_model.fit(identified, motions, shapes, start)
         key = UNMODELLED, joint
         evidence = _accepted(extended, key, progress)
         if evidence is not None:
@@ -437,14 +454,11 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     reduced = model.keeping(kept)
     named = posterior.log_bayes_factor(model, reduced)
     sigma = reduced.regression.residual_rms(reduced.solution)
-    best: Candidate | None = None
-    for shape in flexible_models(model.motions, sigma, [joint]):
-        # a smooth curve of the position is a spring
-        columns = None if shape.signature == "position" else reduced.columns(shape)
-        if columns is not None:
-            candidate = Candidate.of(reduced, shape, columns)
-            if best is None or candidate.log_bayes_factor > best.log_bayes_factor:
-                best = candidate
+    flexible = flexible_models(model.motions, sigma, [joint])
+    # a smooth curve of the position is a spring
+    shapes_tried = (shape for shape in flexible if shape.signature != "position")
+    fitted = CandidateShapes.of(reduced, shapes_tried).fitted(reduced)
+    best = max(fitted, key=lambda c: c.log_bayes_factor, default=None)
     # each of them is as improbable beforehand as the flexible model
     improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
     needed = named - improbability * (count - 1) + TIE

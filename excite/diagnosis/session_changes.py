@@ -73,11 +73,15 @@ def sources(motions: Sequence[RecordedMotion]) -> list[str]:
 def actuator_columns(motion: RecordedMotion) -> FloatArray:
     """Return tanh(q̇/w), q̇ and 1 of every joint at the rows of a motion, shape (N, n, 3n)."""
     n = motion.n
-    out = np.zeros((len(motion), n, 3 * n))
-    for j in range(n):
-        signals = (motion.sign(j), motion.samples.dq[:, j], np.ones(len(motion.segment)))
-        out[:, j, 3 * j : 3 * j + 3] = motion.lowpass(np.column_stack(signals))
-    return out
+    out, joints = np.zeros((len(motion), n, n, 3)), np.arange(n)
+    out[:, joints, joints, 0] = motion.lowpass(np.tanh(motion.samples.dq / motion.widths))
+    out[:, joints, joints, 1] = motion.for_all_fits(
+        "low-passed speed", lambda: motion.lowpass(motion.samples.dq)
+    )
+    out[:, joints, joints, 2] = motion.for_all_fits(
+        "low-passed one", lambda: motion.lowpass(np.ones((len(motion.segment), 1)))
+    )
+    return out.reshape(len(motion), n, 3 * n)
 
 
 def columns(motion: RecordedMotion, motions: Sequence[RecordedMotion]) -> FloatArray:

@@ -132,13 +132,11 @@ def matrix_exponential(a: FloatArray) -> tuple[FloatArray, FloatArray]:
     square = a @ a
     cube = square @ a
 
-    def series(order: int) -> FloatArray:
-        """Σ Aᵏ/(k + order)!, in powers of the cube (Paterson & Stockmeyer 1973)."""
-        c = [1.0 / factorial(k + order) for k in range(10)]
-        parts = [c[k] * unit + c[k + 1] * a + c[k + 2] * square for k in (0, 3, 6)]
-        return parts[0] + cube @ (parts[1] + cube @ (parts[2] + c[9] * cube))
-
-    exponential, mean = series(0), series(1)
+    # the mean Σ Aᵏ/(k + 1)!, in powers of the cube (Paterson & Stockmeyer 1973)
+    c = [1.0 / factorial(k + 1) for k in range(10)]
+    parts = [c[k] * unit + c[k + 1] * a + c[k + 2] * square for k in (0, 3, 6)]
+    mean = parts[0] + cube @ (parts[1] + cube @ (parts[2] + c[9] * cube))
+    exponential = unit + a @ mean
     for _ in range(halvings):
         exponential, mean = exponential @ exponential, 0.5 * (unit + exponential) @ mean
     return exponential, mean

@@ -96,8 +96,7 @@ def floating_base_dynamics(robot: Robot, model: pin.Model, motion: Samples) -> F
     """
     free = _on_floating_base(model)
     data, zero, count = free.createData(), np.zeros(6), len(motion)
-    shape = count, 6 + robot.n, 6
-    by_place, by_speed, mass = np.empty(shape), np.empty(shape), np.empty(shape)
+    slopes, mass = np.empty((2, count, free.nv, 6)), np.empty((count, 6, free.nv))
     reaction = np.empty((count, 6))
     selection = np.vstack(
         [
@@ -109,14 +108,19 @@ def floating_base_dynamics(robot: Robot, model: pin.Model, motion: Samples) -> F
         robot.expand(motion.q), motion.dq @ robot.spread.T, motion.ddq @ robot.spread.T, strict=True
     )
     for t, state in enumerate(states):
-        derivatives = pin.computeRNEADerivatives(
+        by_place, by_speed, upper = pin.computeRNEADerivatives(
             free, data, *(np.concatenate([zero, x]) for x in state)
         )
-        by_place[t], by_speed[t] = (selection @ slope[:, :6] for slope in derivatives[:2])
-        full = np.triu(derivatives[2]) + np.triu(derivatives[2], 1).T
-        mass[t] = selection @ full[:, :6]
+        slopes[0, t], slopes[1, t], mass[t] = by_place[:, :6], by_speed[:, :6], upper[:6]
         reaction[t] = data.tau[:6]
-    return FloatingBaseDynamics(mass, by_speed, by_place, reaction)
+    mass[:, :, :6] = symmetric(mass[:, :, :6])
+    by_place, by_speed = selection @ slopes
+    return FloatingBaseDynamics(selection @ mass.swapaxes(1, 2), by_speed, by_place, reaction)
+
+
+def symmetric(upper: FloatArray) -> FloatArray:
+    """Return symmetric matrices with given upper triangles, shape (…, k, k)."""
+    return np.asarray(np.triu(upper) + np.triu(upper, 1).swapaxes(-1, -2))
 
 
 def _on_floating_base(model: pin.Model) -> pin.Model:

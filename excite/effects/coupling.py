@@ -38,9 +38,8 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         np.tanh(speed / motion.widths[j]),
         ratio * motion.samples.ddq[:, model.other],
     ]
-    return single_joint_columns(
-        motion, j, np.column_stack(columns[:2] if "light" in model.values else columns)
-    )
+    acting = columns[:2] if "light" in model.values else columns
+    return single_joint_columns(motion, j, np.array(acting).T)
 
 
 def _dissipates(speed: float, acceleration: float) -> Callable[[FloatArray], bool]:

@@ -72,11 +72,8 @@ def _predicted_torque(
     motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
 ) -> FloatArray:
     """Change of the produced torque by a delay, shape (M, n)."""
-    change = _delayed(motion, produced, float(c[0])) - produced
-    if model.joint is None:
-        return change
-    out = np.zeros_like(change)
-    out[:, model.joint] = change[:, model.joint]
+    joints, out = slice(None) if model.joint is None else [model.joint], np.zeros_like(produced)
+    out[:, joints] = _delayed(motion, produced[:, joints], float(c[0])) - produced[:, joints]
     return out
 
 

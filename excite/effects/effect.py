@@ -160,7 +160,8 @@ class NonlinearParameter:
 
     def at(self, value: float) -> CandidateModel:
         """Return the model at a value; the value may be optimised further in the same range."""
-        return replace(self.model(value), nonlinear=replace(self, value=value))
+        here = self if value == self.value else replace(self, value=value)
+        return replace(self.model(value), nonlinear=here)
 
 
 def variants_within(
@@ -193,9 +194,7 @@ def harmonic_columns(values: Mapping[str, float], angle: FloatArray) -> FloatArr
         Columns of shape (M, k).
     """
     numbers = [1, *(k for k, key in HARMONIC_KEYS.items() if key in values)]
-    return np.column_stack(
-        [f(k * values["order"] * angle) for k in numbers for f in (np.cos, np.sin)]
-    )
+    return np.array([f(k * values["order"] * angle) for k in numbers for f in (np.cos, np.sin)]).T
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def link_lag_torque(motion: RecordedMotion, joint: int, lag: FloatArray, of: Gri
 
 def link_inertia(motion: RecordedMotion, joint: int) -> FloatArray:
     """Return the links' inertia about a joint at the coarse samples [kg m²], shape (C,)."""
-    return np.maximum(motion.derivatives[2][:, joint, joint], 1e-9)
+    return motion.link_inertias[:, joint]
 
 
 def neighbouring_damping_ratios(ratio: float) -> list[float]:
@@ -204,11 +204,11 @@ def backlash_lag(
     Returns:
         Position of the link relative to the centre of the gap [rad], shape (M,).
     """
-    push = motion.upsample((motion.rigid_torque[:, joint] / link_inertia(motion, joint))[:, None])[
-        :, 0
-    ]
     return simulate_backlash_gap(
-        push, 1.0 / motion.segment.rate, 0.5 * width, 2.0 * np.pi * holding_frequency
+        motion.free_acceleration[:, joint],
+        1.0 / motion.segment.rate,
+        0.5 * width,
+        2.0 * np.pi * holding_frequency,
     )
 
 

@@ -23,7 +23,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     share = np.abs(load) / scale
     if "dense" in values:
         return single_joint_columns(
-            motion, j, scale * np.column_stack([sign * share, sign * share**2, load / scale])
+            motion, j, scale * np.array([sign * share, sign * share**2, load / scale]).T
         )
     return single_joint_columns(motion, j, sign * scale * share ** values["power"])
 

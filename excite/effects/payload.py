@@ -21,8 +21,13 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Regressor columns of a link's first inertial parameters."""
     link, count = int(model.values["link"]), int(model.values["count"])
     robot = motion.fitted_robot
-    Y = regressor(robot.robot, robot.parameters, motion.coarse_samples)
-    return motion.lowpass(Y[:, :, 10 * link : 10 * link + count], Grid.COARSE)
+
+    def low_passed() -> FloatArray:
+        Y = regressor(robot.robot, robot.parameters, motion.coarse_samples)
+        return motion.lowpass(Y[:, :, : 10 * robot.parameters.bodies], Grid.COARSE)
+
+    Y = motion.for_all_fits("regressor of the links", low_passed)
+    return Y[:, :, 10 * link : 10 * link + count]
 
 
 def _is_physically_consistent(c: FloatArray) -> bool:

@@ -37,9 +37,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return single_joint_columns(
         motion,
         j,
-        np.column_stack(
-            [sign * (f(order * q) - f(order * positions).mean()) for f, order in waves]
-        ),
+        np.array([sign * (f(order * q) - f(order * positions).mean()) for f, order in waves]).T,
     )
 
 

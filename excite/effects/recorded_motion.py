@@ -17,7 +17,7 @@ from ..recordings.missing_values import true_runs
 from ..robot.inertial_parameters import Parameters, model_with_inertias
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics
+from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetric
 
 T = TypeVar("T")
 STANDSTILL_SPEED_RATIO = 0.01
@@ -286,7 +286,7 @@ class RecordedMotion:
         """Interpolate from the coarse grid to every sample: (C, k) -> (M, k)."""
         t = np.arange(len(x)) / self.band.rate_of(Grid.COARSE)
         fine = np.arange(len(self.segment)) / self.segment.rate
-        return np.column_stack([np.interp(fine, t, column) for column in x.T])
+        return np.array([np.interp(fine, t, column) for column in x.T]).T
 
     @memoized
     def rigid_torque(self) -> FloatArray:
@@ -337,15 +337,28 @@ class RecordedMotion:
         """Derivatives ∂τ/∂q, ∂τ/∂q̇ and mass matrix M of the rigid links, each (C, n, n)."""
         robot, model = self.fitted_robot.robot, self.fitted_robot.model
         data, s = model.createData(), self.coarse_samples
-        out = np.empty((3, len(s), robot.n, robot.n))
+        out = np.empty((3, len(s), model.nv, model.nv))
         for t, (q, v, a) in enumerate(
             zip(robot.expand(s.q), s.dq @ robot.spread.T, s.ddq @ robot.spread.T, strict=True)
         ):
-            by_q, by_v, mass = pin.computeRNEADerivatives(model, data, q, v, a)
-            full = np.triu(mass) + np.triu(mass, 1).T
-            for k, matrix in enumerate((by_q, by_v, full)):
-                out[k, t] = robot.spread.T @ matrix @ robot.spread
-        return out[0], out[1], out[2]
+            out[:, t] = pin.computeRNEADerivatives(model, data, q, v, a)
+        out[2] = symmetric(out[2])
+        # the columns of a joint lie together in memory: each effect of a gear needs them alone
+        of_joints = np.ascontiguousarray(
+            (robot.spread.T @ out @ robot.spread).transpose(0, 3, 2, 1)
+        )
+        by_q, by_v, mass = of_joints.transpose(0, 3, 2, 1)
+        return by_q, by_v, mass
+
+    @memoized
+    def link_inertias(self) -> FloatArray:
+        """The links' inertia about each joint [kg m²], shape (C, n)."""
+        return np.maximum(np.diagonal(self.derivatives[2], axis1=1, axis2=2), 1e-9)
+
+    @memoized
+    def free_acceleration(self) -> FloatArray:
+        """Acceleration by its load of each link that its motor does not hold [rad/s²], (M, n)."""
+        return self.upsample(self.rigid_torque / self.link_inertias)
 
     @memoized
     def gravity(self) -> FloatArray:

@@ -20,9 +20,9 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     j, values = model.joint_index, model.values
     speed, sign = np.abs(joint_speed(motion, j)), motion.sign(j)
     if "top_speed" in values:
-        share = speed[:, None] / (DENSE_VELOCITIES * values["top_speed"])
-        curves = np.hstack([np.exp(-share), np.exp(-(share**2))])
-        return single_joint_columns(motion, j, sign[:, None] * curves)
+        share = speed / (DENSE_VELOCITIES * values["top_speed"])[:, None]
+        curves = np.vstack([np.exp(-share), np.exp(-(share**2))])
+        return single_joint_columns(motion, j, (sign * curves).T)
     curve = np.exp(-((speed / values["velocity"]) ** values["exponent"]))
     return single_joint_columns(motion, j, sign * curve)
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..errors import UnusableInput
 
 TAPER_FRACTION = 0.2
@@ -171,9 +171,11 @@ class LowPassFilter:
             x: Signals on the grid `source`. Shape (samples(source), …).
             source: Grid of `x`.
         """
-        columns = x.reshape(len(x), -1).T
-        nonzero = np.any(columns != 0.0, axis=1)  # half of a regressor is zero by structure
-        lines, head = np.ascontiguousarray(columns[nonzero]), 0
+        columns = x.reshape(len(x), -1)
+        nonzero = np.asarray(columns.any(axis=0))  # half of a regressor is zero by structure
+        if not nonzero.all():
+            columns = columns[:, nonzero]
+        lines, head = columns.T, 0
         if not self.periodic:
             step = self.steps(Grid.KEPT) // self.steps(source)
             margin = int(
@@ -228,11 +230,14 @@ class SignalSpectrum:
         if delay or time_constant:
             s = 2j * np.pi * np.arange(bins) * (rate / self.length)
             factor = factor * np.exp(-delay * s) / (1.0 + time_constant * s)
-        filtered = np.fft.irfft(self.coefficients[:, :bins] * factor, target) * (
-            target / self.length
-        )
-        out = np.zeros((kept, len(self.nonzero)))
-        out[:, self.nonzero] = filtered[:, self.head // step : self.head // step + kept].T
+        factor = factor * (target / self.length)
+        filtered = np.fft.irfft(self.coefficients[:, :bins] * factor, target)
+        first = self.head // step
+        if len(filtered) == len(self.nonzero):
+            out = filtered[:, first : first + kept].T
+        else:
+            out = np.zeros((len(self.nonzero), kept)).T
+            out[:, self.nonzero] = filtered[:, first : first + kept].T
         return out.reshape(kept, *self.shape[1:])
 
 
@@ -255,16 +260,27 @@ def _continued(lines: FloatArray, min_margin: int, step: int) -> tuple[FloatArra
         The loops, and the index at which the signals begin in them.
     """
     count = lines.shape[1]
+    head, total, before, behind, fade = _continuation(count, min_margin, step)
+    out = np.empty((len(lines), total))
+    out[:, head : head + count] = lines
+    first, last = out[:, :head], out[:, head + count :]
+    np.subtract(2.0 * lines[:, :1], lines[:, before], out=first)
+    np.subtract(2.0 * lines[:, -1:], lines[:, behind], out=last)
+    last += fade * (first[:, :1] - last[:, -1:])
+    return out, head
+
+
+@lru_cache(64)
+def _continuation(
+    count: int, min_margin: int, step: int
+) -> tuple[int, int, IntArray, IntArray, FloatArray]:
+    """Samples before a signal and of its loop, the samples that both ends reflect, and the fade."""
     head = -(-min_margin // step) * step
     total = step * _fast_length(-(-(head + count + min_margin) // step))
     tail = total - head - count
     offsets = np.minimum(np.arange(1, max(head, tail) + 1), count - 1)
-    before = 2.0 * lines[:, :1] - lines[:, offsets[:head][::-1]]
-    behind = 2.0 * lines[:, -1:] - lines[:, count - 1 - offsets[:tail]]
     fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, tail + 1) / (tail + 1))
-    return np.concatenate(
-        [before, lines, behind + fade * (before[:, :1] - behind[:, -1:])], axis=1
-    ), head
+    return head, total, offsets[:head][::-1], count - 1 - offsets[:tail], fade
 
 
 def _fast_length(minimum: int) -> int:

@@ -52,6 +52,47 @@ def test_constrained_solution_satisfies_the_optimality_conditions(seed):
     assert (gradient[~regression.solution.active] >= -1e-5).all()
 
 
+@given(seed=st.integers(0, 1000))
+def test_coefficients_of_either_sign_stay_free_next_to_constrained_ones(seed):
+    """An effect with both kinds: only those that cannot be negative may be held at zero."""
+    rng = np.random.default_rng(seed)
+    regression, columns = random_regression(seed, nonnegative=True)
+    nonnegative = np.array([True, False, True, False])
+    extra = rng.normal(size=(60, 2, 4)) - 0.5 * regression.torque[:, :, None]
+    regression.add(columns_on_all_joints(extra, nonnegative, np.full(4, 3.0)))
+    x, active = regression.solution.coefficients, regression.solution.active
+    gradient = -np.einsum(
+        "njk,nj->k",
+        np.concatenate([columns, extra], axis=2),
+        regression.residual() * regression.weights,
+    )
+    gradient += np.array([0.1] * 3 + [1.0 / 9.0] * 8) * x
+    assert active[7:][~nonnegative].all()
+    assert (x[7:][nonnegative] >= 0.0).all()
+    np.testing.assert_allclose(gradient[active], 0.0, atol=1e-5)
+    assert (gradient[~active] >= -1e-5).all()
+
+
+def test_effects_are_added_together_as_one_by_one_and_only_to_the_copy():
+    rng = np.random.default_rng(7)
+    regression, _ = random_regression(7, nonnegative=True)
+    before = regression.solution
+    effects = [
+        Columns(joints, tuple(rng.normal(size=(60, 2)) for _ in joints), np.ones(2, bool), std)
+        for joints, std in (((1,), np.array([1.0, 2.0])), ((0, 1), np.array([3.0, 0.5])))
+    ]
+    together, singly = regression.copy(), regression.copy()
+    together.add_all(effects)
+    for columns in effects:
+        singly.add(columns)
+    assert together.slices == singly.slices
+    np.testing.assert_allclose(
+        together.solution.coefficients, singly.solution.coefficients, rtol=1e-9, atol=1e-12
+    )
+    assert regression.solution is before
+    assert len(regression.slices) == 1
+
+
 def test_candidate_gains_what_the_refit_gains():
     regression, _ = random_regression(3, nonnegative=False)
     columns = columns_on_all_joints(

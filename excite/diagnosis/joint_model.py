@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import (
@@ -259,7 +258,7 @@ def fit(
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
             waves = [*refined_waves(fitted), *find_waves(fitted)]
-        moved = [m.with_torque(_moved(m, m.segment.torque, delay)) for m in motions]
+        moved = [m.with_torque(_moved(m, delay)) for m in motions]
         present = renewed(identified, moved, psi, widths)
         weights = fitted.regression.sigma, fitted.regression.independent_share
         fitted = base_model(identified, present, psi, delay, weights)
@@ -478,12 +477,12 @@ def renewed(
     return [m.with_base_model(robot, widths, model.base.matrix @ psi, columns) for m in motions]
 
 
-def _moved(motion: RecordedMotion, torque: FloatArray, delay: float) -> FloatArray:
-    """Return the torque of a motion at earlier times, shape (M, n) [N m]."""
+def _moved(motion: RecordedMotion, delay: float) -> FloatArray:
+    """Return the recorded torque of a motion at earlier times, shape (M, n) [N m]."""
     if not delay:
-        return torque
+        return motion.segment.torque
     t = motion.times
-    return np.asarray(CubicSpline(t, torque)(np.clip(t + delay, t[0], t[-1])))
+    return np.asarray(motion.torque_spline(np.clip(t + delay, t[0], t[-1])))
 
 
 def consistent_parameters(identified: Identification, fitted: JointModel) -> FloatArray:

@@ -131,7 +131,7 @@ def _refined_by_repetition(
         repetition
         for motion, residual in zip(motions, residuals, strict=True)
         if motion.segment.source in periods
-        for repetition in _repetitions(motion, residual, *periods[motion.segment.source])
+        for repetition in _repetitions(motion, residual, periods[motion.segment.source])
     ]
     if not repetitions:
         return estimate
@@ -192,22 +192,28 @@ class _Repetition:
     square: FloatArray
 
 
-def _repetitions(
-    motion: RecordedMotion, residual: FloatArray, period: float, window: tuple[float, float]
-) -> list[_Repetition]:
+def _repetitions(motion: RecordedMotion, residual: FloatArray, period: Period) -> list[_Repetition]:
     """The repetition in a motion, or none if the motion is too short; residual (N, n) [N m]."""
-    low, high = window
-    rate = 1.0 / (motion.time[1] - motion.time[0])
-    rows = int(np.floor(period * rate))
-    later = shifted(residual, period * rate - rows)[rows:]
-    first = residual[: len(later)]
-    inside = (motion.time[: len(later)] >= low) & (
-        motion.time[rows : rows + len(later)] + 1.0 / rate <= high
-    )
+    first, later, inside = _two_periods(motion, residual, period)
+    rows = len(residual) - len(later)
     if inside.sum() < 0.15 * rows or inside.sum() < 20:
         return []
     change = (later - first)[inside] / np.sqrt(2.0)
     return [_without_drift(change, motion, inside)]
+
+
+def _two_periods(
+    motion: RecordedMotion, residual: FloatArray, period: Period
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """A residual and that one period later, and the rows of which both lie inside the window."""
+    seconds, (low, high) = period
+    rate = 1.0 / (motion.time[1] - motion.time[0])
+    rows = int(np.floor(seconds * rate))
+    later = shifted(residual, seconds * rate - rows)[rows:]
+    inside = (motion.time[: len(later)] >= low) & (
+        motion.time[rows : rows + len(later)] + 1.0 / rate <= high
+    )
+    return residual[: len(later)], later, inside
 
 
 def products_of_periods(
@@ -226,14 +232,8 @@ def products_of_periods(
     for motion, part in zip(motions, split_by_motion(residual, motions), strict=True):
         if motion.segment.source not in periods:
             continue
-        period, (low, high) = periods[motion.segment.source]
-        rate = 1.0 / (motion.time[1] - motion.time[0])
-        rows = int(np.floor(period * rate))
-        later = shifted(part, period * rate - rows)[rows:]
-        inside = (motion.time[: len(later)] >= low) & (
-            motion.time[rows : rows + len(later)] + 1.0 / rate <= high
-        )
-        out.append((later * part[: len(later)])[inside])
+        first, later, inside = _two_periods(motion, part, periods[motion.segment.source])
+        out.append((later * first)[inside])
     return np.concatenate(out)
 
 

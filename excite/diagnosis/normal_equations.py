@@ -72,49 +72,47 @@ class Elimination:
 
     Which effects are left out changes nothing here, so that one elimination serves all refits.
 
+    With the Cholesky factor L of the base model's information, and W = L⁻¹ [A_bo, b_b], the others
+    have the information A_oo − WᵀW.
+
     Attributes:
         scale: Units of all coefficients, in which A has a unit diagonal, shape (K,).
         base: Eliminated coefficients, shape (f,).
-        others: The coefficients that remain, shape (m,).
-        bounded: Those of them that cannot be negative, shape (m,).
-        cross: Change of the eliminated coefficients per unit of the others, and their values
-            without these, shape (f, m + 1).
+        bounded: The others that cannot be negative, which follow the base model, shape (m,).
+        factor: L, shape (f, f).
+        half: W, shape (f, m + 1).
         schur: Information of the others, shape (m, m).
         target: Their score, shape (m,).
-        log_determinant: log det of the information of the eliminated ones, in these units.
     """
 
     scale: FloatArray
     base: IntArray
-    others: IntArray
     bounded: BoolArray
-    cross: FloatArray
+    factor: FloatArray
+    half: FloatArray
     schur: FloatArray
     target: FloatArray
-    log_determinant: float
 
     @classmethod
-    def of(
-        cls, system: System, base: IntArray, others: IntArray, bounded: BoolArray
-    ) -> Elimination:
+    def of(cls, system: System, base: IntArray, bounded: BoolArray) -> Elimination:
         """Eliminate the coefficients of the base model by a Schur complement.
 
         Args:
             system: The normal equations.
             base: Coefficients that are eliminated, shape (f,).
-            others: Coefficients that remain, shape (m,).
-            bounded: Those of them that cannot be negative, shape (m,).
+            bounded: The last coefficients that cannot be negative, shape (m,).
         """
         scale = 1.0 / np.sqrt(np.maximum(np.diag(system.matrix), 1e-300))
         a, b = system.matrix * scale[:, None] * scale, system.score * scale
+        first = len(scale) - len(bounded)
         factor = _cholesky(a[np.ix_(base, base)], RIDGE)
-        mixed = a[np.ix_(base, others)]
-        cross = _solved(factor, np.column_stack([mixed, b[base]]))
-        eliminated = mixed.T @ cross
-        schur = a[np.ix_(others, others)] - eliminated[:, :-1]
-        schur[np.diag_indices(len(others))] += RIDGE
-        target = b[others] - eliminated[:, -1]
-        return cls(scale, base, others, bounded, cross, schur, target, _log_determinant(factor))
+        right = np.column_stack([a[base, first:], b[base]])
+        half = _half_solved(factor, right)
+        product = half.T @ half
+        schur = a[first:, first:] - product[:-1, :-1]
+        schur[np.diag_indices(len(bounded))] += RIDGE
+        target = b[first:] - product[:-1, -1]
+        return cls(scale, base, bounded, factor, half, schur, target)
 
     def minimum(self, system: System, used: BoolArray, likely: BoolArray) -> Solution:
         """Return the minimum over the used coefficients.
@@ -125,13 +123,16 @@ class Elimination:
             likely: Coefficients that are probably active, by a similar problem, shape (K,).
         """
         x, active = np.zeros(len(used)), used.copy()
-        x[self.others], active[self.others], log_determinant = _bounded_minimum(
-            self.schur, self.target, used[self.others], self.bounded, likely[self.others]
+        others = slice(len(used) - len(self.bounded), None)
+        x[others], active[others], log_determinant = _bounded_minimum(
+            self.schur, self.target, used[others], self.bounded, likely[others]
         )
-        x[self.base] = self.cross[:, -1] - self.cross[:, :-1] @ x[self.others]
+        right = self.half[:, -1] - self.half[:, :-1] @ x[others]
+        x[self.base] = _half_solved(self.factor, right, transposed=True)
         x *= self.scale
         objective = 0.5 * (system.power + x @ system.matrix @ x) - system.score @ x
-        log_determinant += self.log_determinant - 2.0 * float(np.sum(np.log(self.scale[active])))
+        log_determinant += _log_determinant(self.factor)
+        log_determinant -= 2.0 * float(np.sum(np.log(self.scale[active])))
         return Solution(x, active, float(objective), system.matrix, log_determinant)
 
 
@@ -199,11 +200,12 @@ def _active_set(
 
 def _cholesky(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
     """Cholesky factor of a matrix with a share of the unit matrix added, in its lower triangle."""
-    regular = matrix + ridge * np.eye(len(matrix)) if ridge else matrix
-    if not len(regular):
-        return regular
+    if not len(matrix):
+        return matrix
+    regular = matrix.T.copy(order="F")
+    regular[np.diag_indices(len(matrix))] += ridge
     # without the checks of scipy.linalg, which take longer than small matrices
-    factor, failed = lapack.dpotrf(regular.T, lower=1, clean=0)
+    factor, failed = lapack.dpotrf(regular, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise np.linalg.LinAlgError("matrix is not positive definite")
     return np.asarray(factor)
@@ -212,6 +214,13 @@ def _cholesky(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:
 def _solved(factor: FloatArray, right: FloatArray) -> FloatArray:
     """Solution of the equations of a matrix with a Cholesky factor."""
     return np.asarray(lapack.dpotrs(factor, right, lower=1)[0]) if right.size else right
+
+
+def _half_solved(factor: FloatArray, right: FloatArray, transposed: bool = False) -> FloatArray:
+    """Solution of the equations of a Cholesky factor, or of its transpose."""
+    if not right.size:
+        return right
+    return np.asarray(lapack.dtrtrs(factor, right, lower=1, trans=int(transposed))[0])
 
 
 def _log_determinant(factor: FloatArray) -> float:

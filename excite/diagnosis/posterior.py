@@ -211,7 +211,8 @@ def _next_to_form_errors(
                 )
             )
             if columns is not None:
-                regression.add(columns.last(columns.count - model.regression.count_of(number)))
+                part = regression.slices[number]
+                regression.add(columns.last(columns.count - (part.stop - part.start)))
         current = regression.without(gone)
         judged = evidence_of(extended, smaller.key, smaller.effects, gone, current)
         if judged.size < MIN_SEVERITY:  # too small to be evidence; the robot's other joints decide

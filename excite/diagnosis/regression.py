@@ -347,8 +347,8 @@ class JointRegression:
 
     def _elimination_of(self, system: System, used: BoolArray) -> Elimination:
         """Normal equations from which the used coefficients of the base model are eliminated."""
-        base, others = np.split(np.arange(len(used)), [self.base_count])
-        return Elimination.of(system, base[used[base]], others, self.nonnegative[others])
+        base = np.flatnonzero(used[: self.base_count])
+        return Elimination.of(system, base, self.nonnegative[self.base_count :])
 
     def cross_validated(
         self, folds: Sequence[BoolArray], variants: Sequence[Collection[int]], unused: BoolArray
@@ -445,10 +445,6 @@ class JointRegression:
         change = -solution.solve(cross)
         square = self.weights @ batch.groups[0].squares[:, 0, 0, 0]
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
-
-    def count_of(self, effect: int) -> int:
-        """Return the number of coefficients of an effect."""
-        return self.slices[effect].stop - self.slices[effect].start
 
     def joints_of(self, effect: int) -> list[int]:
         """Return the joints on which an effect acts."""

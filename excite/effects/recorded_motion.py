@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
+from scipy.interpolate import CubicSpline
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
@@ -187,6 +188,11 @@ class RecordedMotion:
     def residual(self) -> FloatArray:
         """Measured torque minus the base model's [N m], shape (N, n)."""
         return self.torque - self.gamma @ self.theta
+
+    @memoized
+    def torque_spline(self) -> CubicSpline:
+        """Recorded torque over the time [N m]."""
+        return CubicSpline(self.times, self.segment.torque)
 
     @memoized_for_all_fits
     def samples(self) -> Samples:

@@ -33,7 +33,12 @@ def folds(model: JointModel) -> list[BoolArray]:
     return [np.asarray(third == part) for part in range(PARTS)]
 
 
-def pays(model: JointModel, effects: Sequence[int], left_out: Collection[int] = ()) -> bool:
+def pays(
+    model: JointModel,
+    effects: Sequence[int],
+    left_out: Collection[int] = (),
+    min_gain: float = 0.0,
+) -> bool:
     """Tell whether effects lower the error on recordings to which they are not fitted.
 
     An effect that acts only for some time cannot be judged in this way, and passes.
@@ -42,11 +47,12 @@ def pays(model: JointModel, effects: Sequence[int], left_out: Collection[int] = 
         model: A joint model that has them.
         effects: Their numbers.
         left_out: Numbers of other effects that are left out.
+        min_gain: Least gain of the log likelihood of those recordings.
     """
     if any(model.models[e].interval is not None for e in effects):
         return True
     without, with_ = _errors(model, [{*left_out, *effects}, left_out])
-    return bool(with_.sum() < without.sum())
+    return bool(0.5 * (without.sum() - with_.sum()) > min_gain)
 
 
 def without_unpredictive(

@@ -31,6 +31,9 @@ from .regression import JointRegression, independent_share, rms
 
 SPEED_CURVES = frozenset({"stribeck", "nonlinear_viscous"})
 """Frictions that are two names of parts of one curve, friction over speed."""
+MIN_GAIN = 1.0
+"""Least gain of the cross-validated log likelihood from which a part without evidence is saved: a
+factor of e, below which the recordings do not decide."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,7 @@ def _without_speed_curves(model: JointModel, left_out: Collection[int]) -> froze
             for i in out
             if model.models[i].joint == joint and model.models[i].effect in SPEED_CURVES
         )
-        if parts and cross_validation.pays(model, sorted(parts), out - parts):
+        if parts and cross_validation.pays(model, sorted(parts), out - parts, MIN_GAIN):
             out -= parts
     return out
 

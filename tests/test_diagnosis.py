@@ -46,7 +46,6 @@ EXPLAINED = 1.4
     known_failures(
         HIDDEN,
         {
-            "stiffening_spring": "the curve is 2.5 noise floors off; the remainder is unknown",
             "torque_loss": "load friction is found next to it",
             "torque_limit": "load friction is found next to it",
             "elasticity": "base compliance is found instead",
@@ -87,7 +86,6 @@ def test_the_parameters_of_a_hidden_effect_are_estimated(name):
     known_failures(
         HIDDEN,
         {
-            "stiffening_spring": "2.55 noise floors",
             "thermal_drift": "1.45 noise floors",
             "torque_loss": "5.3 noise floors",
             "torque_limit": "8.0 noise floors",

@@ -48,9 +48,9 @@ def diagnosis(request, tmp_path_factory) -> Diagnosis:
 
 def test_two_waves_of_few_periods_have_the_right_orders(diagnosis):
     waves = [e for e in diagnosis.final.effects if e.shape.effect == "torque_ripple"]
-    found = {e.shape.values["order"]: float(np.hypot(*e.coefficients[:2])) for e in waves}
-    assert sorted(found) == pytest.approx(sorted(WAVES), rel=0.01)
-    assert [found[order] for order in sorted(found)] == pytest.approx(
+    sizes = {e.shape.values["order"]: float(np.hypot(*e.coefficients[:2])) for e in waves}
+    assert sorted(sizes) == pytest.approx(sorted(WAVES), rel=0.01)
+    assert [sizes[order] for order in sorted(sizes)] == pytest.approx(
         [WAVES[order] for order in sorted(WAVES)], rel=0.2
     )
     assert diagnosis.held_out.rmse_after < 1.1 * diagnosis.noise_rms

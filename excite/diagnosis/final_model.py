@@ -155,8 +155,9 @@ def fit(
 def _without_speed_curves(model: JointModel, left_out: Collection[int]) -> frozenset[int]:
     """Take speed curves that predict from the effects that are left out.
 
-    A name is asserted only with evidence for it next to the other. The friction of a joint is saved
-    as one curve, with the parts of both names wherever that lowers the error in cross-validation.
+    A name is asserted only with evidence for it next to the other. The friction of a joint that has
+    any is saved as one curve, with the parts of both names wherever that lowers the error in
+    cross-validation. Where there is none, a curve would stand for something unknown.
 
     Args:
         model: The joint model.
@@ -164,12 +165,15 @@ def _without_speed_curves(model: JointModel, left_out: Collection[int]) -> froze
     """
     out = frozenset(left_out)
     for joint in range(model.n):
-        parts = frozenset(
+        frictions = [
             i
-            for i in out
-            if model.models[i].joint == joint and model.models[i].effect in SPEED_CURVES
-        )
-        if parts and cross_validation.pays(model, sorted(parts), out - parts):
+            for i, shape in enumerate(model.models)
+            if shape.joint == joint and shape.effect in joint_model.FRICTIONS
+        ]
+        parts = frozenset(i for i in frictions if model.models[i].effect in SPEED_CURVES) & out
+        if not parts or out.issuperset(frictions):
+            continue
+        if cross_validation.pays(model, sorted(parts), out - parts):
             out -= parts
     return out
 

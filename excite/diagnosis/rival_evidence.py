@@ -156,15 +156,13 @@ def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[Columns]:
     """
     out = []
     for candidate in group:
-        shape = candidate.model
-        columns = reduced.columns(shape)
-        assert columns is not None  # it was fitted
+        shape = varied = candidate.model
         if not EFFECTS_BY_NAME[shape.effect].prior_only:
-            coefficients = candidate.fit.coefficients
-            coefficients = np.where(
-                columns.nonnegative, np.maximum(coefficients, 0.0), coefficients
-            )
-            varied = with_form_error(shape, reduced.motions, coefficients)
-            columns = reduced.columns(varied) or columns
+            c = candidate.fit.coefficients
+            bounded = shape.nonnegative or (False,) * len(c)
+            c = np.where(bounded, np.maximum(c, 0.0), c)
+            varied = with_form_error(shape, reduced.motions, c)
+        columns = reduced.columns(varied) or reduced.columns(shape)
+        assert columns is not None  # it was fitted
         out.append(columns)
     return out

@@ -141,12 +141,11 @@ class Diagnosis:
 
     @property
     def considered(self) -> tuple[EffectEstimate, ...]:
-        """The effects that are not asserted but had some evidence, or are saved nevertheless."""
+        """The effects that are not asserted but had some evidence."""
         return tuple(
             effect
             for effect in self.effects
-            if not effect.asserted
-            and (effect.log_bayes_factor > 0.0 or self.final.has(effect.effect, effect.joint))
+            if not effect.asserted and (effect.needed or effect.log_bayes_factor > 0.0)
         )
 
     @property

@@ -152,7 +152,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
             "p_value": _p_value(estimate),
         },
         "experiment": effect.experiment,
-        "modelled": diagnosis.final.has(estimate.effect, estimate.joint),
+        "modelled": estimate.needed,
         "curve": _curve(diagnosis, estimate, motion, regime),
     }
     if shape.other is not None:

@@ -23,14 +23,11 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency, identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
-from . import base_attraction, cross_validation, fitted_effects, joint_model
+from . import base_attraction, fitted_effects, joint_model
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import JointModel, model_columns
 from .regression import JointRegression, independent_share, rms
-
-SPEED_CURVES = frozenset({"stribeck", "nonlinear_viscous"})
-"""Frictions that are two names of parts of one curve, friction over speed."""
 
 
 @dataclass(frozen=True)
@@ -50,17 +47,6 @@ class FinalModel:
     effects: tuple[FittedEffect, ...]
     regression: JointRegression
     delay: float
-
-    def has(self, effect: str, joint: int | None) -> bool:
-        """Tell whether an effect is saved.
-
-        Args:
-            effect: Its name.
-            joint: Index of its joint; None for an effect of no single joint.
-        """
-        return any(
-            (part.shape.effect, part.shape.joint) == (effect, joint) for part in self.saved_effects
-        )
 
     @property
     def saved_effects(self) -> tuple[FittedEffect, ...]:
@@ -97,7 +83,6 @@ def fit(
         recordings: The recordings to fit.
         progress: Called with each line of progress.
     """
-    left_out = _without_speed_curves(model, left_out)
     solution = model.regression.without(left_out)
     shapes = [
         without_form_error(shape)
@@ -150,32 +135,6 @@ def fit(
     return FinalModel(
         refitted, tuple(motions), _fitted(shapes, regression), regression, model.delay
     )
-
-
-def _without_speed_curves(model: JointModel, left_out: Collection[int]) -> frozenset[int]:
-    """Take speed curves that predict from the effects that are left out.
-
-    A name is asserted only with evidence for it next to the other. The friction of a joint that has
-    any is saved as one curve, with the parts of both names wherever that lowers the error in
-    cross-validation. Where there is none, a curve would stand for something unknown.
-
-    Args:
-        model: The joint model.
-        left_out: Numbers of the effects that are not needed.
-    """
-    out = frozenset(left_out)
-    for joint in range(model.n):
-        frictions = [
-            i
-            for i, shape in enumerate(model.models)
-            if shape.joint == joint and shape.effect in joint_model.FRICTIONS
-        ]
-        parts = frozenset(i for i in frictions if model.models[i].effect in SPEED_CURVES) & out
-        if not parts or out.issuperset(frictions):
-            continue
-        if cross_validation.pays(model, sorted(parts), out - parts):
-            out -= parts
-    return out
 
 
 def _with_effects(

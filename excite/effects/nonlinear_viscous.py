@@ -21,22 +21,17 @@ ASINH_SPEEDS = (0.02, 0.1, 0.4)
 """Speeds of the asinh curves, over the largest speed."""
 TANH_SPEEDS = (0.1, 0.4)
 """Speeds of the tanh curves, over the largest speed."""
-REACH = 1.5
-"""Speed up to which the curves go on, over the largest speed of the fit. They are smooth, so that
-they hold somewhat beyond it; farther away the data say nothing about them."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """The curves of `dense_model`, or |q̇|^k sgn q̇ of `designer.effect_columns`."""
     j = model.joint_index
     if "top_speed" in model.values:
-        # far beyond the speeds of the fit the friction goes on linearly
+        # beyond the speeds of the fit the friction goes on linearly
         top_speed = model.values["top_speed"]
         columns = motion.for_all_fits(
             f"viscous curves of joint {j} up to {top_speed}",
-            lambda: motion.lowpass(
-                _curves(np.clip(joint_speed(motion, j) / top_speed, -REACH, REACH))
-            ),
+            lambda: motion.lowpass(_curves(np.clip(joint_speed(motion, j) / top_speed, -1.0, 1.0))),
         )
         return single_joint_rows(motion, j, columns)
     return single_joint_columns(

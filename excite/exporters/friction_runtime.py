@@ -31,8 +31,6 @@ ASINH_SPEEDS = (0.02, 0.1, 0.4)
 """Speeds of the asinh curves of nonlinear viscous friction, over the largest speed."""
 TANH_SPEEDS = (0.1, 0.4)
 """Speeds of its tanh curves, over the largest speed."""
-VISCOUS_REACH = 1.5
-"""Speed up to which its curves go on, over the largest speed."""
 SLIP_DISTANCES = 1e-3 * 2.0 ** np.arange(0.0, 8.0, 0.5)
 """Deflections at which the Maxwell-slip elements slip [rad or m]."""
 UNEQUAL_ELEMENTS = [6, 10]
@@ -114,8 +112,8 @@ def _stribeck(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tu
 def _nonlinear_viscous(
     v: dict[str, float], c: list[float], x: JointMotion, m: Any
 ) -> tuple[Any, Any]:
-    # far beyond the speeds of the fit the friction goes on linearly
-    share = m.fmin(m.fmax(x.dq / v["top_speed"], -VISCOUS_REACH), VISCOUS_REACH)
+    # beyond the speeds of the fit the friction goes on linearly
+    share = m.fmin(m.fmax(x.dq / v["top_speed"], -1.0), 1.0)
     size = m.fabs(share)
     curves = [m.arcsinh(share / w) / float(np.arcsinh(1.0 / w)) for w in ASINH_SPEEDS]
     curves += [m.tanh(share / w) / float(np.tanh(1.0 / w)) for w in TANH_SPEEDS]

@@ -50,7 +50,7 @@ def recording(fourier: FourierSeries, seed: int) -> Recording:
 def test_what_one_joint_cannot_predict_hides_no_effect_of_another():
     motions = {7: slow_wave(7), 3: random_fourier(2, 3), 5: random_fourier(2, 5)}
     result = diagnose([recording(fourier, seed) for seed, fourier in motions.items()])
-    found = findings_of(result)
-    assert ("thermal_drift", 1) in found
+    findings = findings_of(result)
+    assert ("thermal_drift", 1) in findings
     # one thing at a joint
-    assert {("drag", 0), ("nonlinear_viscous", 0)} & set(found)
+    assert {("drag", 0), ("nonlinear_viscous", 0)} & set(findings)

@@ -24,6 +24,8 @@ from .joint_model import JointModel
 from .normal_equations import Solution
 from .regression import JointRegression
 
+WORSE = 1.02
+"""Squared error of a joint over that of the base model alone from which it is predicted worse."""
 ATTRACTIONS = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0)
 """Values of α_j that are compared: with 0 the effects alone decide, with 30 the base model hardly
 moves."""
@@ -58,18 +60,17 @@ def _attractions(model: JointModel, alone: JointRegression) -> FloatArray:
     """
     judged = ~joint_model.transient_rows(model.models, model.motions)
     folds = [_Fold.of(model, alone, rows, judged) for rows in cross_validation.folds(model)]
-    rows = np.array([fold.count for fold in folds], float)
-    base = cross_validation.mean_log(np.array([fold.base_error for fold in folds]), rows)
+    base = cross_validation.mean_log(model, np.array([fold.base_error for fold in folds]))
     steps = np.zeros(model.n, int)
     tried: list[tuple[float, FloatArray]] = []
     while True:
         alpha = np.array(ATTRACTIONS)[steps]
         errors = np.array([fold.error(alpha) for fold in folds])
-        ratio = np.exp(cross_validation.mean_log(errors, rows) - base)
+        ratio = np.exp(cross_validation.mean_log(model, errors) - base)
         tried.append((float(ratio.max()), alpha))
-        raised = (ratio > cross_validation.WORSE) & (steps < len(ATTRACTIONS) - 1)
+        raised = (ratio > WORSE) & (steps < len(ATTRACTIONS) - 1)
         if not raised.any():
-            return min(tried, key=lambda entry: max(entry[0], cross_validation.WORSE))[1]
+            return min(tried, key=lambda entry: max(entry[0], WORSE))[1]
         steps[int(np.argmax(np.where(raised, ratio, 0.0)))] += 1
 
 
@@ -117,11 +118,6 @@ class _Fold:
             others.information_by_joint(p),
             _squared_error(alone, base, predicted),
         )
-
-    @property
-    def count(self) -> FloatArray:
-        """Number of rows that are predicted, shape (n,)."""
-        return np.asarray(self.model.regression.moving[self.rows].sum(axis=0), float)
 
     def error(self, alpha: FloatArray) -> FloatArray:
         """Return the squared error of the joint model on the rows, shape (n,).

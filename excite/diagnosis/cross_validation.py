@@ -1,12 +1,12 @@
 """Cross-validation of effects: what is fitted to some recordings has to predict the others.
 
-Folds are the training recordings, or the thirds of a single one. The errors E of fold f at joint j,
-each over its N rows, are compared as by a likelihood whose variance is the error itself,
+Folds are the training recordings, or the thirds of a single one. Models are compared by the
+likelihood of their errors, with a variance E_rj / N_rj of its own for each joint and recording,
 
-    Σ_j Σ_f N_fj ln E_fj / Σ_f N_fj,
+    Σ_j Σ_r N_rj ln E_rj / Σ_r N_rj,
 
-the logarithm of a geometric mean. Fitted to a slow recording, any model predicts a fast one badly:
-in a sum of squares that fold would decide alone, and by what the slow recording does not show.
+E_rj is the sum of N_rj squared errors. Fitted to a slow recording, any model predicts a fast one
+badly: in a sum over all, the joint and the recording that it predicts worst would decide alone.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from .posterior import EffectEvidence
 
 PARTS = 3
 """Folds of a single recording."""
-WORSE = 1.02
-"""Squared error of a joint over that of the base model from which its effects do not predict."""
 
 
 def folds(model: JointModel) -> list[BoolArray]:
@@ -79,7 +77,7 @@ def without_unpredictive(
     while True:
         base, present = _log_errors(model, [everything, out])
         joint = int(np.argmax(present - base))
-        if present[joint] - base[joint] <= np.log(WORSE):
+        if present[joint] <= base[joint]:
             return frozenset(out)
         # a joint without effects is predicted worse where the folds do not determine the base model
         group = _spoiling_group(model, joint, out, present, evidence)
@@ -123,16 +121,19 @@ def _spoiling_group(
     return groups[best] if total[best] < present.sum() else frozenset()
 
 
-def mean_log(errors: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the mean logarithm of squared errors over folds, shape (…, n).
+def mean_log(model: JointModel, errors: FloatArray) -> FloatArray:
+    """Return the mean logarithm of squared errors over the recordings, shape (…, n).
 
     Args:
+        model: The joint model.
         errors: Sum over the rows of each fold, shape (folds, …, n).
-        rows: Number of rows of each joint, shape (folds, n).
     """
+    rows = np.array([model.regression.moving[part].sum(axis=0) for part in folds(model)], float)
+    if len(session_changes.sources(model.motions)) == 1:
+        errors, rows = (x.sum(axis=0, keepdims=True) for x in (errors, rows))
     weights = rows / np.maximum(rows.sum(axis=0), 1.0)
     logs = np.log(np.maximum(errors, 1e-300))
-    return np.asarray(np.einsum("fj,f...j->...j", weights, logs))
+    return np.asarray(np.einsum("rj,r...j->...j", weights, logs))
 
 
 def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
@@ -141,6 +142,4 @@ def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> Float
     unused = np.zeros(len(regression.nonnegative), bool)
     unused[model.session_places] = True
     unused[model.form_places] = True  # the saved model has none
-    parts = folds(model)
-    rows = np.array([regression.moving[part].sum(axis=0) for part in parts], float)
-    return mean_log(regression.cross_validated(parts, variants, unused), rows)
+    return mean_log(model, regression.cross_validated(folds(model), variants, unused))

@@ -165,3 +165,21 @@ def validated(effect: dict[str, Any]) -> EffectDocument:
     """An effect of a `model.json`, as reading the file gives it."""
     file = DocumentFile(Path("model.json"), "a model", "diagnose again", "a model.json")
     return file.converted(effect, EffectDocument)
+
+
+def sum_of_sines(
+    t: FloatArray, omega: FloatArray, amplitude: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return position, speed and acceleration of one joint, sines of random phases."""
+    angle = np.outer(t, omega) + rng.uniform(0.0, 2.0 * np.pi, len(omega))
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return sine @ amplitude, cosine @ (amplitude * omega), -sine @ (amplitude * omega**2)
+
+
+def write_joint_recording(
+    path: Path, joint: str, t: FloatArray, q: FloatArray, torque: FloatArray
+) -> Path:
+    """Write a recording of a single joint."""
+    table, header = np.column_stack([t, q, torque]), f"t,q.{joint},tau.{joint}"
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+    return path

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic_recordings import sum_of_sines, write_joint_recording
 
 import excite
 
@@ -23,21 +24,12 @@ def record(path: Path, seed: int) -> Path:
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, DURATION, 1.0 / RATE)
     omega = 2.0 * np.pi * np.arange(1, 6) / DURATION
-    angle = np.outer(t, omega) + rng.uniform(0.0, 2.0 * np.pi, 5)
     amplitude = 0.11 * np.array([0.5, 0.2, 0.15, 0.1, 0.05])
-    q = 0.15 + np.sin(angle) @ amplitude
-    dq = np.cos(angle) @ (amplitude * omega)
-    ddq = -np.sin(angle) @ (amplitude * omega**2)
+    offset, dq, ddq = sum_of_sines(t, omega, amplitude, rng)
+    q = 0.15 + offset
     force = 100.0 * ddq + 200.0 * dq + 20.0 * np.tanh(dq / 1e-3)
     force += AMPLITUDE * np.cos(2.0 * np.pi * q / LEAD + 0.7) + NOISE * rng.normal(size=len(t))
-    np.savetxt(
-        path,
-        np.column_stack([t, q, force]),
-        delimiter=",",
-        header="t,q.carriage,tau.carriage",
-        comments="",
-    )
-    return path
+    return write_joint_recording(path, "carriage", t, q, force)
 
 
 def test_the_wave_of_a_ball_screw_is_found(tmp_path):

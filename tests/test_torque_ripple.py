@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic_recordings import sum_of_sines, write_joint_recording
 
 import excite
 from excite.diagnosis.diagnosis import Diagnosis
@@ -25,16 +26,13 @@ def record(path: Path, seed: int) -> Path:
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, DURATION, 1.0 / RATE)
     omega = 2.0 * np.pi * np.arange(1, 6) / 8.0
-    angle = np.outer(t, omega) + rng.uniform(0.0, 2.0 * np.pi, 5)
     amplitude = np.array([0.6, 0.25, 0.15, 0.1, 0.05])
-    amplitude *= 0.97 / np.abs(np.sin(angle) @ amplitude).max()
-    q = np.sin(angle) @ amplitude
-    dq, ddq = np.cos(angle) @ (amplitude * omega), -np.sin(angle) @ (amplitude * omega**2)
+    motion = sum_of_sines(t, omega, amplitude, rng)
+    scale = 0.97 / np.abs(motion[0]).max()
+    q, dq, ddq = (scale * signal for signal in motion)
     torque = 0.1 * ddq + 0.3 * dq + 0.8 * np.tanh(dq / 4e-3) + NOISE * rng.normal(size=len(t))
     torque += sum(size * np.cos(order * q + order) for order, size in WAVES.items())
-    table = np.column_stack([t, q, torque])
-    np.savetxt(path, table, delimiter=",", header="t,q.table,tau.table", comments="")
-    return path
+    return write_joint_recording(path, "table", t, q, torque)
 
 
 @pytest.fixture(scope="module", params=[1, 3])

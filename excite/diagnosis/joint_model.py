@@ -573,11 +573,7 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             if min(orders) < low or _are_near([*known, *orders], width):
                 break
             waves = [torque_ripple.wave_model(fitted.motions, j, order) for order in orders]
-            columns = [model_columns(wave, fitted.motions, fitted.level) for wave in waves]
-            regression = fitted.regression.keeping(range(len(fitted.regression.slices)))
-            for part in columns:
-                if part is not None:
-                    regression.add(part)
+            regression = fitted.with_effects(waves).regression
         out += waves
     return out
 

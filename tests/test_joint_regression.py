@@ -235,34 +235,3 @@ def test_cross_validation_is_a_refit_without_the_fold(nonnegative):
             residual = regression.torque[fold] - columns[fold] @ x
             expected[k, variant] = np.sum(residual**2, axis=0)
     np.testing.assert_allclose(errors, expected, rtol=1e-6)
-
-
-def test_regression_on_rows_is_that_of_these_rows_alone():
-    regression, columns = random_regression(5, nonnegative=False)
-    rows = np.arange(60) % 3 > 0
-    alone = JointRegression.of_base(
-        regression.torque[rows],
-        regression.moving[rows],
-        columns[rows, :, :3],
-        (np.zeros(3), 0.1 * np.eye(3)),
-        regression.sigma,
-        regression.independent_share,
-    )
-    alone.add(columns_on_all_joints(columns[rows, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
-    some = regression.on_rows(rows)
-    np.testing.assert_allclose(some.solution.coefficients, alone.solution.coefficients, rtol=1e-8)
-    assert some.solution.objective == pytest.approx(alone.solution.objective)
-    np.testing.assert_allclose(
-        some.information_by_joint(3).sum(axis=0),
-        some.solution.information[:3, :3] - 0.1 * np.eye(3),
-        rtol=1e-9,
-    )
-
-
-def test_attraction_is_a_prior_of_the_first_coefficients():
-    mean, information = np.array([1.0, -2.0, 0.5]), 1e9 * np.eye(3)
-    regression, _ = random_regression(6, nonnegative=True)
-    before = regression.solution.objective
-    regression.attract(mean, information)
-    np.testing.assert_allclose(regression.solution.coefficients[:3], mean, atol=1e-4)
-    assert regression.solution.objective > before

@@ -33,16 +33,20 @@ MAX_RATE_SHARE = 0.4
 """Largest cutoff, or bandwidth of the motion, over the sample rate."""
 
 
-def chosen_hertz(pieces: Sequence[RecordingSegment], robot: Robot) -> float:
+def chosen_hertz(
+    train: Sequence[RecordingSegment], validate: Sequence[RecordingSegment], robot: Robot
+) -> float:
     """Return the cutoff frequency that the longest segment needs and its positions permit [Hz].
 
     Args:
-        pieces: Segments of the recordings.
+        train: Segments of the training recordings.
+        validate: Segments of the held-out recordings, of which only the length counts.
         robot: The robot.
     """
-    longest = max(pieces, key=len)
+    longest = max(train, key=len)
     carried = position_bandwidth.position_bandwidth(longest, robot)
-    return min(_needed_hertz(longest), carried, MAX_RATE_SHARE * longest.rate)
+    usable = max(segments.usable_from_hertz(group) for group in (train, validate))
+    return min(_needed_hertz(longest), max(carried, usable), MAX_RATE_SHARE * longest.rate)
 
 
 def _needed_hertz(longest: RecordingSegment) -> float:

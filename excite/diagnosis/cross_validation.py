@@ -16,7 +16,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from . import session_changes
+from . import posterior, session_changes
 from .joint_model import JointModel
 from .posterior import EffectEvidence
 
@@ -24,7 +24,7 @@ PARTS = 3
 """Folds of a single recording."""
 
 
-def folds(model: JointModel) -> list[BoolArray]:
+def _folds(model: JointModel) -> list[BoolArray]:
     """Return the rows of each fold, shapes (N,)."""
     sources = [motion.segment.source for motion in model.motions]
     of_row = np.repeat(sources, [len(motion) for motion in model.motions])
@@ -59,19 +59,25 @@ def pays(
     return bool(with_.sum() < without.sum())
 
 
-def without_unpredictive(
-    model: JointModel, left_out: Collection[int], evidence: Sequence[EffectEvidence]
-) -> frozenset[int]:
-    """Leave out effects of joints that are predicted worse than by the base model alone.
+def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
+    """Leave out effects that are not needed, and those that predict a joint worse.
+
+    The latter are of joints that are predicted worse than by the base model alone.
 
     Args:
         model: The joint model.
-        left_out: Effects that are left out already.
-        evidence: Evidence of all effects.
 
     Returns:
-        All effects that are left out.
+        The effects that are left out, and the evidence of all.
     """
+    left_out, evidence = posterior.select(model)
+    return _without_unpredictive(model, left_out, evidence), evidence
+
+
+def _without_unpredictive(
+    model: JointModel, left_out: Collection[int], evidence: Sequence[EffectEvidence]
+) -> frozenset[int]:
+    """All effects that are left out once no joint is predicted worse than by the base model."""
     out = set(left_out)
     everything = set(range(len(model.models)))
     while True:
@@ -121,25 +127,23 @@ def _spoiling_group(
     return groups[best] if total[best] < present.sum() else frozenset()
 
 
-def mean_log(model: JointModel, errors: FloatArray) -> FloatArray:
-    """Return the mean logarithm of squared errors over the recordings, shape (…, n).
+def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
+    """Mean logarithms of squared errors on rows to which variants are not fitted, (variants, n).
+
+    Those of the thirds of a single recording are summed before.
 
     Args:
         model: The joint model.
-        errors: Sum over the rows of each fold, shape (folds, …, n).
+        variants: Effects that are left out, by variant.
     """
-    rows = np.array([model.regression.moving[part].sum(axis=0) for part in folds(model)], float)
+    regression, parts = model.regression, _folds(model)
+    unused = np.zeros(len(regression.nonnegative), bool)
+    unused[model.session_places] = True
+    unused[model.form_places] = True  # the saved model has none
+    errors = regression.cross_validated(parts, variants, unused)
+    rows = np.array([regression.moving[part].sum(axis=0) for part in parts], float)
     if len(session_changes.sources(model.motions)) == 1:
         errors, rows = (x.sum(axis=0, keepdims=True) for x in (errors, rows))
     weights = rows / np.maximum(rows.sum(axis=0), 1.0)
     logs = np.log(np.maximum(errors, 1e-300))
-    return np.asarray(np.einsum("rj,r...j->...j", weights, logs))
-
-
-def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
-    """Mean logarithms of the cross-validated squared errors of variants, shape (variants, n)."""
-    regression = model.regression
-    unused = np.zeros(len(regression.nonnegative), bool)
-    unused[model.session_places] = True
-    unused[model.form_places] = True  # the saved model has none
-    return mean_log(model, regression.cross_validated(folds(model), variants, unused))
+    return np.asarray(np.einsum("rj,rvj->vj", weights, logs))

@@ -20,6 +20,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..errors import UnusableInput
 from ..identification import identification, segments
 from ..identification.identification import Identification
+from ..identification.lowpass import settling_time
 from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
@@ -34,7 +35,6 @@ from . import (
     joint_model,
     model_check,
     noise,
-    posterior,
     selection,
     session_changes,
     unmodelled,
@@ -42,9 +42,11 @@ from . import (
 from .budget import TorqueBudget
 from .estimates import EffectEstimate
 from .final_model import FinalModel
+from .flexible_models import UNMODELLED
 from .gear_encoders import GearEstimate
 from .joint_model import JointModel
 from .regression import rms
+from .selection import RareEffect
 from .session_changes import SessionChange
 from .unmodelled import UnmodelledTorque
 
@@ -189,7 +191,7 @@ def diagnose(
             "give one that is not among the training recordings"
         )
     pieces = [list(segments.extract_segments(group, average=False)) for group in (train, validate)]
-    hertz = options.band or bandwidth.chosen_hertz(pieces[0], robot)
+    hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
     psi = joint_model.initial_parameters(identified)
@@ -203,16 +205,16 @@ def diagnose(
     for group, motions in zip((train, validate), halves, strict=True):
         if not motions:
             raise UnusableInput(
-                f"{group[0].source}: the recording is too short for a cutoff frequency of "
-                f"{hertz:g} Hz; record at least two seconds"
+                f"{group[0].source}: no gap-free stretch is longer than the "
+                f"{2.0 * settling_time(hertz):.2g} s that a band of {hertz:.3g} Hz discards at its "
+                "ends; record for longer or give a higher --band"
             )
     progress("fitting all frictions jointly, then rare effects")
     model, rare = selection.find_rare_effects(
         identified, halves[0], bool(options.trusted), options.names, progress
     )
     progress("evidence of each effect")
-    left_out, evidence = posterior.select(model)
-    left_out = cross_validation.without_unpredictive(model, left_out, evidence)
+    left_out, evidence = cross_validation.select(model)
     residual = model.regression.residual(model.regression.without(left_out))
     residual = np.where(model.regression.moving, residual, 0.0)
     parts = recorded_motion.split_by_motion(residual, model.motions)
@@ -220,9 +222,9 @@ def diagnose(
     remaining = unmodelled.find(model, left_out, evidence, floor)
     effects = estimates.estimate_effects(model, rare, left_out, evidence)
     effects = estimates.with_unmodelled(effects, model, remaining)
-    effects, doubtful = estimates.without_doubtful(effects, evidence)
+    effects, _ = estimates.without_doubtful(effects, evidence)
     progress("base model of the recordings without the effects")
-    final = final_model.fit(identified, model, left_out | doubtful, train, progress)
+    final = final_model.fit(identified, *_savable(model, rare), train, progress)
     progress("held-out recordings")
     document = final.document(train)
     held_out = _held_out_errors(final, document, validate, halves[1])
@@ -244,6 +246,23 @@ def diagnose(
         tuple(_changes(final, held_out)),
         gear_encoders.gears(halves, (train, validate)),
     )
+
+
+def _savable(model: JointModel, rare: Sequence[RareEffect]) -> tuple[JointModel, frozenset[int]]:
+    """Return the joint model of what can be saved, and the effects of it that are left out.
+
+    A flexible model is not saved. What it stands for is left to the effects of the catalogue, which
+    are judged without it.
+
+    Args:
+        model: The joint model.
+        rare: Its rare effects.
+    """
+    named = [i for i, shape in enumerate(model.models) if shape.effect != UNMODELLED]
+    model = model.keeping(named)
+    left_out, evidence = cross_validation.select(model)
+    effects = estimates.estimate_effects(model, rare, left_out, evidence)
+    return model, left_out | estimates.without_doubtful(effects, evidence)[1]
 
 
 def _held_out_errors(

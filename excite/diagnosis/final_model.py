@@ -23,7 +23,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency, identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
-from . import base_attraction, fitted_effects, joint_model
+from . import fitted_effects, joint_model
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import JointModel, model_columns
@@ -110,7 +110,6 @@ def fit(
         # the same recordings, but effects and base model at once: where an effect can stand for a
         # part of the base model, the recordings without its torque cannot show that part
         joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
-        base_attraction.attract(identified, joint)
         widths = model.motions[0].widths
         refitted = dataclasses.replace(
             refitted,

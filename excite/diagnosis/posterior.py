@@ -297,6 +297,7 @@ def evidence_of(
         return EffectEvidence(members, *key, -np.inf, np.zeros(model.n), 0.0)
     reduced = regression.without([*left_out, *members])
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
+    factor -= float(sum(np.log(model.models[e].alternatives) for e in members))
     before, after = (regression.residual_rms(s) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
     size = float((severity / regression.sigma).max())

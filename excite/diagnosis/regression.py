@@ -190,46 +190,6 @@ class JointRegression:
             )
         return out
 
-    def on_rows(self, rows: BoolArray) -> JointRegression:
-        """Return the regression on some of the rows, with the same columns, weights and priors.
-
-        Args:
-            rows: The rows, shape (N,).
-        """
-        out = self.copy()
-        out.moving = self.moving & rows[:, None]
-        for j, gram in enumerate(self._grams):
-            x, tau = gram.columns * rows[:, None], self.torque[:, j]
-            power = float(np.sum(tau[out.moving[:, j]] ** 2))
-            out._grams[j] = _JointGram(x, gram.places, x.T @ x, x.T @ tau, power)
-        out._changed()
-        return out
-
-    def information_by_joint(self, count: int) -> FloatArray:
-        """Return the information of the first coefficients from each joint's rows, (n, p, p).
-
-        Args:
-            count: Their number p.
-        """
-        out = np.zeros((self.n, count, count))
-        for part, gram, weight in zip(out, self._grams, self.weights.tolist(), strict=True):
-            on = gram.places < count
-            part[np.ix_(gram.places[on], gram.places[on])] = weight * gram.matrix[np.ix_(on, on)]
-        return out
-
-    def attract(self, mean: FloatArray, information: FloatArray) -> None:
-        """Add a prior of the first coefficients to the one that they have.
-
-        Args:
-            mean: Its mean, shape (p,).
-            information: Its information matrix, shape (p, p).
-        """
-        p = len(mean)
-        self.prior_matrix[:p, :p] += information
-        self._prior_score[:p] += information @ mean
-        self._prior_power += float(mean @ information @ mean)
-        self._changed()
-
     def fix_at_zero(self, places: Sequence[int]) -> None:
         """Hold some coefficients at zero, by a prior without uncertainty."""
         for place in places:

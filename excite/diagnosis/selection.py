@@ -130,7 +130,7 @@ class Candidate:
     def _occam(self) -> float:
         """Logarithm of the share of the prior volume that the data leave."""
         scaled = self.fit.information * np.outer(self.prior_std, self.prior_std)
-        return 0.5 * float(np.linalg.slogdet(scaled)[1])
+        return 0.5 * float(np.linalg.slogdet(scaled)[1]) + float(np.log(self.model.alternatives))
 
     @property
     def is_plausible(self) -> bool:

@@ -19,6 +19,8 @@ BLOCKS = 400
 """Blocks of a recording at whose edges a contact may begin and end."""
 DOUBLINGS = 5
 """Lengths of windows, each twice the one before."""
+MAX_SHARE = 0.5
+"""Longest interval over the recording: what acts most of the time is no contact."""
 MAX_INTERVALS = 2
 """Intervals that are proposed."""
 COURSES = ((0.0, 0.0, 0.0), (0.15, 0.0, 0.0), (0.15, 1.0, 0.0), (0.4, 1.0, 0.0), (0.0, 0.0, 8.0))
@@ -64,6 +66,8 @@ def _largest_force(c: FloatArray) -> dict[str, float]:
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Yield forces on every link in the intervals in which a force explains most."""
+    # pairs of a begin and an end, as far apart as those of the shortest windows
+    windows = 0.5 * WINDOWS * (WINDOWS + 1) * len({motion.segment.source for motion in motions})
     for source, interval in _intervals(motions):
         for extension, swells, knots in COURSES:
             margin = extension * (interval[1] - interval[0])
@@ -77,6 +81,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                     (interval[0] - margin, interval[1] + margin),
                     source,
                     _largest_force,
+                    alternatives=windows,
                 )
 
 
@@ -203,7 +208,9 @@ class _WindowedForces:
         best = float(self.gains(window[None])[0])
         while step:
             near = window + step * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
-            near = near[(near[:, 0] >= 0) & (near[:, 1] <= blocks) & (np.diff(near)[:, 0] > 1)]
+            length = np.diff(near)[:, 0]
+            possible = (length > 1) & (length <= MAX_SHARE * blocks)
+            near = near[(near[:, 0] >= 0) & (near[:, 1] <= blocks) & possible]
             gains = self.gains(near)
             if len(near) and float(gains.max()) > best:
                 best, window = float(gains.max()), near[int(np.argmax(gains))]

@@ -45,6 +45,8 @@ class CandidateModel:
         prior_shares: Share of `prior_std` of each coefficient; empty: 1.
         form_columns: Number of last columns that are the discrepancy of its form.
         signature: Description of the residual, if it differs from the effect's.
+        alternatives: Number of models, each as likely, of which it was chosen before it became a
+            candidate.
     """
 
     effect: str
@@ -64,6 +66,7 @@ class CandidateModel:
     prior_shares: tuple[float, ...] = ()
     form_columns: int = 0
     signature: str = ""
+    alternatives: float = 1.0
 
     def columns(self, motion: RecordedMotion) -> FloatArray:
         """Return the torque per unit of each coefficient at the motion's rows.

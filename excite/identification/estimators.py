@@ -257,7 +257,8 @@ def estimate(
             θ̂ is not biased by them and its covariance accounts for them. Shape (N, n, k).
 
     Raises:
-        UnusableInput: Instruments are missing or excite less than the recorded motion.
+        UnusableInput: There are not more equations than parameters, or instruments are missing or
+            excite less than the recorded motion.
     """
     if nuisance is not None:
         extended = dataclasses.replace(
@@ -271,6 +272,12 @@ def estimate(
         0 if method is Method.OLS else VARIANCE_ITERATIONS,
         len(equations),
     )
+    rank = fit.half.shape[1]
+    if equations.torque.size <= rank:
+        raise UnusableInput(
+            f"recordings: {equations.torque.size} equations are too few for {rank} parameters with "
+            f"a band of {equations.hertz:.3g} Hz; record for longer or give a higher --band"
+        )
     if method is Method.FULL:
         noise_root = covariance_root(
             equations.torque - equations.predicted(fit.theta), fit.leverage

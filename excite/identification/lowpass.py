@@ -47,6 +47,15 @@ class Grid(enum.Enum):
     KEPT = enum.auto()
 
 
+def settling_time(hertz: float) -> float:
+    """Return the time to discard at either end of an aperiodic stretch [s].
+
+    Args:
+        hertz: Cutoff frequency [Hz].
+    """
+    return SETTLING_FACTOR / (TAPER_FRACTION * hertz)
+
+
 def tapered_gain(frequencies: NDArray[np.floating[Any]], hertz: float) -> FloatArray:
     """Return the gain of the filter of an aperiodic stretch at frequencies [Hz].
 
@@ -124,8 +133,7 @@ class LowPassFilter:
         return (
             0
             if self.periodic
-            else int(np.ceil(SETTLING_FACTOR / (TAPER_FRACTION * self.hertz) * self.rate / step))
-            * step
+            else int(np.ceil(settling_time(self.hertz) * self.rate / step)) * step
         )
 
     def gain(self, frequencies: NDArray[np.floating[Any]], hertz: float) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 from .._types import BoolArray, FloatArray
 from ..recordings import Recording
 from ..recordings.recording import MIN_ROWS
-from .lowpass import LowPassFilter
+from .lowpass import LowPassFilter, settling_time
 
 DEFAULT_BAND_HZ = 20.0
 """Cutoff frequency unless the data ask for another [Hz]."""
@@ -27,6 +27,8 @@ TORQUE_BANDWIDTH_RATIO = 10.0
 reach beyond the motion's own band."""
 MAX_BAND_HZ = 50.0
 """Highest cutoff chosen automatically [Hz]: above it links and gears of an arm are not rigid."""
+MIN_KEPT_SHARE = 0.5
+"""Share of the longest segment that the filter leaves if the cutoff is chosen from the data [1]."""
 CHUNK_SAMPLES = 1 << 17
 """Number of samples of a long segment that are processed together, to bound memory."""
 
@@ -275,8 +277,19 @@ def torque_spectra(
     motion = motion_bandwidth(longest)
     chosen = _chosen_cutoff(frequency, torque, noise, motion, rate) if hertz is None else hertz
     if hertz is None and carried is not None:
-        chosen = min(chosen, carried(longest))
+        chosen = min(chosen, max(carried(longest), usable_from_hertz([longest])))
     return TorqueSpectra(frequency, torque, noise, motion, chosen)
+
+
+def usable_from_hertz(segments: Sequence[RecordingSegment]) -> float:
+    """Return the cutoff frequency from which the filter leaves half of the longest segment [Hz].
+
+    Args:
+        segments: Segments of recordings.
+    """
+    longest = max(segments, key=len)
+    duration = len(longest) / longest.rate
+    return 0.0 if longest.periodic else 2.0 * settling_time(1.0) / (MIN_KEPT_SHARE * duration)
 
 
 def motion_bandwidth(segment: RecordingSegment) -> float:

@@ -252,14 +252,16 @@ def _savable(model: JointModel, rare: Sequence[RareEffect]) -> tuple[JointModel,
     """Return the joint model of what can be saved, and the effects of it that are left out.
 
     A flexible model is not saved. What it stands for is left to the effects of the catalogue, which
-    are judged without it.
+    are judged without it, by the residual that they leave.
 
     Args:
         model: The joint model.
         rare: Its rare effects.
     """
     named = [i for i, shape in enumerate(model.models) if shape.effect != UNMODELLED]
-    model = model.keeping(named)
+    if len(named) < len(model.models):
+        model = model.keeping(named)
+        joint_model.reweight(model.regression)
     left_out, evidence = cross_validation.select(model)
     effects = estimates.estimate_effects(model, rare, left_out, evidence)
     return model, left_out | estimates.without_doubtful(effects, evidence)[1]

@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._types import FloatArray
+from ..effects.effect import CandidateModel
 from ..effects.form_error import with_form_error
 from . import probability
-from .joint_model import FRICTIONS, JointModel
+from .joint_model import FRICTIONS, JointModel, transient_rows
 from .normal_equations import Solution
 from .regression import JointRegression
 
@@ -279,6 +280,35 @@ def judge(
     return result, out
 
 
+def _gain_of_transient(
+    model: JointModel, shapes: Sequence[CandidateModel], reduced: Solution, current: Solution
+) -> float:
+    """Return the log-likelihood gain of an effect that acts for some of the time.
+
+    What any robot's model lacks is larger at some times than at others, and such an effect is
+    sought where most remains. The variance of the rows in which it acts is therefore unknown, and
+    other rows say nothing:
+
+        ½ ρ Σ_j N_j ln(E_j without the effect / E_j with it)
+
+    over the joints j, with N_j rows in which it acts, and their squared errors E_j.
+
+    Args:
+        model: A joint model with the effect.
+        shapes: Models of the effect.
+        reduced: Solution without it.
+        current: Solution with it.
+    """
+    regression = model.regression
+    acting = transient_rows(shapes, model.motions)[:, None] & regression.moving
+    before, after = (
+        np.sum(np.where(acting, regression.residual(solution), 0.0) ** 2, axis=0)
+        for solution in (reduced, current)
+    )
+    logs = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
+    return 0.5 * regression.independent_share * float(acting.sum(axis=0) @ logs)
+
+
 def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:
     return [j for e in effects for j in regression.joints_of(e)]
 
@@ -297,7 +327,11 @@ def evidence_of(
         return EffectEvidence(members, *key, -np.inf, np.zeros(model.n), 0.0)
     reduced = regression.without([*left_out, *members])
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
-    factor -= float(sum(np.log(model.models[e].alternatives) for e in members))
+    shapes = [model.models[e] for e in members]
+    factor -= float(sum(np.log(shape.alternatives) for shape in shapes))
+    if any(shape.interval is not None for shape in shapes):
+        factor -= reduced.objective - current.objective
+        factor += _gain_of_transient(model, shapes, reduced, current)
     before, after = (regression.residual_rms(s) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
     size = float((severity / regression.sigma).max())

@@ -96,6 +96,41 @@ def test_kuka_has_a_counterbalance_spring_that_may_be_the_payload():
 
 
 @pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
+@pytest.mark.parametrize(
+    ("name", "train", "held_out", "prior", "urdf"),
+    [
+        ("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
+        ("kuka_kr300", ("traj_A",), "traj_B", "prior.json", None),
+        (
+            *("xl330", ("kp200_sin_time_square", "kp400_up_and_down"), "kp400_sin_sin"),
+            *(None, "xl330_pendulum"),
+        ),
+    ],
+    ids=["KR300, file B", "KR300, file A", "XL330"],
+)
+def test_no_contact_is_found_where_none_was(name, train, held_out, prior, urdf):
+    """What the model lacks is larger at some times than at others, which is no contact."""
+    result = diagnose_machine(name, train, held_out, prior, urdf)
+    assert "contact" not in {effect for effect, _ in findings_of(result)}
+
+
+@pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
+def test_a_part_of_the_emps_recording_shows_its_friction_next_to_unknown_torque():
+    """What a flexible model explains is left to the effects of the catalogue in the saved model."""
+    machine = robot.load(str(REAL / "emps" / "emps.urdf"))
+    table = limits.resolve(machine)
+    standard = inertial_parameters.standard_parameters(machine, table)
+    whole = recordings.read(REAL / "emps" / "train.csv", machine, table)
+    cut = int(0.4 * len(whole))
+    parts = [whole.rows(slice(cut, None)), whole.rows(slice(0, cut))]
+    base = base_parameters.find(machine, standard, table)
+    result = diagnosis.diagnose(machine, standard, base, parts[:1], parts[1:])
+    saved = {effect.shape.effect for effect in result.final.saved_effects}
+    assert saved >= {"asymmetric_viscous", "delay"}
+    assert (result.held_out.rmse_after < 0.6 * result.held_out.rmse_before).all()
+
+
+@pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
 def test_a_bare_motor_has_cogging_torque_of_order_72():
     train, held_out = ("speed_1rev_per_s_comp_off_then_on",), "speed_test_b"
     result = diagnose_machine("laas_cogging", train, held_out, urdf="motor")

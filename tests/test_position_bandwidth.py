@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from excite import api
+from excite.errors import UnusableInput
 from excite.identification import position_bandwidth, regression, segments
 from excite.identification.nominal_comparison import nominal_torque
 from excite.identification.segments import RecordingSegment
@@ -48,6 +49,25 @@ def test_jitter_limits_the_band(two_link):
     ]
     motion = segments.motion_bandwidth(segment(two_link, 0.0))
     assert np.inf > limits[0] >= limits[1] >= motion
+
+
+def test_the_filter_leaves_half_of_a_short_recording(two_link):
+    short = segment(two_link, 5e-3).head(800)
+    carried = position_bandwidth.position_bandwidth(short, two_link)
+    chosen = segments.torque_spectra([short], None, lambda _: carried).hertz
+    assert chosen > carried
+    assert 2 * short.band(chosen).margin <= 0.51 * len(short)
+    assert segments.torque_spectra([short], 1.5, lambda _: carried).hertz == 1.5
+
+
+@pytest.mark.filterwarnings("ignore::excite.errors.ExciteWarning")
+@pytest.mark.parametrize("band", [1.55, 1.75, 1.9])
+def test_a_band_that_leaves_too_few_rows_is_refused(band):
+    folder = REAL / "double_pendulum"
+    if not folder.is_dir():
+        pytest.skip(f"no real recordings at {REAL}")
+    with pytest.raises(UnusableInput, match="higher --band"):
+        api.identify(folder / "double_pendulum.urdf", [folder / "trajectory_02.csv"], band=band)
 
 
 @pytest.mark.parametrize(

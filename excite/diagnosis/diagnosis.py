@@ -45,6 +45,7 @@ from .final_model import FinalModel
 from .flexible_models import UNMODELLED
 from .gear_encoders import GearEstimate
 from .joint_model import JointModel
+from .posterior import EffectEvidence
 from .regression import rms
 from .selection import RareEffect
 from .session_changes import SessionChange
@@ -214,17 +215,17 @@ def diagnose(
         identified, halves[0], bool(options.trusted), options.names, progress
     )
     progress("evidence of each effect")
-    left_out, evidence = cross_validation.select(model)
-    residual = model.regression.residual(model.regression.without(left_out))
+    judged = _Judgement.of(model, rare)
+    residual = model.regression.residual(model.regression.without(judged.left_out))
     residual = np.where(model.regression.moving, residual, 0.0)
     parts = recorded_motion.split_by_motion(residual, model.motions)
     floor = noise.estimate_noise(identified.model, model.motions, parts, train)
-    remaining = unmodelled.find(model, left_out, evidence, floor)
-    effects = estimates.estimate_effects(model, rare, left_out, evidence)
-    effects = estimates.with_unmodelled(effects, model, remaining)
-    effects, _ = estimates.without_doubtful(effects, evidence)
+    remaining = unmodelled.find(model, judged.left_out, judged.evidence, floor)
+    effects = estimates.with_unmodelled(judged.effects, model, remaining)
+    effects, _ = estimates.without_doubtful(effects, judged.evidence)
     progress("base model of the recordings without the effects")
-    final = final_model.fit(identified, *_savable(model, rare), train, progress)
+    savable = judged.of_savable(rare)
+    final = final_model.fit(identified, savable.model, savable.not_saved, train, progress)
     progress("held-out recordings")
     document = final.document(train)
     held_out = _held_out_errors(final, document, validate, halves[1])
@@ -248,23 +249,49 @@ def diagnose(
     )
 
 
-def _savable(model: JointModel, rare: Sequence[RareEffect]) -> tuple[JointModel, frozenset[int]]:
-    """Return the joint model of what can be saved, and the effects of it that are left out.
+@dataclass(frozen=True)
+class _Judgement:
+    """Which effects of a joint model are needed.
 
-    A flexible model is not saved. What it stands for is left to the effects of the catalogue, which
-    are judged without it, by the residual that they leave.
-
-    Args:
+    Attributes:
         model: The joint model.
-        rare: Its rare effects.
+        left_out: Numbers of the effects that are left out.
+        evidence: Evidence of all effects.
+        effects: Estimates of all effects of the catalogue.
     """
-    named = [i for i, shape in enumerate(model.models) if shape.effect != UNMODELLED]
-    if len(named) < len(model.models):
-        model = model.keeping(named)
+
+    model: JointModel
+    left_out: frozenset[int]
+    evidence: Sequence[EffectEvidence]
+    effects: Sequence[EffectEstimate]
+
+    @classmethod
+    def of(cls, model: JointModel, rare: Sequence[RareEffect]) -> _Judgement:
+        """Judge a joint model with these rare effects."""
+        left_out, evidence = cross_validation.select(model)
+        effects = estimates.estimate_effects(model, rare, left_out, evidence)
+        return cls(model, left_out, evidence, effects)
+
+    def of_savable(self, rare: Sequence[RareEffect]) -> _Judgement:
+        """Judge the effects without flexible models, which are not saved.
+
+        What those stand for is left to the effects of the catalogue, which are judged by the
+        residual that they leave.
+
+        Args:
+            rare: The rare effects.
+        """
+        named = [i for i, m in enumerate(self.model.models) if m.effect != UNMODELLED]
+        if len(named) == len(self.model.models):
+            return self
+        model = self.model.keeping(named)
         joint_model.reweight(model.regression)
-    left_out, evidence = cross_validation.select(model)
-    effects = estimates.estimate_effects(model, rare, left_out, evidence)
-    return model, left_out | estimates.without_doubtful(effects, evidence)[1]
+        return _Judgement.of(model, rare)
+
+    @property
+    def not_saved(self) -> frozenset[int]:
+        """Numbers of the effects that the saved model does not have."""
+        return self.left_out | estimates.without_doubtful(self.effects, self.evidence)[1]
 
 
 def _held_out_errors(

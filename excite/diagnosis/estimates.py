@@ -68,7 +68,7 @@ class EffectEstimate:
         unique_severity: The same beyond what all other effects could stand for [1].
         parameters: Value and standard deviation by name.
         equivalents: Names of effects that these recordings cannot tell from it.
-        needed: Whether the saved model has it.
+        needed: Whether the joint model needs it, and it is not doubtful.
     """
 
     effect: str

@@ -17,7 +17,7 @@ from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..identification import segments
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
-from ..recordings import Recording, quantization
+from ..recordings import Recording, periodicity, quantization
 from ..recordings.missing_values import true_runs
 from ..recordings.padding import pad_by_reflection
 from .blocks import sandwiched
@@ -30,10 +30,6 @@ DRAWS = 3
 """Random draws of the encoders' quantisation errors."""
 MIN_PERIODS = 1.2
 """Periods that a recording must contain to show its noise by repetition."""
-MAX_REPEAT_DIFFERENCE = 0.02
-"""RMS difference of normalised positions a period apart below which a motion repeats."""
-MIN_DEPARTURE = 0.5
-"""The same difference above which a motion has left its start."""
 WINDOWS = 40
 """Windows into which a difference of periods is divided."""
 USUAL_QUANTILE = 0.6
@@ -42,8 +38,6 @@ MAX_WINDOW_RATIO = 12.0
 """Mean square over that quantile from which a window is not noise."""
 WINDOW_PASSES = 4
 """Iterations of the exclusion of windows."""
-MAX_PERIOD_ROWS = 4000
-"""Rows of a recording that are used to find its period."""
 JITTER_STANDARD_ERRORS = 2.0
 """Standard errors that are added to the growth of noise with momentum."""
 MAX_MOTION_SHARE = 0.6
@@ -55,8 +49,6 @@ SPECTRUM_PERIODS = 40.0
 """Length of the windows of the spectrum, in periods of the cutoff frequency."""
 SHIFT_PADDING = 32
 """Rows by which a signal is continued before it is shifted."""
-MIN_TRAVEL = 1e-6
-"""Range from which a joint moves [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -351,47 +343,15 @@ def shifted(x: FloatArray, by: float) -> FloatArray:
 
 
 def estimate_period(recording: Recording) -> Period | None:
-    """Return period and window of a recording, from its sidecar or else from its positions.
+    """Return period and window of a recording, as stated or else as its positions show.
 
     None if it does not repeat often enough.
     """
-    if recording.repetition is not None:
-        period, (start, end) = recording.repetition
-        return recording.repetition if end - start >= MIN_PERIODS * period else None
-    lag = _repetition_lag(recording.q, recording.rate)
-    return None if lag is None else (lag, (float(recording.t[0]), float(recording.t[-1])))
-
-
-def _repetition_lag(q: FloatArray, rate: float) -> float | None:
-    """Shortest time after which all positions repeat, for a fifth of it [s]; None if none does."""
-    step = max(1, len(q) // MAX_PERIOD_ROWS)
-    moving = np.ptp(q, axis=0) > MIN_TRAVEL
-    x = q[::step, moving]
-    if not moving.any() or len(x) < 16:
-        return None
-    x = (x - x.mean(axis=0)) / x.std(axis=0)
-    max_lag = int(len(x) / MIN_PERIODS)
-    difference = np.array([np.sqrt(np.mean((x[k:] - x[:-k]) ** 2)) for k in range(1, max_lag)])
-    departed = np.flatnonzero(difference > MIN_DEPARTURE)
-    if not len(departed):
-        return None
-    returned = np.flatnonzero(difference[departed[0] :] < MAX_REPEAT_DIFFERENCE) + departed[0]
-    if not len(returned):
-        return None
-    first_dip = returned[: int(np.argmax(np.diff(returned, append=len(difference) + 2) > 1)) + 1]
-    rows = step * (int(first_dip[np.argmin(difference[first_dip])]) + 1)
-    return _refined_lag(q[:, moving], rows, step) / rate
-
-
-def _refined_lag(q: FloatArray, rows: int, step: int) -> float:
-    """Lag of the best repetition near a coarse one [rows], by a parabola through three values."""
-    near = [k for k in range(rows - 2 * step, rows + 2 * step + 1) if 0 < k < len(q) - 2]
-    difference = np.array([np.mean((q[k:] - q[:-k]) ** 2) for k in near])
-    i = int(np.argmin(difference))
-    if not 0 < i < len(near) - 1:
-        return float(near[i])
-    a, b, c = difference[i - 1 : i + 2]
-    return float(near[i] + 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-300))
+    if recording.repetition is None:
+        found = periodicity.find_period(recording, None)
+        return None if found is None else (found.period, found.window)
+    period, (start, end) = recording.repetition
+    return recording.repetition if end - start >= MIN_PERIODS * period else None
 
 
 def quantization_residuals(

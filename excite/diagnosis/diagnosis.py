@@ -109,8 +109,7 @@ class Diagnosis:
         final: The model that is saved.
         floor: RMS noise below the cutoff, shape (n,) [N m].
         method: How the noise was found: "periods" or "differences".
-        noise_rms: RMS that a right model may leave, with encoder quantisation and timestamp jitter,
-            shape (n,) [N m].
+        noise_rms: RMS that a right model may leave, with encoder quantisation, shape (n,) [N m].
         residual: RMS residual of the joint model on the training recordings, shape (n,) [N m].
         unmodelled: Torque that no effect explains, by joint.
         held_out: Errors on the held-out recordings.

@@ -20,7 +20,6 @@ from ..identification.regression import IdentificationModel, filtered_regressor
 from ..recordings import Recording, periodicity, quantization
 from ..recordings.missing_values import true_runs
 from ..recordings.padding import pad_by_reflection
-from .blocks import sandwiched
 
 Draw = Callable[[np.random.Generator], FloatArray]
 """Draws the residual that encoder steps alone would leave, shape (N, n)."""
@@ -38,8 +37,6 @@ MAX_WINDOW_RATIO = 12.0
 """Mean square over that quantile from which a window is not noise."""
 WINDOW_PASSES = 4
 """Iterations of the exclusion of windows."""
-JITTER_STANDARD_ERRORS = 2.0
-"""Standard errors that are added to the growth of noise with momentum."""
 MAX_MOTION_SHARE = 0.6
 """Largest frequency of the motion, over the cutoff, above which the residual shows its noise."""
 FILTERED_SHARE = 0.95
@@ -58,8 +55,6 @@ class NoiseEstimate:
     Attributes:
         floor: RMS noise [N m], shape (n,).
         method: "periods" if it was found by repetition, else "differences".
-        clock: Mean square beyond the floor's that timestamp jitter causes where momentum is larger
-            than where the floor was found [(N m)²], shape (n,).
         steps: RMS of the model torque's error by encoder quantisation, which repeats with the
             motion [N m], shape (n,).
         periods: By recording that repeats: its period and window.
@@ -67,14 +62,13 @@ class NoiseEstimate:
 
     floor: FloatArray
     method: str
-    clock: FloatArray
     steps: FloatArray
     periods: Mapping[str, Period] = field(default_factory=dict)
 
     @property
     def noise_rms(self) -> FloatArray:
-        """RMS that a right model may leave, with quantisation and jitter [N m], shape (n,)."""
-        return np.asarray(np.sqrt(self.floor**2 + 2.0 * self.steps**2 + self.clock))
+        """RMS that a right model may leave, with quantisation [N m], shape (n,)."""
+        return np.asarray(np.sqrt(self.floor**2 + 2.0 * self.steps**2))
 
 
 def estimate_noise(
@@ -105,7 +99,6 @@ def estimate_noise(
     lower_bound = NoiseEstimate(
         _with_steps(spectral, steps),
         "differences",
-        np.zeros(len(spectral)),
         steps,
         periods,
     )
@@ -119,20 +112,19 @@ def _refined_by_repetition(
 ) -> NoiseEstimate:
     """Noise from the repetitions of residuals; unchanged if nothing repeats."""
     periods = estimate.periods
-    repetitions = [
-        repetition
+    squares = [
+        square
         for motion, residual in zip(motions, residuals, strict=True)
         if motion.segment.source in periods
-        for repetition in _repetitions(motion, residual, periods[motion.segment.source])
+        and (square := _noise_square(motion, residual, periods[motion.segment.source])) is not None
     ]
-    if not repetitions:
+    if not squares:
         return estimate
-    spread = np.sqrt(np.mean([repetition.square for repetition in repetitions], axis=0))
+    spread = np.sqrt(np.mean(squares, axis=0))
     return replace(
         estimate,
         floor=_with_steps(spread, estimate.steps),
         method="periods",
-        clock=_jitter_noise(repetitions, motions),
     )
 
 
@@ -167,31 +159,18 @@ def _spectral_noise(
     return np.asarray(np.sqrt(np.maximum(squares / max(rows, 1), 1e-24)))
 
 
-@dataclass(frozen=True)
-class _Repetition:
-    """Difference between two periods of a motion.
+def _noise_square(
+    motion: RecordedMotion, residual: FloatArray, period: Period
+) -> FloatArray | None:
+    """Mean square of what differs in a period and the next, without friction that warms up, (n,).
 
-    Attributes:
-        change: Difference of the residual over √2, shape (N, n).
-        momentum: Squared momentum, shape (N, n).
-        usual: Rows from which noise is estimated, shape (N,).
-        square: Mean square there, without friction that warms up, shape (n,).
+    None if the motion is too short; residual (N, n) [N m].
     """
-
-    change: FloatArray
-    momentum: FloatArray
-    usual: BoolArray
-    square: FloatArray
-
-
-def _repetitions(motion: RecordedMotion, residual: FloatArray, period: Period) -> list[_Repetition]:
-    """The repetition in a motion, or none if the motion is too short; residual (N, n) [N m]."""
     first, later, inside = _two_periods(motion, residual, period)
     rows = len(residual) - len(later)
     if inside.sum() < 0.15 * rows or inside.sum() < 20:
-        return []
-    change = (later - first)[inside] / np.sqrt(2.0)
-    return [_without_drift(change, motion, inside)]
+        return None
+    return _square_without_drift((later - first)[inside] / np.sqrt(2.0), motion, inside)
 
 
 def _two_periods(
@@ -229,20 +208,10 @@ def products_of_periods(
     return np.concatenate(out)
 
 
-def _squared_momentum(motion: RecordedMotion) -> FloatArray:
-    """Squared momentum of what a joint moves, rotor included [(kg m²/s)²], shape (N, n).
-
-    A sample read δ late has a position error q̇ δ and, to first order, a torque error (M q̇ δ)¨,
-    which for white jitter is proportional to the momentum.
-    """
-    mass, speed = motion.derivatives[2], motion.coarse_samples.dq
-    rotor_inertia = motion.fitted_robot.actuator_parameter("rotor_inertia")
-    momentum = np.einsum("tij,tj->ti", mass, speed) + rotor_inertia * speed
-    return np.square(motion.lowpass(momentum, Grid.COARSE))
-
-
-def _without_drift(change: FloatArray, motion: RecordedMotion, inside: BoolArray) -> _Repetition:
-    """A difference of periods without that of friction that warms up."""
+def _square_without_drift(
+    change: FloatArray, motion: RecordedMotion, inside: BoolArray
+) -> FloatArray:
+    """Mean square of a difference of periods without that of friction that warms up, shape (n,)."""
     t = np.linspace(-1.0, 1.0, len(change))[:, None]
     groups = []
     for j in range(change.shape[1]):
@@ -260,51 +229,8 @@ def _without_drift(change: FloatArray, motion: RecordedMotion, inside: BoolArray
             )
         usual = _usual_rows(np.square(remainder))
     count = int(usual.sum())
-    square = (
-        np.mean(np.square(remainder[usual]), axis=0) * count / max(count - groups[0].shape[1], 1)
-    )
-    return _Repetition(remainder, _squared_momentum(motion)[: len(inside)][inside], usual, square)
-
-
-def _jitter_noise(
-    repetitions: Sequence[_Repetition], motions: Sequence[RecordedMotion]
-) -> FloatArray:
-    """Mean square noise by timestamp jitter beyond that in the floor, shape (n,).
-
-    Jitter noise grows with the squared momentum and does not repeat.
-    """
-    change, momentum = (
-        np.concatenate([getattr(repetition, name) for repetition in repetitions])
-        for name in ("change", "momentum")
-    )
-    overall, used = (
-        np.concatenate([_squared_momentum(motion) for motion in motions]),
-        np.concatenate([repetition.momentum[repetition.usual] for repetition in repetitions]),
-    )
-    out = np.zeros(change.shape[1])
-    for j in range(len(out)):
-        mean = max(float(overall[:, j].mean()), 1e-300)
-        out[j] = _noise_growth(momentum[:, j] / mean, change[:, j] ** 2) * max(
-            1.0 - float(used[:, j].mean()) / mean, 0.0
-        )
-    return out
-
-
-def _noise_growth(x: FloatArray, y: FloatArray) -> float:
-    """Upper bound of the slope of noise power y over x, at most y's mean over x's.
-
-    Rows are weighted by 1/(1 + x), so that few of large x do not dominate. Standard errors are
-    those between blocks, since the noise is coloured.
-    """
-    columns, right = np.column_stack([np.ones(len(x)), x]) / (1.0 + x)[:, None], y / (1.0 + x)
-    count = max(2, min(WINDOWS, len(x) // 8))
-    solution, covariance = sandwiched(
-        list(zip(np.array_split(columns, count), np.array_split(right, count), strict=True))
-    )
-    error = float(np.sqrt(covariance[1, 1]))
-    return float(
-        np.clip(solution[1] + JITTER_STANDARD_ERRORS * error, 0.0, y.mean() / max(x.mean(), 1e-300))
-    )
+    freedom = max(count - groups[0].shape[1], 1)
+    return np.asarray(np.sum(np.square(remainder[usual]), axis=0) / freedom)
 
 
 def _usual_rows(square: FloatArray) -> BoolArray:

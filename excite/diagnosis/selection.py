@@ -71,7 +71,8 @@ class RareEffect:
 
         Another effect k may be in place of the chosen one, or next to it: the weights of the three
         cases are exp(E/T), exp(E_k/T) and exp((E + E_k|chosen)/T). E and E_k are scaled to the
-        weights of the rows that the chosen effect leaves.
+        weights of the rows that the chosen effect leaves. The same effect on another link is no
+        other effect.
 
         Args:
             present: Other effects of the model, which are there and not in its place.
@@ -94,8 +95,10 @@ class RareEffect:
             and key[0] != UNMODELLED
             and (key[1] == self.key[1] or None in (key[1], self.key[1]))
         ]
+        of_link = _is_of_link(self.key[0])
+        other_links = [key for key in instead if of_link and key[0] == self.key[0]]
         total = 1.0 + sum(instead.values())
-        weight = 1.0 + sum(instead[key] for key in alike)
+        weight = 1.0 + sum(instead[key] for key in (*alike, *other_links))
         return weight / total, tuple(name for name, _ in alike)
 
 
@@ -349,7 +352,7 @@ def find_rare_effects(
                 if key not in rejected
                 and evidence > MIN_CANDIDATE_EVIDENCE
                 and [f.key for f in effects].count(key) < MAX_MODELS.get(key[0], 1)
-                and not any(_is_same_event(rankings[key].best.model, shape) for shape in rare)
+                and not any(_is_same_body(rankings[key].best.model, shape) for shape in rare)
             ),
             key=lambda key: -scores[key],
         )
@@ -465,11 +468,19 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     return best if best is not None and best.log_bayes_factor > needed else None
 
 
-def _is_same_event(first: CandidateModel, second: CandidateModel) -> bool:
-    """Tell whether two effects act at the same time of a recording: a contact has one link."""
-    if first.interval is None or second.interval is None or first.source != second.source:
+def _is_same_body(first: CandidateModel, second: CandidateModel) -> bool:
+    """Tell whether two models are one load, or one contact at a time, though on different links."""
+    if first.effect != second.effect or not _is_of_link(first.effect):
         return False
-    return first.interval[0] < second.interval[1] and second.interval[0] < first.interval[1]
+    if first.interval is None or second.interval is None:
+        return True
+    overlap = first.interval[0] < second.interval[1] and second.interval[0] < first.interval[1]
+    return first.source == second.source and overlap
+
+
+def _is_of_link(effect: str) -> bool:
+    """Tell whether an effect acts on a link."""
+    return effect != UNMODELLED and EFFECTS_BY_NAME[effect].of_link
 
 
 def _tries(rejected: Collection[Key], key: Key) -> int:

@@ -229,5 +229,6 @@ CONTACT = Effect(
     (),
     "the same motion without anything near the robot",
     form_std={"force": 0.1},
+    of_link=True,
 )
 """Collision or contact with the environment or a person."""

@@ -219,6 +219,8 @@ class Effect:
         form_std: Relative standard deviation of the parameters where the robot's effect has not
             exactly the form of the model.
         predicted_torque: Torque of candidate models of measured torque where none is measured.
+        of_link: Whether it acts on the link of its joint, so that all joints before it show it, and
+            its place is less certain than its name.
     """
 
     name: str
@@ -232,6 +234,7 @@ class Effect:
     prior_only: bool = False
     form_std: Mapping[str, float] = field(default_factory=dict)
     predicted_torque: PredictedTorque | None = None
+    of_link: bool = False
 
 
 def no_candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:

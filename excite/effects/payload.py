@@ -75,5 +75,6 @@ PAYLOAD = Effect(
     "static poses and fast ones, with and without the load",
     prior_only=True,
     form_std={"mass": 0.04, "com_x": 0.04, "com_y": 0.04, "com_z": 0.04},
+    of_link=True,
 )
 """Unmodelled tool or load."""

@@ -1,0 +1,287 @@
+#!/usr/bin/env python
+"""Conceal simulated effects in recordings of real machines, and see what `diagnose` names.
+
+Real machines have frictions and errors of their own, of which nobody knows the truth. An effect of
+the simulator, in a form that the diagnosis does not use, adds torque along the recorded motion;
+what the diagnosis finds in addition to what it finds in the recording as it is can be judged. The
+effect is scaled to a multiple of what the diagnosis leaves in the recording as it is.
+
+    python scripts/concealed_in_recordings.py --data DIR [--only TX40] [--severity 3]
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import numpy as np
+from held_out_errors import DataSet
+from scipy.interpolate import make_interp_spline
+
+from excite import recordings
+from excite._types import FloatArray
+from excite.diagnosis import diagnosis
+from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
+from excite.effects import EFFECTS_BY_NAME
+from excite.identification import identification
+from excite.recordings import Recording
+from excite.robot import base_parameters, inertial_parameters, limits
+from excite.robot import robot as robots
+from excite.simulator.effect_instance import sample_effect, with_effects
+from excite.simulator.effects import EFFECT_TYPES
+from excite.simulator.experiment import ExperimentSettings, build_robot, measurement_chain
+from excite.simulator.reference_trajectory import ReferenceTrajectory
+from excite.simulator.severity import Severity, residual_torque, scale_to_severity
+from excite.simulator.simulated_robot import SimulatedMotion, SimulatedRobot
+
+DATA_SETS = {
+    "TX40": DataSet("tx40/tx40.urdf", ["train"], ["validate"]),
+    "KR300": DataSet("kuka_kr300/kuka_kr300.urdf", ["traj_A", "traj_B"], ["traj_C"]),
+    "LWR4": DataSet("lwr4/lwr4.urdf", ["slow_1", "fast_3"], ["slow_2"]),
+    "Panda": DataSet("panda_unit2/panda.urdf", ["train"], ["validate"]),
+}
+"""Machines of the shared recordings, whose folder `--data` names."""
+EFFECTS = (
+    *("asymmetric_viscous", "stribeck", "drag", "load_friction", "position_friction"),
+    *("torque_ripple", "spring", "coupling", "torque_saturation", "contact"),
+    *("payload", "torque_gain", "torque_offset", "rotor_inertia", "kinematic_error"),
+)
+"""Effects that only add torque along a given motion; the last five need a trusted prior."""
+SMOOTHING_HERTZ = 10.0
+"""Cutoff frequency of the recorded positions along which the simulated robot moves [Hz]."""
+PAUSE = 0.2
+"""Time at both ends of a recording that the simulated robot does not follow [s]."""
+SAME_CURVE = {"drag": ("nonlinear_viscous",), "nonlinear_viscous": ("drag",)}
+"""Names of one thing (the contract)."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A real machine, its recordings, and what the diagnosis finds in them as they are.
+
+    Attributes:
+        urdf: Path of its URDF.
+        robot: The robot.
+        train: Recordings to fit.
+        validate: Held-out recordings.
+        trusted: Identified parameters, as a trusted prior.
+        found: Effect and joint of the findings, without and with the prior.
+        residual: RMS that the diagnosis leaves without and with the prior, shapes (n,) [N m].
+    """
+
+    urdf: Path
+    robot: robots.Robot
+    train: Sequence[Recording]
+    validate: Sequence[Recording]
+    trusted: Mapping[int, float]
+    found: Mapping[bool, set[tuple[str, str | None]]]
+    residual: Mapping[bool, FloatArray]
+
+
+def diagnose(
+    robot: robots.Robot,
+    train: Sequence[Recording],
+    validate: Sequence[Recording],
+    trusted: Mapping[int, float],
+) -> Diagnosis:
+    """Diagnose recordings.
+
+    Args:
+        robot: The robot.
+        train: Recordings to fit.
+        validate: Held-out recordings.
+        trusted: Values of a trusted prior; none if empty.
+    """
+    table = limits.resolve(robot)
+    standard = inertial_parameters.standard_parameters(robot, table)
+    base = base_parameters.find(robot, standard, table)
+    options = DiagnosisOptions(trusted=trusted)
+    return diagnosis.diagnose(robot, standard, base, train, validate, options)
+
+
+def findings(result: Diagnosis) -> set[tuple[str, str | None]]:
+    """Return effect and joint of all findings."""
+    joints = result.identified.model.robot.joints
+    return {(f.effect, None if f.joint is None else joints[f.joint]) for f in result.findings}
+
+
+def load(folder: Path, data: DataSet) -> Machine:
+    """Read a machine's recordings and diagnose them as they are.
+
+    Args:
+        folder: Folder of the recordings.
+        data: The machine.
+    """
+    urdf = folder / data.robot
+    robot = robots.load(str(urdf))
+    table = limits.resolve(robot)
+    train, validate = (
+        [recordings.read(urdf.parent / f"{name}.csv", robot, table) for name in names]
+        for names in (data.train, data.validate)
+    )
+    standard = inertial_parameters.standard_parameters(robot, table)
+    base = base_parameters.find(robot, standard, table)
+    identified = identification.identify(robot, standard, base, train)
+    trusted = dict(enumerate(identified.psi.tolist()))
+    results = {
+        is_trusted: diagnose(robot, train, validate, trusted if is_trusted else {})
+        for is_trusted in (False, True)
+    }
+    return Machine(
+        urdf,
+        robot,
+        train,
+        validate,
+        trusted,
+        {key: findings(result) for key, result in results.items()},
+        {key: result.residual for key, result in results.items()},
+    )
+
+
+def recorded_reference(recording: Recording) -> ReferenceTrajectory:
+    """Return the motion of a recording as a commanded motion, from 0 s on.
+
+    Args:
+        recording: The recording.
+    """
+    q = recording.samples(SMOOTHING_HERTZ).q
+    position = make_interp_spline(recording.t - recording.t[0], q, k=5)
+    speed, acceleration = position.derivative(), position.derivative(2)
+    end = float(recording.t[-1] - recording.t[0])
+
+    def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        inside = np.clip(t, 0.0, end)
+        return position(inside), speed(inside), acceleration(inside)
+
+    return ReferenceTrajectory(recording.joints, at, end, end, (PAUSE, end - PAUSE), {})
+
+
+def with_added_torque(
+    recording: Recording, reference: ReferenceTrajectory, robots_: Sequence[SimulatedRobot]
+) -> Recording:
+    """Return a recording with the torque by which a simulated robot with an effect differs.
+
+    Args:
+        recording: The recording.
+        reference: Its motion.
+        robots_: The simulated robot with and without the effect.
+    """
+    t = recording.t - recording.t[0]
+    with_, without = (robot.follow(reference).measured(t)[1] for robot in robots_)
+    return dataclasses.replace(recording, tau=recording.torque + with_ - without, current=None)
+
+
+def conceal(
+    machine: Machine, name: str, joint: str | None, severity: float, seed: int
+) -> tuple[list[Recording], list[Recording], float]:
+    """Conceal an effect in the recordings of a machine.
+
+    Args:
+        machine: The machine.
+        name: Name of the effect.
+        joint: Its joint; None: the whole robot.
+        severity: Its torque after a refit of the base model, over what the diagnosis leaves in the
+            recordings as they are, at the joint with the largest ratio [1].
+        seed: Seed of the effect's parameters.
+
+    Returns:
+        Recordings to fit, held-out recordings, and the severity that was reached.
+    """
+    trusted = EFFECTS_BY_NAME[name].prior_only
+    references = [recorded_reference(r) for r in (*machine.train, *machine.validate)]
+    settings = ExperimentSettings(seed=seed)
+    plain = build_robot(machine.urdf, references[0], settings)
+    effect_type = EFFECT_TYPES[name]
+    family = list(effect_type.forms)[-1]
+    effect = sample_effect(effect_type, plain, joint, family, np.random.default_rng(seed))
+
+    def measure(motion: SimulatedMotion) -> Severity:
+        torque = residual_torque(motion, plain, references[0], trusted=trusted)
+        return Severity(np.sqrt(np.mean(torque**2, axis=0)) / machine.residual[trusted])
+
+    chain = measurement_chain(plain, settings)
+    scaled, _, reached = scale_to_severity(
+        effect, severity, plain, references[0], chain, trusted=trusted, measure=measure
+    )
+    hidden = with_effects(plain, (scaled,))
+    last = 1 if name == "contact" else len(references)  # a contact happens once
+    out = [
+        with_added_torque(recording, reference, (hidden, plain)) if k < last else recording
+        for k, (recording, reference) in enumerate(
+            zip((*machine.train, *machine.validate), references, strict=True)
+        )
+    ]
+    count = len(machine.train)
+    return out[:count], out[count:], reached.value
+
+
+def is_named(result: Diagnosis, name: str, joint: str | None) -> bool:
+    """Tell whether a finding, or one of its equivalents, is the concealed effect.
+
+    The link of a load is less certain than its name.
+
+    Args:
+        result: The diagnosis.
+        name: Name of the effect.
+        joint: Its joint.
+    """
+    joints = result.identified.model.robot.joints
+    for finding in result.findings:
+        place = None if finding.joint is None else joints[finding.joint]
+        names = (finding.effect, *finding.equivalents, *SAME_CURVE.get(finding.effect, ()))
+        if name in names and (place in (None, joint) or EFFECTS_BY_NAME[name].of_link):
+            return True
+    return False
+
+
+def main() -> None:
+    """Print a row for each concealed effect, and the sums."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
+    parser.add_argument("--only", nargs="*", default=list(DATA_SETS), choices=list(DATA_SETS))
+    parser.add_argument("--effects", nargs="*", default=list(EFFECTS), choices=list(EFFECTS))
+    parser.add_argument("--severity", type=float, default=3.0, help="size over the residual")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    named, others, total = 0, 0, 0
+    print("| machine | concealed | joint | severity | named | also found | time [s] |")
+    print("|---|---|---|---:|---|---|---:|", flush=True)
+    for place, machine_name in enumerate(arguments.only):
+        machine = load(arguments.data, DATA_SETS[machine_name])
+        rng = np.random.default_rng([arguments.seed, place])
+        for name in arguments.effects:
+            trusted = EFFECTS_BY_NAME[name].prior_only
+            joint = str(rng.choice(machine.robot.joints))
+            if EFFECTS_BY_NAME[name].of_link:
+                joint = machine.robot.joints[-1]
+            seed = int(rng.integers(1000))
+            train, validate, severity = conceal(machine, name, joint, arguments.severity, seed)
+            start = time.process_time()
+            result = diagnose(machine.robot, train, validate, machine.trusted if trusted else {})
+            seconds = time.process_time() - start
+            right = is_named(result, name, joint)
+            new = sorted(
+                f"{effect} {place}"
+                for effect, place in findings(result) - machine.found[trusted]
+                if effect != name
+            )
+            named, others, total = named + right, others + len(new), total + 1
+            print(
+                f"| {machine_name} | {name} | {joint} | {severity:.1f} | "
+                f"{'yes' if right else 'no'} | {', '.join(new)} | {seconds:.0f} |",
+                flush=True,
+            )
+    print(f"\nnamed: {named} of {total}; other new findings: {others}")
+
+
+if __name__ == "__main__":
+    main()

@@ -73,7 +73,7 @@ class Machine:
         train: Recordings to fit.
         validate: Held-out recordings.
         trusted: Identified parameters, as a trusted prior.
-        found: Effect and joint of the findings, without and with the prior.
+        findings: Effect and joint of all findings, without and with the prior.
         residual: RMS that the diagnosis leaves without and with the prior, shapes (n,) [N m].
     """
 
@@ -82,7 +82,7 @@ class Machine:
     train: Sequence[Recording]
     validate: Sequence[Recording]
     trusted: Mapping[int, float]
-    found: Mapping[bool, set[tuple[str, str | None]]]
+    findings: Mapping[bool, set[tuple[str, str | None]]]
     residual: Mapping[bool, FloatArray]
 
 
@@ -271,7 +271,7 @@ def main() -> None:
             right = is_named(result, name, joint)
             new = sorted(
                 f"{effect} {place}"
-                for effect, place in findings(result) - machine.found[trusted]
+                for effect, place in findings(result) - machine.findings[trusted]
                 if effect != name
             )
             named, others, total = named + right, others + len(new), total + 1

@@ -274,8 +274,8 @@ def estimate_period(recording: Recording) -> Period | None:
     None if it does not repeat often enough.
     """
     if recording.repetition is None:
-        found = periodicity.find_period(recording, None)
-        return None if found is None else (found.period, found.window)
+        repetition = periodicity.find_period(recording, None)
+        return None if repetition is None else (repetition.period, repetition.window)
     period, (start, end) = recording.repetition
     return recording.repetition if end - start >= MIN_PERIODS * period else None
 

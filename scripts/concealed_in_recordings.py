@@ -52,7 +52,7 @@ DATA_SETS = {
         ["trajectory_02"],
     ),
 }
-"""Machines of the shared recordings, whose folder `--data` names. MuJoCo refuses the URDF of LWR4."""
+"""Machines of the shared recordings, whose folder `--data` names. MuJoCo refuses LWR4's URDF."""
 EFFECTS = (
     *("asymmetric_viscous", "stribeck", "drag", "load_friction", "position_friction"),
     *("torque_ripple", "spring", "coupling", "torque_saturation", "contact"),

@@ -31,6 +31,7 @@ from excite._types import FloatArray
 from excite.diagnosis import diagnosis
 from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.effects import EFFECTS_BY_NAME
+from excite.errors import UnusableInput
 from excite.identification import identification
 from excite.recordings import Recording
 from excite.robot import base_parameters, inertial_parameters, limits
@@ -270,7 +271,10 @@ def main() -> None:
             if EFFECTS_BY_NAME[name].of_link:
                 joint = machine.robot.joints[-1]
             seed = int(rng.integers(1000))
-            train, validate, severity = conceal(machine, name, joint, arguments.severity, seed)
+            try:
+                train, validate, severity = conceal(machine, name, joint, arguments.severity, seed)
+            except UnusableInput:  # the effect needs another joint after it
+                continue
             if severity < MIN_SEVERITY:
                 continue
             start = time.process_time()

@@ -195,7 +195,8 @@ def _budget_section(
             else f": {improved[0].error}"
         )
         places = joint_words([b.joint for b in improved], len(budgets))
-        answer = f"The effects found reduce the error on unseen recordings at {places}{most}."
+        answer = f"The effects in the saved model reduce the error on unseen recordings at {places}"
+        answer += f"{most}."
         tone = ""
     elif all(b.is_explained for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"

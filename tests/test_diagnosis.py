@@ -303,3 +303,13 @@ def test_a_short_recording_is_refused():
     short = dataclasses.replace(held_out.between(0.0, 0.6), sidecar=sidecar)
     with pytest.raises(UnusableInput, match=r"short|stretch"):
         diagnose([train, short])
+
+
+def test_a_recording_without_a_long_enough_stretch_is_refused():
+    train, held_out = recordings_of(None)
+    t = held_out.t[:60] + 0.5 * (np.arange(60) // 15)  # a gap after every 15 rows
+    sidecar = dataclasses.replace(held_out.sidecar, period=None, periodic=None)
+    pieces = dataclasses.replace(held_out.rows(slice(0, 60)), t=t, sidecar=sidecar)
+    for recordings in ([train, pieces], [pieces, held_out]):
+        with pytest.raises(UnusableInput, match="gap-free stretch"):
+            diagnose(recordings)

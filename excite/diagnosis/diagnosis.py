@@ -190,7 +190,7 @@ def diagnose(
             "--validate: a diagnosis needs a held-out recording; "
             "give one that is not among the training recordings"
         )
-    pieces = [list(segments.extract_segments(group, average=False)) for group in (train, validate)]
+    pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)

@@ -19,7 +19,6 @@ from .._types import FloatArray
 from ..designer import identifiability
 from ..designer.identifiability import Identifiability
 from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE, is_identifiable
-from ..errors import UnusableInput
 from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
@@ -276,11 +275,7 @@ def identify(
     """
     options = options or IdentificationOptions()
     model = IdentificationModel(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
-    parts = list(segments.extract_segments(recordings))
-    if not parts:
-        raise UnusableInput(
-            f"{recordings[0].source}: has no gap-free stretch that is long enough; record again"
-        )
+    parts = segments.usable_segments(recordings)
     spectra = segments.torque_spectra(
         parts, options.band, functools.partial(position_bandwidth.position_bandwidth, robot=robot)
     )

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .._types import BoolArray, FloatArray
+from ..errors import UnusableInput
 from ..recordings import Recording
 from ..recordings.recording import MIN_ROWS
 from .lowpass import LowPassFilter, settling_time
@@ -83,6 +84,26 @@ class RecordingSegment:
     def band(self, hertz: float) -> LowPassFilter:
         """Return the low-pass filter of this segment with a cutoff frequency [Hz]."""
         return LowPassFilter(hertz, self.rate, len(self), self.periodic, float(self.encoder.max()))
+
+
+def usable_segments(
+    recordings: Sequence[Recording], average: bool = True
+) -> list[RecordingSegment]:
+    """Return what `extract_segments` yields.
+
+    Args:
+        recordings: Recordings with torque.
+        average: Whether periods are averaged.
+
+    Raises:
+        UnusableInput: There is no segment.
+    """
+    out = list(extract_segments(recordings, average=average))
+    if not out:
+        raise UnusableInput(
+            f"{recordings[0].source}: has no gap-free stretch that is long enough; record again"
+        )
+    return out
 
 
 def extract_segments(

@@ -469,7 +469,10 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
 
 
 def _is_same_body(first: CandidateModel, second: CandidateModel) -> bool:
-    """Tell whether two models are one load, or one contact at a time, though on different links."""
+    """Tell whether two models are one load, one kinematic error, or one contact at a time.
+
+    They may be on different links.
+    """
     if first.effect != second.effect or not _is_of_link(first.effect):
         return False
     if first.interval is None or second.interval is None:

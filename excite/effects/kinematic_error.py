@@ -16,8 +16,8 @@ ANGLE_STEP = 1e-4
 """Rotation of the finite differences [rad]."""
 LENGTH_STEP = 1e-5
 """Displacement of the finite differences [m]."""
-ERROR_STD = 0.02
-"""Prior standard deviation of an error, ten times a usual one [rad or m]."""
+MAX_ERROR = 0.2
+"""Largest plausible error [rad or m]."""
 MIN_COLUMN_RATIO = 1e-6
 """Column over the largest one, below which it is rounding, as of a rotation about the joint's own
 vertical axis."""
@@ -59,6 +59,9 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Angle and length errors of every joint, with and without the link's own inertia."""
 
+    def is_small(c: FloatArray) -> bool:
+        return bool(np.linalg.norm(c) < MAX_ERROR)
+
     def norm(name: str) -> Callable[[FloatArray], dict[str, float]]:
         return lambda c: {name: float(np.linalg.norm(c))}
 
@@ -71,7 +74,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                     _columns,
                     {"angle": is_angle, "whole": moves_link},
                     parameters=norm(name),
-                    prior_std=ERROR_STD,
+                    is_plausible=is_small,
                 )
 
 

@@ -71,12 +71,53 @@ SAME_CURVE = {"drag": ("nonlinear_viscous",), "nonlinear_viscous": ("drag",)}
 
 
 @dataclass(frozen=True)
+class Subject:
+    """A robot with its parameters, prepared once for all diagnoses.
+
+    Attributes:
+        robot: The robot.
+        table: Its limits.
+        parameters: Layout of its standard parameters.
+        base: Its base parameters.
+    """
+
+    robot: robots.Robot
+    table: limits.Limits
+    parameters: inertial_parameters.Parameters
+    base: base_parameters.Base
+
+    @classmethod
+    def read(cls, urdf: Path) -> Subject:
+        """Read a robot."""
+        robot = robots.load(str(urdf))
+        table = limits.resolve(robot)
+        parameters = inertial_parameters.standard_parameters(robot, table)
+        return cls(robot, table, parameters, base_parameters.find(robot, parameters, table))
+
+    def diagnose(
+        self,
+        train: Sequence[Recording],
+        validate: Sequence[Recording],
+        trusted: Mapping[int, float],
+    ) -> Diagnosis:
+        """Diagnose recordings.
+
+        Args:
+            train: Recordings to fit.
+            validate: Held-out recordings.
+            trusted: Values of a trusted prior; none if empty.
+        """
+        options = DiagnosisOptions(trusted=trusted)
+        return diagnosis.diagnose(self.robot, self.parameters, self.base, train, validate, options)
+
+
+@dataclass(frozen=True)
 class Machine:
     """A real machine, its recordings, and what the diagnosis finds in them as they are.
 
     Attributes:
         urdf: Path of its URDF.
-        robot: The robot.
+        subject: The robot.
         train: Recordings to fit.
         validate: Held-out recordings.
         trusted: Identified parameters, as a trusted prior.
@@ -85,33 +126,12 @@ class Machine:
     """
 
     urdf: Path
-    robot: robots.Robot
+    subject: Subject
     train: Sequence[Recording]
     validate: Sequence[Recording]
     trusted: Mapping[int, float]
     findings: Mapping[bool, set[tuple[str, str | None]]]
     residual: Mapping[bool, FloatArray]
-
-
-def diagnose(
-    robot: robots.Robot,
-    train: Sequence[Recording],
-    validate: Sequence[Recording],
-    trusted: Mapping[int, float],
-) -> Diagnosis:
-    """Diagnose recordings.
-
-    Args:
-        robot: The robot.
-        train: Recordings to fit.
-        validate: Held-out recordings.
-        trusted: Values of a trusted prior; none if empty.
-    """
-    table = limits.resolve(robot)
-    standard = inertial_parameters.standard_parameters(robot, table)
-    base = base_parameters.find(robot, standard, table)
-    options = DiagnosisOptions(trusted=trusted)
-    return diagnosis.diagnose(robot, standard, base, train, validate, options)
 
 
 def findings(result: Diagnosis) -> set[tuple[str, str | None]]:
@@ -128,23 +148,23 @@ def load(folder: Path, data: DataSet) -> Machine:
         data: The machine.
     """
     urdf = folder / data.robot
-    robot = robots.load(str(urdf))
-    table = limits.resolve(robot)
+    subject = Subject.read(urdf)
     train, validate = (
-        [recordings.read(urdf.parent / f"{name}.csv", robot, table) for name in names]
+        [
+            recordings.read(urdf.parent / f"{name}.csv", subject.robot, subject.table)
+            for name in names
+        ]
         for names in (data.train, data.validate)
     )
-    standard = inertial_parameters.standard_parameters(robot, table)
-    base = base_parameters.find(robot, standard, table)
-    identified = identification.identify(robot, standard, base, train)
+    identified = identification.identify(subject.robot, subject.parameters, subject.base, train)
     trusted = dict(enumerate(identified.psi.tolist()))
     results = {
-        is_trusted: diagnose(robot, train, validate, trusted if is_trusted else {})
+        is_trusted: subject.diagnose(train, validate, trusted if is_trusted else {})
         for is_trusted in (False, True)
     }
     return Machine(
         urdf,
-        robot,
+        subject,
         train,
         validate,
         trusted,
@@ -172,17 +192,17 @@ def recorded_reference(recording: Recording) -> ReferenceTrajectory:
 
 
 def with_added_torque(
-    recording: Recording, reference: ReferenceTrajectory, robots_: Sequence[SimulatedRobot]
+    recording: Recording, reference: ReferenceTrajectory, pair: Sequence[SimulatedRobot]
 ) -> Recording:
     """Return a recording with the torque by which a simulated robot with an effect differs.
 
     Args:
         recording: The recording.
         reference: Its motion.
-        robots_: The simulated robot with and without the effect.
+        pair: The simulated robot with and without the effect.
     """
     t = recording.t - recording.t[0]
-    with_, without = (robot.follow(reference).measured(t)[1] for robot in robots_)
+    with_, without = (robot.follow(reference).measured(t)[1] for robot in pair)
     return dataclasses.replace(recording, tau=recording.torque + with_ - without, current=None)
 
 
@@ -267,9 +287,9 @@ def main() -> None:
         rng = np.random.default_rng([arguments.seed, place])
         for name in arguments.effects:
             trusted = EFFECTS_BY_NAME[name].prior_only
-            joint = str(rng.choice(machine.robot.joints))
+            joint = str(rng.choice(machine.subject.robot.joints))
             if EFFECTS_BY_NAME[name].of_link:
-                joint = machine.robot.joints[-1]
+                joint = machine.subject.robot.joints[-1]
             seed = int(rng.integers(1000))
             try:
                 train, validate, severity = conceal(machine, name, joint, arguments.severity, seed)
@@ -278,7 +298,7 @@ def main() -> None:
             if severity < MIN_SEVERITY:
                 continue
             start = time.process_time()
-            result = diagnose(machine.robot, train, validate, machine.trusted if trusted else {})
+            result = machine.subject.diagnose(train, validate, machine.trusted if trusted else {})
             seconds = time.process_time() - start
             right = is_named(result, name, joint)
             new = sorted(

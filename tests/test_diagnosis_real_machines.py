@@ -109,14 +109,14 @@ def test_kuka_has_a_counterbalance_spring_that_may_be_the_payload():
     ids=["KR300, file B", "KR300, file A", "XL330"],
 )
 def test_no_contact_is_found_where_none_was(name, train, held_out, prior, urdf):
-    """What the model lacks is larger at some times than at others, which is no contact."""
+    """The model error varies over time, which alone is no evidence of a contact."""
     result = diagnose_machine(name, train, held_out, prior, urdf)
     assert "contact" not in {effect for effect, _ in findings_of(result)}
 
 
 @pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
 def test_a_part_of_the_emps_recording_shows_its_friction_next_to_unknown_torque():
-    """What a flexible model explains is left to the effects of the catalogue in the saved model."""
+    """In the saved model, effects of the catalogue take the place of a flexible model."""
     machine = robot.load(str(REAL / "emps" / "emps.urdf"))
     table = limits.resolve(machine)
     standard = inertial_parameters.standard_parameters(machine, table)

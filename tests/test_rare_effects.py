@@ -1,4 +1,4 @@
-"""What else may be in the place of a rare effect."""
+"""Probability of a rare effect next to rival effects of similar evidence."""
 
 from __future__ import annotations
 

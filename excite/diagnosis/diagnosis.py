@@ -204,11 +204,7 @@ def diagnose(
     ]
     for group, motions in zip((train, validate), halves, strict=True):
         if not motions:
-            raise UnusableInput(
-                f"{group[0].source}: no gap-free stretch is longer than the "
-                f"{2.0 * settling_time(hertz):.2g} s that a band of {hertz:.3g} Hz discards at its "
-                "ends; record for longer or give a higher --band"
-            )
+            raise segments.too_short(group[0].source, 2.0 * settling_time(hertz), hertz)
     progress("fitting all frictions jointly, then rare effects")
     model, rare = selection.find_rare_effects(
         identified, halves[0], bool(options.trusted), options.names, progress
@@ -221,7 +217,7 @@ def diagnose(
     floor = noise.estimate_noise(identified.model, model.motions, parts, train)
     remaining = unmodelled.find(model, judged.left_out, judged.evidence, floor)
     effects = estimates.with_unmodelled(judged.effects, model, remaining)
-    effects, _ = estimates.without_doubtful(effects, judged.evidence)
+    effects = estimates.without_doubtful(effects)
     progress("base model of the recordings without the effects")
     savable = judged.of_savable(rare)
     final = final_model.fit(identified, savable.model, savable.not_saved, train, progress)
@@ -290,7 +286,8 @@ class _Judgement:
     @property
     def not_saved(self) -> frozenset[int]:
         """Numbers of the effects that the saved model does not have."""
-        return self.left_out | estimates.without_doubtful(self.effects, self.evidence)[1]
+        doubtful = estimates.doubtful(self.effects)
+        return self.left_out.union(*(e.effects for e in self.evidence if e.key in doubtful))
 
 
 def _held_out_errors(

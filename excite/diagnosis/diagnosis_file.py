@@ -152,7 +152,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
             "p_value": _p_value(estimate),
         },
         "experiment": effect.experiment,
-        "modelled": _is_saved(diagnosis, estimate),
+        "modelled": diagnosis.final.has(estimate.effect, estimate.joint),
         "curve": _curve(diagnosis, estimate, motion, regime),
     }
     if shape.other is not None:
@@ -164,12 +164,6 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
     if estimate.asserted and (rivals := _rivals(diagnosis, estimate)):
         out["rivals"] = rivals
     return out
-
-
-def _is_saved(diagnosis: Diagnosis, estimate: EffectEstimate) -> bool:
-    """Tell whether the saved model has an effect."""
-    saved = (effect.shape for effect in diagnosis.final.saved_effects)
-    return any((s.effect, s.joint) == (estimate.effect, estimate.joint) for s in saved)
 
 
 def _determined(

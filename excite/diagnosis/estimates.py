@@ -163,31 +163,30 @@ def estimate_effects(
     return [*out, *clock]
 
 
-def without_doubtful(
-    effects: Sequence[EffectEstimate], evidence: Sequence[EffectEvidence]
-) -> tuple[list[EffectEstimate], frozenset[int]]:
-    """Take rare effects that are less probable than not out of the saved model.
+def doubtful(effects: Sequence[EffectEstimate]) -> frozenset[Key]:
+    """Return the rare effects that are less probable than not, which are not saved.
 
     They are needed, but another effect may well be in their place: what is not asserted is not to
     be predicted either.
 
     Args:
         effects: Estimates of all effects.
-        evidence: Evidence of all effects.
-
-    Returns:
-        The estimates, and the numbers of the effects that the saved model does not have.
     """
-    doubtful = {
+    return frozenset(
         (effect.effect, effect.joint)
         for effect in effects
         if effect.needed and not effect.asserted and effect.effect not in FRICTIONS
-    }
-    out = [
-        replace(effect, needed=effect.needed and (effect.effect, effect.joint) not in doubtful)
-        for effect in effects
-    ]
-    return out, frozenset(number for e in evidence if e.key in doubtful for number in e.effects)
+    )
+
+
+def without_doubtful(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
+    """Return estimates of which the doubtful ones are not needed.
+
+    Args:
+        effects: Estimates of all effects.
+    """
+    gone = doubtful(effects)
+    return [replace(e, needed=e.needed and (e.effect, e.joint) not in gone) for e in effects]
 
 
 def _same_by_definition(

@@ -55,6 +55,15 @@ class FinalModel:
             return self.effects
         return (*self.effects, FittedEffect(delay.clock_delay(), np.array([self.delay])))
 
+    def has(self, effect: str, joint: int | None) -> bool:
+        """Tell whether an effect is saved.
+
+        Args:
+            effect: Its name.
+            joint: Index of its joint; None for an effect of no single joint.
+        """
+        return any((e.shape.effect, e.shape.joint) == (effect, joint) for e in self.saved_effects)
+
     def document(self, recordings: Sequence[Recording]) -> dict[str, Any]:
         """Return the content of `model.json`.
 

@@ -289,9 +289,9 @@ def _gain_of_transient(
 ) -> float:
     """Return the log-likelihood gain of an effect that acts for some of the time.
 
-    What any robot's model lacks is larger at some times than at others, and such an effect is
-    sought where most remains. The variance of the rows in which it acts therefore has a prior, the
-    inverse gamma distribution about σ_j² with ν degrees of freedom, and other rows say nothing:
+    The error of a robot's model varies over time, and a transient effect is sought where the
+    residual is largest. The residual variance in the rows in which it acts therefore has a prior,
+    the inverse gamma distribution about σ_j² with ν degrees of freedom. Other rows do not count:
 
         ½ Σ_j (ν + ρ N_j) ln((ν σ_j² + ρ E_j without the effect) / (ν σ_j² + ρ E_j with it))
 

@@ -20,7 +20,8 @@ BLOCKS = 400
 DOUBLINGS = 5
 """Lengths of windows, each twice the one before."""
 MAX_SHARE = 0.5
-"""Longest interval over the recording: what acts most of the time is no contact."""
+"""Length of the longest interval over that of its recording [1], the bound of its prior: the base
+model without the contact is known from the rest, which is not to be the smaller part."""
 MAX_INTERVALS = 2
 """Intervals that are proposed."""
 COURSES = ((0.0, 0.0, 0.0), (0.15, 0.0, 0.0), (0.15, 1.0, 0.0), (0.4, 1.0, 0.0), (0.0, 0.0, 8.0))

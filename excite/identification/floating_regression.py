@@ -38,7 +38,7 @@ from .lowpass import (
     LowPassFilter,
 )
 from .regression import IdentificationModel, TorqueEquations, filtered_friction
-from .segments import split_into_chunks
+from .segments import split_into_chunks, too_short
 
 CHUNK_SAMPLES = 4096
 """Number of samples that are processed together, to bound memory."""
@@ -319,10 +319,7 @@ def build_equations(
                 starts.append(begin)
                 sources.append(recording.source)
     if not parts:
-        raise UnusableInput(
-            f"recordings: no gap-free stretch is longer than the {margin:.2g} s that a band of "
-            f"{hertz.min():.3g} Hz discards at its ends; record for longer or give a higher --band"
-        )
+        raise too_short("recordings", margin, float(hertz.min()))
     motion = Samples(
         *(np.concatenate([getattr(p.motion, name) for p in parts]) for name in ("q", "dq", "ddq"))
     )

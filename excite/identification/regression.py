@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._types import FloatArray
-from ..errors import UnusableInput
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
-from .segments import RecordingSegment, split_into_chunks
+from .segments import RecordingSegment, split_into_chunks, too_short
 
 BLOCK_ROWS = 4096
 """Number of samples whose regressor is held in memory at a time."""
@@ -146,10 +145,7 @@ def build_equations(
             parts += chunks
         margins = 2.0 * band.margin / segment.rate
     if not parts:
-        raise UnusableInput(
-            f"recordings: no gap-free stretch is longer than the {margins:.2g} s that a band of "
-            f"{hertz:g} Hz discards at its ends; record for longer or give a higher --band"
-        )
+        raise too_short("recordings", margins, hertz)
     return TorqueEquations(
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),

@@ -106,6 +106,20 @@ def usable_segments(
     return out
 
 
+def too_short(source: str, discarded: float, hertz: float) -> UnusableInput:
+    """Return the error for recordings of which the low-pass filter leaves nothing.
+
+    Args:
+        source: Name of the recordings.
+        discarded: Time that the filter discards at both ends of a stretch [s].
+        hertz: Cutoff frequency [Hz].
+    """
+    return UnusableInput(
+        f"{source}: no gap-free stretch is longer than the {discarded:.2g} s that a band of "
+        f"{hertz:.3g} Hz discards at its ends; record for longer or give a higher --band"
+    )
+
+
 def extract_segments(
     recordings: Iterable[Recording], *, average: bool = True
 ) -> Iterator[RecordingSegment]:

@@ -47,13 +47,14 @@ DATA_SETS = {
     "TX40": DataSet("tx40/tx40.urdf", ["train"], ["validate"]),
     "KR300": DataSet("kuka_kr300/kuka_kr300.urdf", ["traj_A", "traj_B"], ["traj_C"]),
     "Panda": DataSet("panda_unit2/panda.urdf", ["train"], ["validate"]),
+    "LWR4": DataSet("lwr4/lwr4.urdf", ["slow_1", "slow_2"], ["fast_3"]),
     "double pendulum": DataSet(
         "double_pendulum/double_pendulum.urdf",
         ["trajectory_00", "trajectory_01", "trajectory_03"],
         ["trajectory_02"],
     ),
 }
-"""Machines of the shared recordings, whose folder `--data` names. MuJoCo refuses LWR4's URDF."""
+"""Machines of the shared recordings, whose folder `--data` names."""
 EFFECTS = (
     *("asymmetric_viscous", "stribeck", "drag", "load_friction", "position_friction"),
     *("torque_ripple", "spring", "coupling", "torque_saturation", "contact"),

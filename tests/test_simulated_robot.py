@@ -73,6 +73,20 @@ def test_base_physics_agrees_with_pinocchio(name):
         assert np.abs(mass @ a[row] + bias - expected[row]).max() < 1e-8
 
 
+def test_first_of_repeated_elements_counts():
+    text = builtin_urdf("two_link").read_text()
+    repeated = text.replace("</joint>", '<origin xyz="9 9 9" rpy="1 1 1"/></joint>')
+    assert repeated.count("<origin") > text.count("<origin")
+    q, v, a = np.random.default_rng(5).normal(size=(3, 10, 2))
+    original, other = (
+        mujoco_dynamics.build_dynamics(urdf_tree.parse_urdf(t, "text"), ("joint_1", "joint_2"))
+        for t in (text, repeated)
+    )
+    np.testing.assert_array_equal(
+        other.inverse_dynamics(q, v, a), original.inverse_dynamics(q, v, a)
+    )
+
+
 def test_dynamics_of_prismatic_and_locked_joints():
     from tests.conftest import document, joint, link, random_link
 

@@ -237,6 +237,8 @@ def parse_urdf(text: str | bytes, source: str) -> UrdfTree:
     for name in ("material", "transmission", "gazebo"):
         for element in root.findall(name):
             root.remove(element)
+    for element in (*root.findall("joint"), *root.findall("link/inertial")):
+        _keep_first_of_each(element)
     tree = UrdfTree(source, root)
     for joint in root.findall("joint"):
         if joint.get("type") in MOVABLE_TYPES and joint.find("mimic") is not None:
@@ -245,6 +247,15 @@ def parse_urdf(text: str | bytes, source: str) -> UrdfTree:
                 "which cannot be simulated; make it fixed in the URDF"
             )
     return tree
+
+
+def _keep_first_of_each(element: ElementTree.Element) -> None:
+    """Remove children that repeat an earlier one: the first counts, and MuJoCo refuses a second."""
+    names = set[str]()
+    for child in list(element):
+        if child.tag in names:
+            element.remove(child)
+        names.add(child.tag)
 
 
 def _origin(element: ElementTree.Element) -> tuple[FloatArray, FloatArray]:

@@ -12,8 +12,7 @@ at once. All of it is fitted jointly with the base model, before anything is jud
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +25,6 @@ from ..effects import (
     nonlinear_viscous,
     recorded_motion,
     stribeck,
-    torque_ripple,
 )
 from ..effects.effect import CandidateModel
 from ..effects.form_error import RELATIVE_STD, with_form_error
@@ -35,8 +33,7 @@ from ..identification import consistency
 from ..identification.consistency import ConsistentEstimate
 from ..identification.identification import Identification
 from ..identification.lowpass import Grid
-from . import session_changes
-from .candidate_fits import CandidateBatch
+from . import ripple_search, session_changes
 from .columns import Columns
 from .flexible_models import UNMODELLED
 from .normal_equations import RIDGE, Solution
@@ -60,32 +57,6 @@ MIN_TORQUE_SHARE = 0.1
 """Least friction level of a joint, over the standard deviation of its torque."""
 MAX_WIDTH_STEP = 0.7
 """Largest change of the logarithm of a Coulomb width in a round."""
-MIN_RIPPLE_EVIDENCE = 5.0
-"""Log Bayes factor from which a wave enters the model, after the search over its order."""
-MIN_RIPPLE_ORDER, MAX_RIPPLE_ORDER = 3.0, 300.0
-"""Spatial frequencies that are searched [1/rad]; the travel of a sliding joint counts as a turn."""
-ORDER_STEPS = 4.0
-"""Length of the Fourier transform over the range of the angle."""
-NEAR_ORDERS = 9
-"""Orders around a peak of the spectrum from the best of which the refinement starts."""
-GAUSS_NEWTON_STEPS = 6
-"""Steps of the refinement of an order."""
-MAX_WAVES = 12
-"""Waves of a joint at most."""
-MAX_ORDER_STEP = 0.3
-"""Largest step of an order, over the width of a peak in the order spectrum."""
-MIN_ORDER_DISTANCE = 0.5
-"""Smallest distance of two orders that count as two waves, over the width of a peak."""
-ORDER_TOLERANCE = 1e-4
-"""Step at which the refinement of an order ends, in the same unit."""
-ANGLE_BIN = np.pi / 2400.0
-"""Width of the bins of angle in the order spectrum [rad], an eighth of the shortest wave."""
-SPEED_CLASSES = 8
-"""Classes of speed in the order spectrum."""
-MIN_WAVE_ROWS = 0.05
-"""Smallest share of rows in which a wave lies below the cutoff frequency."""
-MIN_WAVES = 3.0
-"""Periods over the range of a joint from which a torque counts as periodic."""
 FRICTIONS = {
     "stribeck": stribeck,
     "nonlinear_viscous": nonlinear_viscous,
@@ -257,7 +228,7 @@ def fit(
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
-            waves = [*refined_waves(fitted), *find_waves(fitted)]
+            waves = [*ripple_search.refined_waves(fitted), *ripple_search.find_waves(fitted)]
         moved = [m.with_torque(_moved(m, delay)) for m in motions]
         present = renewed(identified, moved, psi, widths)
         weights = fitted.regression.sigma, fitted.regression.independent_share
@@ -532,234 +503,3 @@ def consistent_estimate(identified: Identification, fitted: JointModel) -> Consi
         identified.prior,
         identified.options.bounds,
     )
-
-
-def find_waves(fitted: JointModel) -> list[CandidateModel]:
-    """Find torque ripple in the residual, at each joint until no wave has evidence.
-
-    The order of each wave is that of the highest peak of the order spectrum. It is refined jointly
-    with those of the waves found before it, which were biased without it.
-    """
-    share, hertz = fitted.regression.independent_share, fitted.motions[0].band.hertz
-    out = []
-    for j in range(fitted.n):
-        moving = fitted.regression.moving[:, j]
-        angle, speed = _angle_and_speed(fitted.motions, j)
-        known = [
-            m.values["order"] for m in fitted.models if m.effect == "torque_ripple" and m.joint == j
-        ]
-        span = float(np.ptp(angle))
-        if span <= 0.0:
-            continue
-        width = 2.0 * np.pi / span
-        is_prismatic = fitted.motions[0].fitted_robot.robot.entries[j].kind == "prismatic"
-        radian = span / (2.0 * np.pi) if is_prismatic else 1.0
-        low = max(MIN_RIPPLE_ORDER / radian, MIN_WAVES * width)
-        waves: list[CandidateModel] = []
-        regression = fitted.regression
-        while len(known) + len(waves) < MAX_WAVES:
-            residual = regression.residual_of(j)
-            order, gain, count = _spectrum_peak(
-                residual, angle / radian, speed / radian, moving, low * radian, hertz
-            )
-            order /= radian
-            gain *= share / float(np.mean(residual[moving] ** 2))
-            evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
-            before = [wave.values["order"] for wave in waves]
-            if evidence < MIN_RIPPLE_EVIDENCE or _are_near([*known, *before, order], width):
-                break
-            orders = _refined_orders(fitted, j, [*before, order], width)
-            # of so few periods, a spring; near another one, a part of it
-            if min(orders) < low or _are_near([*known, *orders], width):
-                break
-            waves = [torque_ripple.wave_model(fitted.motions, j, order) for order in orders]
-            regression = fitted.with_effects(waves).regression
-        out += waves
-    return out
-
-
-def _are_near(orders: Sequence[float], width: float) -> bool:
-    """Tell whether two orders are too close to count as two waves.
-
-    Args:
-        orders: The orders [1/rad].
-        width: Width of a peak in the order spectrum [1/rad].
-    """
-    distances = np.diff(np.sort(orders))
-    return bool(np.any(distances < MIN_ORDER_DISTANCE * width))
-
-
-def refined_waves(fitted: JointModel) -> list[CandidateModel]:
-    """Return the waves of a joint model with orders refined by a Gauss-Newton step.
-
-    All orders of a joint are refined jointly. A wave whose order comes near that of an earlier one
-    was a part of it.
-    """
-    out = list[CandidateModel]()
-    for j in range(fitted.n):
-        waves = [
-            (wave.values["order"], fitted.coefficients(i))
-            for i, wave in enumerate(fitted.models)
-            if wave.effect == "torque_ripple" and wave.joint == j
-        ]
-        if not waves:
-            continue
-        slopes = np.hstack([_order_slope(_wave(fitted.motions, j, k), c) for k, c in waves])
-        steps = fitted.regression.candidate(_free_columns(j, slopes)).coefficients
-        angle, _ = _angle_and_speed(fitted.motions, j)
-        width = 2.0 * np.pi / float(np.ptp(angle))
-        limit = MAX_ORDER_STEP * width
-        known: list[float] = []
-        for (order, _), step in zip(waves, np.clip(steps, -limit, limit).tolist(), strict=True):
-            if not _are_near([*known, order + step], width):
-                known.append(order + step)
-        out += [torque_ripple.wave_model(fitted.motions, j, order) for order in known]
-    return out
-
-
-def _free_columns(joint: int, torque: FloatArray) -> Columns:
-    """Columns of one joint, shape (N, k), with coefficients of either sign and no prior."""
-    k = torque.shape[1]
-    return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
-
-
-def _angle_and_speed(
-    motions: Sequence[RecordedMotion], joint: int
-) -> tuple[FloatArray, FloatArray]:
-    """Angle and speed of a joint at the rows of all motions."""
-    angle = [np.interp(m.time, m.times, m.samples.q[:, joint]) for m in motions]
-    speed = [np.interp(m.time, m.times, m.samples.dq[:, joint]) for m in motions]
-    return np.concatenate(angle), np.concatenate(speed)
-
-
-def _spectrum_peak(
-    residual: FloatArray,
-    angle: FloatArray,
-    speed: FloatArray,
-    moving: BoolArray,
-    low: float,
-    hertz: float,
-) -> tuple[float, float, int]:
-    """Return the order of the wave that fits a residual best, half its power, and their number.
-
-    A least-squares periodogram over the angle (Lomb 1976), by Fourier transforms of sums in narrow
-    bins of the angle. Rows where the wave lies above the cutoff frequency do not count; the speeds
-    are divided into classes for that.
-
-    Args:
-        residual: Torque residual, shape (N,) [N m].
-        angle: Joint angle, shape (N,) [rad].
-        speed: Joint speed, shape (N,) [rad/s].
-        moving: Rows that count, shape (N,).
-        low: Smallest order [1/rad].
-        hertz: Cutoff frequency [Hz].
-
-    Returns:
-        Order [1/rad], half the power of its wave [(N m)²], and number of independent orders.
-    """
-    rows = np.flatnonzero(moving)
-    place = np.rint((angle[rows] - angle[rows].min()) / ANGLE_BIN).astype(int)
-    length = int(2 ** np.ceil(np.log2(ORDER_STEPS * (int(place.max()) + 1))))
-    orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN)
-    wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER))
-    twice = np.minimum(2 * wanted, length // 2)
-    highest = 2.0 * np.pi * hertz / np.maximum(np.abs(speed[rows]), 1e-9)
-    edges = np.append(np.quantile(highest, np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[:-1]), np.inf)
-    wave, square, count = (np.zeros(len(wanted), t) for t in (complex, complex, float))
-    for first, last in itertools.pairwise(edges.tolist()):
-        members = (highest >= first) & (highest < last)
-        if not members.any():
-            continue
-        below = orders[wanted] <= float(np.median(highest[members]))
-        sums = np.bincount(place[members], residual[rows][members], length)
-        numbers = np.bincount(place[members], minlength=length)
-        wave += np.where(below, np.fft.rfft(sums)[wanted], 0.0)
-        square += np.where(below, np.fft.rfft(numbers)[twice], 0.0)
-        count += below * float(members.sum())
-    cc, ss, cs = 0.5 * (count + square.real), 0.5 * (count - square.real), -0.5 * square.imag
-    yc, ys = wave.real, -wave.imag
-    determinant = cc * ss - cs**2
-    usable = (determinant > 1e-3 * (cc + ss) ** 2) & (count > MIN_WAVE_ROWS * len(rows))
-    power = np.where(
-        usable,
-        (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / np.where(usable, determinant, 1.0),
-        0.0,
-    )
-    if not len(power):
-        return 0.0, 0.0, 0
-    k = int(np.argmax(power))
-    return float(orders[wanted][k]), 0.5 * float(power[k]), len(wanted)
-
-
-def _refined_orders(
-    fitted: JointModel, joint: int, orders: Sequence[float], width: float
-) -> list[float]:
-    """Refine orders by Gauss-Newton steps, jointly with all coefficients of a joint model.
-
-    Args:
-        fitted: The joint model, without the waves.
-        joint: Index of the joint.
-        orders: Their orders; the last one is that of a peak in the order spectrum [1/rad].
-        width: Width of a peak [1/rad].
-    """
-
-    distances = width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
-
-    def near(q: FloatArray) -> FloatArray:
-        """Waves of all near orders, by powers of the phasor between two of them."""
-        first, between = orders[-1] - width, distances[1] - distances[0]
-        lowest, step = (np.exp(1j * k * q) for k in (first, between))
-        waves = np.cumprod([lowest, *[step] * (NEAR_ORDERS - 1)], axis=0)
-        return np.stack([waves.real, waves.imag], axis=1).reshape(-1, len(q)).T
-
-    pairs = np.split(_filtered(fitted.motions, joint, near), NEAR_ORDERS, axis=1)
-    others = np.zeros((len(pairs[0]), 0))
-    if len(orders) > 1:
-        known = [_wave(fitted.motions, joint, order)[:, :2] for order in orders[:-1]]
-        others = np.hstack(known)
-    batch = CandidateBatch.of(
-        [_free_columns(joint, np.hstack([others, pair])) for pair in pairs],
-        fitted.regression.moving,
-    )
-    gains = [fit.gain for fit in fitted.regression.candidates(batch)]
-    refined = np.array(orders, float)
-    refined[-1] += distances[int(np.argmax(gains))]
-    count, limit = 2 * len(refined), MAX_ORDER_STEP * width
-    for _ in range(GAUSS_NEWTON_STEPS):
-        waves = [_wave(fitted.motions, joint, order) for order in refined.tolist()]
-        columns = np.hstack([wave[:, :2] for wave in waves])
-        c = fitted.regression.candidate(_free_columns(joint, columns)).coefficients
-        slopes = [_order_slope(*part) for part in zip(waves, c.reshape(-1, 2), strict=True)]
-        fit = fitted.regression.candidate(_free_columns(joint, np.hstack([columns, *slopes])))
-        steps = np.clip(fit.coefficients[count:], -limit, limit)
-        refined += steps
-        if np.abs(steps).max() < ORDER_TOLERANCE * width:
-            break
-    return refined.tolist()
-
-
-def _wave(motions: Sequence[RecordedMotion], joint: int, order: float) -> FloatArray:
-    """Low-pass cos kq, sin kq, q cos kq and q sin kq of one order k, shape (N, 4)."""
-
-    def wave(q: FloatArray) -> FloatArray:
-        cosine, sine = np.cos(order * q), np.sin(order * q)
-        return np.array([cosine, sine, q * cosine, q * sine]).T
-
-    return _filtered(motions, joint, wave)
-
-
-def _order_slope(wave: FloatArray, c: FloatArray) -> FloatArray:
-    """Return the derivative of a wave with coefficients c by its order, shape (N, 1).
-
-    Args:
-        wave: What `_wave` returns.
-        c: Coefficients of its cosine and sine.
-    """
-    return c[1] * wave[:, 2:3] - c[0] * wave[:, 3:]
-
-
-def _filtered(
-    motions: Sequence[RecordedMotion], joint: int, functions: Callable[[FloatArray], FloatArray]
-) -> FloatArray:
-    """Low-pass functions of a joint's angle, shape (N, k)."""
-    return np.concatenate([m.lowpass(functions(m.samples.q[:, joint])) for m in motions])

@@ -20,12 +20,12 @@ from ..designer.isolability_forecast import CONFUSABLE_PAIRS
 from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.form_error import with_form_error, without_form_error
-from . import posterior, probability, selection
+from . import posterior, probability, rare_candidates
 from .columns import Columns
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .joint_model import JointModel
-from .selection import Candidate, CandidateShapes
+from .rare_candidates import Candidate, CandidateShapes
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ClassEvidence:
 
 MIN_OPTIMISED_SHARE = 0.3
 """Evidence on the grid over that of the strongest member from which a rival is optimised."""
-DECIDED_LOG_ODDS = float(np.log(1.0 / selection.EQUIVALENT_SHARE))
+DECIDED_LOG_ODDS = float(np.log(1.0 / rare_candidates.EQUIVALENT_SHARE))
 """Log odds from which a pair is decided [nat]: the rival is no equivalent any more."""
 
 
@@ -146,7 +146,7 @@ def _best_form(
     best = max(plausible, key=lambda c: c.evidence)
     if best.evidence < MIN_OPTIMISED_SHARE * strongest:
         return [best]
-    return [selection.optimised(reduced, best)]
+    return [rare_candidates.optimised(reduced, best)]
 
 
 def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[Columns]:

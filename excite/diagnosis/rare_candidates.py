@@ -1,0 +1,240 @@
+"""Candidates for rare effects, scored by the evidence that each adds to a joint model."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .._types import FloatArray
+from ..effects import EFFECTS, EFFECTS_BY_NAME
+from ..effects.effect import CandidateModel
+from . import posterior, probability
+from .candidate_fits import CandidateBatch, CandidateFit
+from .flexible_models import UNMODELLED, flexible_models
+from .joint_model import JointModel
+from .posterior import DENSE_NAMES, Key
+
+MIN_CANDIDATE_EVIDENCE = 5.0
+"""Log Bayes factor before the weights are renewed from which a candidate is tried."""
+RANKING_SHARE = 0.25
+"""Share of independent rows in the residual of a complete model, at least."""
+EQUIVALENT_SHARE = 0.05
+"""Probability over that of the chosen effect from which another one is its equivalent."""
+TIE = -probability.RARE_TEMPERATURE * float(np.log(EQUIVALENT_SHARE))
+"""Difference of log Bayes factors up to which two candidates are equivalent; both are tried."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate model with its fit on top of a joint model.
+
+    Attributes:
+        model: The candidate.
+        prior_std: Prior standard deviation of its coefficients, shape (k,).
+        fit: Its fit.
+        share: Share of independent rows in the residual. An effect that is left out makes the
+            residual look correlated, so that the evidence is that of usual residuals.
+    """
+
+    model: CandidateModel
+    prior_std: FloatArray
+    fit: CandidateFit
+    share: float
+
+    @property
+    def log_bayes_factor(self) -> float:
+        """Log Bayes factor for the candidate, before the choice among its shapes."""
+        return self.fit.gain - self._occam
+
+    @cached_property
+    def evidence(self) -> float:
+        """The same with the share of independent rows that a complete model would have."""
+        return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - self._occam
+
+    @property
+    def _occam(self) -> float:
+        """Logarithm of the share of the prior volume that the data leave."""
+        scaled = self.fit.information * np.outer(self.prior_std, self.prior_std)
+        return 0.5 * float(np.linalg.slogdet(scaled)[1]) + float(np.log(self.model.alternatives))
+
+    @property
+    def is_plausible(self) -> bool:
+        """True if its coefficients are physically possible."""
+        return self.model.is_plausible(self.fit.coefficients)
+
+
+@dataclass(frozen=True)
+class CandidateShapes:
+    """Candidate models with their columns over the motions of a joint model.
+
+    Attributes:
+        models: Those whose columns are not zero.
+        prior_std: Prior standard deviation of the coefficients of each.
+        batch: Their columns.
+    """
+
+    models: tuple[CandidateModel, ...]
+    prior_std: tuple[FloatArray, ...]
+    batch: CandidateBatch
+
+    @classmethod
+    def of(cls, joint: JointModel, shapes: Iterable[CandidateModel]) -> CandidateShapes:
+        """Compute the columns of some models.
+
+        Args:
+            joint: The joint model over whose motions they are computed.
+            shapes: The models.
+        """
+        computed = ((shape, joint.columns(shape)) for shape in shapes)
+        kept = [(shape, columns) for shape, columns in computed if columns is not None]
+        all_columns = [columns for _, columns in kept]
+        return cls(
+            tuple(shape for shape, _ in kept),
+            tuple(columns.prior_std for columns in all_columns),
+            CandidateBatch.of(all_columns, joint.regression.moving),
+        )
+
+    def fitted(self, joint: JointModel) -> list[Candidate]:
+        """Return the candidates, each fitted alone on top of a joint model of the same motions."""
+        regression = joint.regression
+        fits = regression.candidates(self.batch)
+        return [
+            Candidate(shape, std, fit, regression.independent_share)
+            for shape, std, fit in zip(self.models, self.prior_std, fits, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """All candidates of an effect at a joint, fitted one by one on top of a joint model.
+
+    Attributes:
+        plausible: Those with physically possible coefficients.
+        count: Number of all shapes that were tried, each as likely.
+    """
+
+    plausible: tuple[Candidate, ...]
+    count: int
+
+    @property
+    def best(self) -> Candidate:
+        """The plausible candidate with the most evidence."""
+        return max(self.plausible, key=lambda c: c.evidence)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Evidence of one effect whose shape is one of those tried; −∞ if none is plausible."""
+        if not self.plausible:
+            return -np.inf
+        evidence = np.array([c.evidence for c in self.plausible])
+        highest = float(evidence.max())
+        return highest + float(np.log(np.exp(evidence - highest).sum() / self.count))
+
+
+class CandidateColumns:
+    """Columns of all candidates over the motions of a joint model.
+
+    They are computed once, with the first joint model, and rank the candidates on top of later ones
+    as well; the best of them are computed anew.
+    """
+
+    def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
+        self._trusted = trusted
+        shapes: list[CandidateModel] = []
+        torque = np.concatenate([motion.torque for motion in model.motions])
+        noise_ratio = model.regression.sigma / np.maximum(torque.std(axis=0), 1e-300)
+        for effect in EFFECTS:
+            if effect.name in DENSE_NAMES or (effect.prior_only and not trusted):
+                continue
+            if names and effect.name not in names:
+                continue
+            shapes += (
+                shape
+                for shape in effect.candidates(model.motions)
+                if shape.joint is None or noise_ratio[shape.joint] <= shape.max_noise_ratio
+            )
+        shapes += flexible_models(model.motions, model.regression.sigma)
+        self._shapes = CandidateShapes.of(model, shapes)
+
+    def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
+        """Return the ranking of the shapes of every effect at every joint.
+
+        Args:
+            model: The joint model on top of which they are fitted.
+        """
+        plausible: dict[Key, list[Candidate]] = {}
+        counts: dict[Key, int] = {}
+        for candidate in self._shapes.fitted(model):
+            key = candidate.model.effect, candidate.model.joint
+            counts[key] = counts.get(key, 0) + 1
+            if candidate.is_plausible:
+                plausible.setdefault(key, []).append(candidate)
+        return {key: Ranking(tuple(plausible.get(key, ())), count) for key, count in counts.items()}
+
+    def scored(self, model: JointModel) -> tuple[dict[Key, float], dict[Key, Ranking]]:
+        """Return the evidence of every effect at every joint, and the ranking of its shapes.
+
+        Where the base model is trusted, load friction of several joints fits a part of what is
+        wrong with it. An effect that a refit would absorb therefore competes for the place of all
+        load friction as well; one that cannot be told from load friction is tried.
+
+        Args:
+            model: The joint model on top of which they are fitted.
+        """
+        rankings = {key: r for key, r in self._rankings(model).items() if r.plausible}
+        scores = {key: ranking.evidence for key, ranking in rankings.items()}
+        if not self._trusted:
+            return scores, rankings
+        kept = [i for i, shape in enumerate(model.models) if shape.effect != "load_friction"]
+        reduced = model.keeping(kept)
+        lost = posterior.log_bayes_factor(model, reduced)
+        for key, ranking in self._rankings(reduced).items():
+            if key[0] == UNMODELLED or not EFFECTS_BY_NAME[key[0]].prior_only:
+                continue
+            evidence = ranking.evidence - lost
+            if evidence > -TIE:
+                evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))
+            if evidence > scores.get(key, -np.inf):
+                scores[key], rankings[key] = evidence, ranking
+        return scores, rankings
+
+
+def tuned(model: JointModel, ranking: Ranking) -> Candidate:
+    """Return the best candidate of an effect at a joint, nonlinear parameters optimised.
+
+    A resonance between two frequencies of the grid may explain more than a function of state.
+
+    Args:
+        model: The joint model.
+        ranking: The candidates of the grid.
+    """
+    best = ranking.best
+    out = optimised(model, best)
+    if best.model.effect == UNMODELLED and best.model.nonlinear is None:
+        resonances = [c for c in ranking.plausible if c.model.nonlinear is not None]
+        if resonances:
+            resonance = optimised(model, max(resonances, key=lambda c: c.evidence))
+            return max(out, resonance, key=lambda c: c.evidence)
+    return out
+
+
+def optimised(model: JointModel, candidate: Candidate) -> Candidate:
+    """Return a candidate for the present joint model, with its nonlinear parameters optimised."""
+
+    def fitted(shape: CandidateModel) -> Candidate | None:
+        return next(iter(CandidateShapes.of(model, [shape]).fitted(model)), None)
+
+    def gain(shape: CandidateModel) -> float:
+        trial = fitted(shape)
+        return trial.fit.gain if trial is not None and trial.is_plausible else -np.inf
+
+    current = fitted(candidate.model)
+    if current is None or current.model.nonlinear is None:
+        return current or candidate
+    best = fitted(current.model.nonlinear.optimised(gain))
+    if best is None or not best.is_plausible or best.fit.gain < current.fit.gain:
+        return current
+    return best

@@ -65,8 +65,9 @@ SMOOTHING_HERTZ = 10.0
 """Cutoff frequency of the recorded positions along which the simulated robot moves [Hz]."""
 PAUSE = 0.2
 """Time at both ends of a recording that the simulated robot does not follow [s]."""
-MIN_SEVERITY = 1.0
-"""Severity below which a case is not counted: physics limits some effects."""
+SEVERITY_RANGE = (1.0, 10.0)
+"""Severities between which a case is counted: physics limits some effects, and a motion that the
+simulated controller cannot follow adds torque of its own."""
 SAME_CURVE = {"drag": ("nonlinear_viscous",), "nonlinear_viscous": ("drag",)}
 """Names of one thing (the contract)."""
 
@@ -296,7 +297,7 @@ def main() -> None:
                 train, validate, severity = conceal(machine, name, joint, arguments.severity, seed)
             except UnusableInput:  # the effect needs another joint after it
                 continue
-            if severity < MIN_SEVERITY:
+            if not SEVERITY_RANGE[0] <= severity <= SEVERITY_RANGE[1]:
                 continue
             start = time.process_time()
             result = machine.subject.diagnose(train, validate, machine.trusted if trusted else {})

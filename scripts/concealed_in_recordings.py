@@ -32,7 +32,6 @@ from excite.diagnosis import diagnosis
 from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.effects import EFFECTS_BY_NAME
 from excite.errors import UnusableInput
-from excite.identification import identification
 from excite.recordings import Recording
 from excite.robot import base_parameters, inertial_parameters, limits
 from excite.robot import robot as robots
@@ -122,7 +121,7 @@ class Machine:
         subject: The robot.
         train: Recordings to fit.
         validate: Held-out recordings.
-        trusted: Identified parameters, as a trusted prior.
+        trusted: Parameters of the saved model, as a trusted prior.
         findings: Effect and joint of all findings, without and with the prior.
         residual: RMS that the diagnosis leaves without and with the prior, shapes (n,) [N m].
     """
@@ -158,12 +157,10 @@ def load(folder: Path, data: DataSet) -> Machine:
         ]
         for names in (data.train, data.validate)
     )
-    identified = identification.identify(subject.robot, subject.parameters, subject.base, train)
-    trusted = dict(enumerate(identified.psi.tolist()))
-    results = {
-        is_trusted: subject.diagnose(train, validate, trusted if is_trusted else {})
-        for is_trusted in (False, True)
-    }
+    without_prior = subject.diagnose(train, validate, {})
+    # an identification without the frictions of the diagnosis would leave them to every finding
+    trusted = dict(enumerate(without_prior.final.identified.psi.tolist()))
+    results = {False: without_prior, True: subject.diagnose(train, validate, trusted)}
     return Machine(
         urdf,
         subject,

@@ -60,7 +60,7 @@ def test_a_signal_below_the_cutoff_passes_a_first_order_filter(periodic):
 
 
 def test_the_delay_of_the_clock_moves_into_the_time_stamps():
-    np.testing.assert_allclose(diagnosed("delay").model.delay, 6e-3, rtol=0.03)
+    np.testing.assert_allclose(diagnosed("delay").model.chain.delay, 6e-3, rtol=0.03)
 
 
 LAG = 0.015
@@ -85,7 +85,7 @@ def diagnosed_filtered(effect: str | None) -> Diagnosis:
     "effect",
     known_failures(
         [None, "stribeck"],
-        {None: "nonlinear viscous friction is found too", "stribeck": "only the delay is found"},
+        {"stribeck": "torque that repeats is reported, too"},
     ),
 )
 def test_filtered_torque_is_reported_as_a_delay_and_hides_no_effect(effect):
@@ -99,7 +99,7 @@ def test_filtered_torque_is_reported_as_a_delay_and_hides_no_effect(effect):
 
 @pytest.mark.parametrize(
     "effect",
-    known_failures([None, "stribeck"], {None: "2.96 noise floors", "stribeck": "4.2 noise floors"}),
+    known_failures([None, "stribeck"], {None: "1.66 noise floors", "stribeck": "2.7 noise floors"}),
 )
 def test_filtered_torque_is_predicted(effect):
     assert (noise_ratios(diagnosed_filtered(effect))[1] < 1.6).all()

@@ -161,6 +161,7 @@ def withhold_findings(
         },
         "model_check": {j: entry["rmse_before"] for j, entry in document["joints"].items()},
         "budget": {joint: {"residual": {"share": 1.0, "std": 0.0}} for joint in document["joints"]},
+        "recording_filter": None,
         "parameters": [],
         "doubts": [dict(doubt) for doubt in doubts],
     }

@@ -16,6 +16,7 @@ from ..report.formatting import significant
 from ..report.torque_budget import (
     change_words,
     effect_words,
+    filter_words,
     joint_budgets,
     parameter_words,
     probability_words,
@@ -69,6 +70,8 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
     budgets = joint_budgets(document, robot)
     lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
+    if words := filter_words(document):
+        lines += ["", words]
     if document["findings"]:
         lines += [
             "",

@@ -23,6 +23,9 @@ from .final_model import FinalModel
 if TYPE_CHECKING:
     from .diagnosis import HeldOutErrors
 
+RECORDING_FILTER = "recording_filter"
+"""Name of the filter of the recording chain, which is no effect of the catalogue."""
+
 
 @dataclass(frozen=True)
 class TorqueBudget:
@@ -69,7 +72,7 @@ def torque_budget(
         share = (
             np.sum(np.where(moving, torque - gamma @ theta, 0.0) * held_out.base, axis=0) / power
         )
-        name = effect.shape.effect
+        name = RECORDING_FILTER if "hertz" in effect.shape.values else effect.shape.effect
         shares[name] = shares.get(name, np.zeros(n)) + share
         std = share * relative.get((name, effect.shape.joint), 0.0)
         variances[name] = variances.get(name, np.zeros(n)) + std**2

@@ -90,6 +90,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
             _entry(diagnosis, effect, motion) for effect in diagnosis.considered[:CONSIDERED]
         ],
         "band_hz": diagnosis.hertz,
+        "recording_filter": _recording_filter(diagnosis),
         "budget": _budget(diagnosis),
         "model_check": dict(zip(joints, held_out.rmse_after.tolist(), strict=True)),
         "between_recordings": [_change(diagnosis, change) for change in diagnosis.changes],
@@ -245,6 +246,15 @@ def _p_value(estimate: EffectEstimate) -> float | None:
         return None
     freedom = sum(len(c) for c in estimate.coefficients)
     return float(special.chdtrc(freedom, max(2.0 * estimate.log_bayes_factor, 0.0)))
+
+
+def _recording_filter(diagnosis: Diagnosis) -> dict[str, list[float]] | None:
+    """The gain by which torque is recorded, at the quarters of the band; None if it is 1."""
+    chain, hertz = diagnosis.final.chain, diagnosis.hertz
+    if not chain.is_filtered:
+        return None
+    frequencies = hertz * np.linspace(0.25, 1.0, 4)
+    return {"hertz": frequencies.tolist(), "gain": chain.gain(frequencies, hertz).tolist()}
 
 
 def _budget(diagnosis: Diagnosis) -> dict[str, dict[str, dict[str, float]]]:

@@ -16,7 +16,7 @@ from ..effects import EFFECTS_BY_NAME, delay
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import position_range
 from ..effects.spring import CURVE_WAVES
-from . import joint_model, posterior, probability
+from . import joint_model, posterior, probability, recording_chain
 from .columns import Columns
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
@@ -264,7 +264,7 @@ def _interval(severity: float, relative: float) -> tuple[float, float]:
 
 def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     """The delay of the clock."""
-    model, seconds = of.model, of.model.delay
+    model, seconds = of.model, of.model.chain.delay
     if not seconds:
         return []
     factor, std = joint_model.delay_evidence(model, seconds)
@@ -287,7 +287,7 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
             severity,
             {"seconds": (seconds, std)},
             (),
-            abs(seconds) > joint_model.MIN_DELAY and severity > MIN_SEVERITY,
+            abs(seconds) > recording_chain.MIN_DELAY and severity > MIN_SEVERITY,
         )
     ]
 
@@ -301,7 +301,7 @@ class _Posterior:
         self.active = np.flatnonzero(solution.active)
         p = regression.base_count
         weighted = solution.information - regression.prior_matrix
-        base = np.delete(np.arange(p), model.delay_place)
+        base = np.delete(np.arange(p), [model.delay_place, *model.filter_places])
         self._base = base
         self._weighted = weighted
         a = weighted[np.ix_(base, base)] + 1e-9 * np.diag(np.diag(weighted)[base] + 1e-300)

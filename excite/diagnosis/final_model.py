@@ -13,20 +13,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from .._types import FloatArray
-from ..effects import delay, recorded_motion
+from ..effects import delay
 from ..effects.effect import CandidateModel
 from ..effects.form_error import without_form_error
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency, identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
-from . import fitted_effects, joint_model
+from . import fitted_effects, joint_model, recording_chain
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import JointModel, model_columns
+from .recording_chain import RecordingChain
 from .regression import JointRegression, independent_share, rms
 
 
@@ -36,24 +36,34 @@ class FinalModel:
 
     Attributes:
         identified: The base model, fitted without the torque of the effects.
-        motions: The fitted motions, with that base model and with torque moved by the delays.
-        effects: The effects, without a delay of the clock.
+        motions: The fitted motions, with that base model and torque without the recording chain.
+        effects: The effects, without the recording chain.
         regression: Regression of their coefficients at the parameters of the base model.
-        delay: Delay of the clock [s].
+        chain: How torque is recorded.
     """
 
     identified: Identification
     motions: tuple[RecordedMotion, ...]
     effects: tuple[FittedEffect, ...]
     regression: JointRegression
-    delay: float
+    chain: RecordingChain
 
     @property
     def saved_effects(self) -> tuple[FittedEffect, ...]:
-        """All effects, the delay of the clock last."""
-        if abs(self.delay) < joint_model.MIN_DELAY:
-            return self.effects
-        return (*self.effects, FittedEffect(delay.clock_delay(), np.array([self.delay])))
+        """All effects, the recording chain last."""
+        return (*self.effects, *self._recording)
+
+    @property
+    def _recording(self) -> tuple[FittedEffect, ...]:
+        """The recording chain: its filter and its delay, as far as it has them."""
+        filtered = FittedEffect(
+            delay.filtered_recording(self.motions[0].band.hertz), np.array(self.chain.filter)
+        )
+        late = FittedEffect(delay.clock_delay(), np.array([self.chain.delay]))
+        return (
+            *((filtered,) if self.chain.is_filtered else ()),
+            *((late,) if abs(self.chain.delay) >= recording_chain.MIN_DELAY else ()),
+        )
 
     def has(self, effect: str, joint: int | None) -> bool:
         """Tell whether an effect is saved.
@@ -99,8 +109,8 @@ def fit(
         if i not in left_out and shape.effect != UNMODELLED and solution.coefficients[part].any()
     ]
     base_model = model.regression.keeping(())
-    # the saved model has the widths and the delay of the motions, and no further change of them
-    base_model.fix_at_zero(range(len(model.free), model.delay_place + 1))
+    # the saved model has the widths and the chain of the motions, and no further change of them
+    base_model.fix_at_zero(range(len(model.free), model.filter_places.stop))
     first = _with_effects(base_model, model, model.motions, shapes)
     # the effects that were left out explain nothing of the residual
     joint_model.reweight(first, joint_model.transient_rows(shapes, model.motions))
@@ -141,7 +151,7 @@ def fit(
     )
     regression = _with_effects(fixed_base, model, motions, shapes)
     return FinalModel(
-        refitted, tuple(motions), _fitted(shapes, regression), regression, model.delay
+        refitted, tuple(motions), _fitted(shapes, regression), regression, model.chain
     )
 
 
@@ -174,7 +184,7 @@ def _cleaned(
     recording: Recording,
     motions: Sequence[RecordedMotion],
 ) -> Recording:
-    """Return a recording whose torque is moved by the clock's delay and without the effects."""
+    """Return a recording whose torque is without the recording chain and the effects."""
     tau = recording.torque.copy()
     for motion in motions:
         if motion.segment.source == recording.source:
@@ -207,9 +217,9 @@ def effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list
     for effect in final.effects:
         columns = np.concatenate([effect.shape.columns(motion) for motion in motions])
         out.append(np.asarray(columns @ effect.coefficients))
-    if len(final.saved_effects) > len(final.effects):
-        total = np.concatenate([m.gamma @ m.theta for m in motions]) + sum(out, np.zeros(1))
-        out.append(_delayed(final, motions, total) - total)
+    for effect in final.saved_effects[len(final.effects) :]:
+        columns = np.concatenate([effect.shape.columns(motion) for motion in motions])
+        out.append(np.asarray(columns @ effect.coefficients))
     return out
 
 
@@ -242,14 +252,3 @@ def absorbed_parameters(
     return [
         scale * (inverse @ (scale * (x.T @ (torque * weight).reshape(-1)))) for torque in torques
     ]
-
-
-def _delayed(
-    final: FinalModel, motions: Sequence[RecordedMotion], torque: FloatArray
-) -> FloatArray:
-    """Return torque at the rows of some motions as it is recorded, with the clock's delay."""
-    out = []
-    for part, motion in zip(recorded_motion.split_by_motion(torque, motions), motions, strict=True):
-        late = CubicSpline(motion.time, part)
-        out.append(late(np.clip(motion.time - final.delay, motion.time[0], motion.time[-1])))
-    return np.concatenate(out)

@@ -32,25 +32,21 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.consistency import ConsistentEstimate
 from ..identification.identification import Identification
-from ..identification.lowpass import Grid
-from . import ripple_search, session_changes
+from . import recording_chain, ripple_search, session_changes
 from .columns import Columns
 from .flexible_models import UNMODELLED
 from .normal_equations import RIDGE, Solution
+from .recording_chain import RecordingChain
 from .regression import JointRegression, independent_share, rms
 
 ROUNDS = 4
 """Rounds of the fit: delay and weights change by less than 1 % after three."""
 RIPPLE_ROUNDS = (1, 2)
 """Rounds that are followed by a search for ripple: not before the first fit of the frictions."""
-MAX_DELAY_STEP = 0.01
-"""Prior standard deviation of the delay [s]."""
-MIN_DELAY = 1e-5
-"""Delay of the clock below which there is none [s]."""
 MIN_FREEDOM = 0.1
 """Smallest share of rows that counts as degrees of freedom of the residual."""
-MIN_DELAY_EVIDENCE = 5.0
-"""Log Bayes factor from which a delay of the clock enters the model."""
+MIN_CHAIN_EVIDENCE = 5.0
+"""Log Bayes factor from which the delay, or the filter, of the recording chain enters the model."""
 MIN_LEVEL_SHARE = 0.3
 """Least friction level of a joint, over the median of all joints."""
 MIN_TORQUE_SHARE = 0.1
@@ -74,7 +70,7 @@ class JointModel:
         motions: Recorded motions, with the base model and with the torque moved by the delay.
         models: Effects in the order of the regression.
         regression: The regression.
-        delay: Time by which all torque is recorded late [s].
+        chain: How torque is recorded; it was removed from the torque of the motions.
         level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
         psi: Standard parameters, shape (P,).
         free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
@@ -84,7 +80,7 @@ class JointModel:
     motions: tuple[RecordedMotion, ...]
     models: tuple[CandidateModel, ...]
     regression: JointRegression
-    delay: float
+    chain: RecordingChain
     level: FloatArray
     psi: FloatArray
     free: IntArray
@@ -101,9 +97,14 @@ class JointModel:
         return len(self.free) + self.n
 
     @property
+    def filter_places(self) -> range:
+        """Places of the filter of the recording chain."""
+        return range(self.delay_place + 1, self.delay_place + recording_chain.COLUMNS)
+
+    @property
     def session_places(self) -> slice:
         """Places of the changes between recordings, the last coefficients of the base model."""
-        return slice(self.delay_place + 1, self.regression.base_count)
+        return slice(self.filter_places.stop, self.regression.base_count)
 
     @property
     def form_places(self) -> list[int]:
@@ -213,56 +214,108 @@ def fit(
         rare: Further effects.
         start: What `first_round` returns, if it is at hand.
     """
-    widths, delay = identified.model.widths, 0.0
+    widths, chain = identified.model.widths, RecordingChain()
     waves: list[CandidateModel] = []
     fitted = (start or first_round(identified, motions)).with_effects(rare)
     for step in range(ROUNDS - 1):
         reweight(fitted.regression)
-        x = fitted.solution.coefficients
-        delay += float(x[fitted.delay_place])
-        if delay_evidence(fitted, delay)[0] <= MIN_DELAY_EVIDENCE:
-            delay = 0.0
-        width_steps = x[len(fitted.free) : fitted.delay_place]
+        chain = _renewed_chain(fitted)
+        _hold_absent_filter(fitted, chain)
+        width_steps = fitted.solution.coefficients[len(fitted.free) : fitted.delay_place]
         widths = widths * np.exp(np.clip(width_steps, -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
         psi = consistent_parameters(identified, fitted)
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
             waves = [*ripple_search.refined_waves(fitted), *ripple_search.find_waves(fitted)]
-        moved = [m.with_torque(_moved(m, delay)) for m in motions]
+        moved = [
+            m if chain == RecordingChain() else m.with_torque(chain.removed(m)) for m in motions
+        ]
         present = renewed(identified, moved, psi, widths)
         weights = fitted.regression.sigma, fitted.regression.independent_share
-        fitted = base_model(identified, present, psi, delay, weights)
+        fitted = base_model(identified, present, psi, chain, weights, modelled_torque(fitted))
         fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
+    _hold_absent_filter(fitted, chain)
     reweight(fitted.regression)
     for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
         motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
     return fitted
 
 
-def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
-    """Return the log Bayes factor for a delay of the clock, and its standard deviation [s].
+def _hold_absent_filter(fitted: JointModel, chain: RecordingChain) -> None:
+    """Hold the filter of the recording chain at 1 where the chain has none."""
+    if not chain.is_filtered:
+        fitted.regression.fix_at_zero(fitted.filter_places)
 
-    ln B = ½ I d² − ½ ln(1 + I σ²), with the information I of the data and the prior N(0, σ²).
+
+def _renewed_chain(fitted: JointModel) -> RecordingChain:
+    """Return the recording chain with the step of a fit; what has no evidence is left out."""
+    x, chain = fitted.solution.coefficients, fitted.chain
+    seconds = chain.delay + float(x[fitted.delay_place])
+    if delay_evidence(fitted, seconds)[0] <= MIN_CHAIN_EVIDENCE:
+        seconds = 0.0
+    places = np.array(fitted.filter_places)
+    information, prior = _information(fitted, places)
+    a, p, b = recording_chain.low_pass(np.array(chain.filter) + x[places], information)
+    if _evidence(information, prior, np.array([a, p, b])) <= MIN_CHAIN_EVIDENCE:
+        return RecordingChain(seconds)
+    return RecordingChain(seconds, (float(a), float(p), float(b)))
+
+
+def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
+    """Return the log Bayes factor for a delay of the recording, and its standard deviation [s].
 
     Args:
         fitted: A joint model.
-        seconds: The delay d [s].
+        seconds: The delay [s].
     """
-    place = np.zeros((int(np.count_nonzero(fitted.solution.active)), 1))
-    place[fitted.delay_place] = 1.0  # all base coefficients are active
-    square = float(fitted.solution.solve(place)[fitted.delay_place, 0])
-    information = max(1.0 / square - 1.0 / MAX_DELAY_STEP**2, 0.0)
-    factor = 0.5 * information * seconds**2 - 0.5 * np.log1p(information * MAX_DELAY_STEP**2)
-    return float(factor), float(np.sqrt(square))
+    information, prior = _information(fitted, np.array([fitted.delay_place]))
+    std = float(1.0 / np.sqrt(information[0, 0] + prior[0]))
+    return _evidence(information, prior, np.array([seconds])), std
+
+
+def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the information of the data on coefficients of the base model, and of their prior.
+
+    Args:
+        fitted: A joint model.
+        places: Places of the coefficients, shape (k,); all of the base model are active.
+
+    Returns:
+        After elimination of all others, shape (k, k), and the prior's, shape (k,).
+    """
+    unit = np.zeros((int(np.count_nonzero(fitted.solution.active)), len(places)))
+    unit[places, range(len(places))] = 1.0
+    prior = np.diag(fitted.regression.prior_matrix)[places]
+    values, vectors = np.linalg.eigh(
+        np.linalg.inv(fitted.solution.solve(unit)[places]) - np.diag(prior)
+    )
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T), prior
+
+
+def _evidence(information: FloatArray, prior: FloatArray, x: FloatArray) -> float:
+    """Return the log Bayes factor for coefficients: ½ xᵀ I x − ½ ln det(1 + I Σ).
+
+    Args:
+        information: Information I of the data, shape (k, k).
+        prior: Information of the prior N(0, Σ), shape (k,).
+        x: The coefficients, shape (k,).
+    """
+    occam = float(np.linalg.slogdet(np.eye(len(x)) + information / prior)[1])
+    return 0.5 * float(x @ information @ x) - 0.5 * occam
 
 
 def modelled_torque(model: JointModel) -> list[FloatArray]:
     """Return the torque of the model at every sample of its motions, shapes (M, n) [N m].
 
     Effects of measured torque are computed from it: measured noise would be correlated with itself.
+    It has not passed the filter of the recording chain.
     """
-    total = model.known + model.regression.torque - model.regression.residual()
+    regression, places = model.regression, list(model.filter_places)
+    of_filter = np.zeros(len(model.solution.coefficients))
+    of_filter[places] = model.solution.coefficients[places]
+    total = model.known + regression.torque - regression.residual()
+    total = total - regression.torque_along(of_filter)
     parts = recorded_motion.split_by_motion(total, model.motions)
     return [
         np.column_stack([np.interp(m.times, m.time, x) for x in part.T])
@@ -284,8 +337,9 @@ def base_model(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     psi: FloatArray,
-    delay: float = 0.0,
+    chain: RecordingChain | None = None,
     weights: tuple[FloatArray, float] | None = None,
+    modelled: Sequence[FloatArray] | None = None,
 ) -> JointModel:
     """Return the joint model of the base model without effects.
 
@@ -293,9 +347,10 @@ def base_model(
         identified: The base model.
         motions: The motions to fit.
         psi: Its standard parameters, shape (P,).
-        delay: Time by which all torque is recorded late, which was moved already [s].
+        chain: How torque is recorded; it was removed from the torque of the motions.
         weights: RMS residual of each joint [N m] and share of independent rows; of the motions'
             base model if None.
+        modelled: Torque of a fit to the motions, shapes (M, n) [N m]; of the base model if None.
     """
     free, level = free_parameters(identified), friction_level(motions)
     fixed = np.delete(np.arange(identified.model.base.count), free)
@@ -307,11 +362,12 @@ def base_model(
     regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
-        _base_columns(motions, level, free),
+        _base_columns(motions, level, free, modelled or [None] * len(motions)),
         _base_prior(identified, motions, free),
         *weights,
     )
-    return JointModel(tuple(motions), (), regression, delay, level, psi, free, known)
+    chain = chain or RecordingChain()
+    return JointModel(tuple(motions), (), regression, chain, level, psi, free, known)
 
 
 def reweight(regression: JointRegression, transient: BoolArray | None = None) -> None:
@@ -391,39 +447,45 @@ def initial_parameters(identified: Identification) -> FloatArray:
 
 
 def _base_columns(
-    motions: Sequence[RecordedMotion], level: FloatArray, free: IntArray
+    motions: Sequence[RecordedMotion],
+    level: FloatArray,
+    free: IntArray,
+    modelled: Sequence[FloatArray | None],
 ) -> FloatArray:
-    """Columns of the base model, shape (N, n, p + n + 1 + s).
+    """Columns of the base model, shape (N, n, p + n + 4 + s).
 
-    Γ, the change of Coulomb friction by its width, −dτ/dt, and the changes between recordings.
+    Γ, the change of Coulomb friction by its width, the recording chain, and the changes between
+    recordings.
     """
     parts = []
-    for motion in motions:
+    for motion, torque in zip(motions, modelled, strict=True):
         slopes = np.zeros((len(motion), motion.n, motion.n))
         slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
-        slope = -motion.band.filter(motion.segment.torque, Grid.KEPT, 1)[motion.kept]
+        chain = recording_chain.columns(motion, torque)
         changes = session_changes.columns(motion, motions)
-        parts.append(
-            np.concatenate([motion.gamma[:, :, free], slopes, slope[:, :, None], changes], axis=2)
-        )
+        parts.append(np.concatenate([motion.gamma[:, :, free], slopes, chain, changes], axis=2))
     return np.concatenate(parts)
 
 
 def _base_prior(
     identified: Identification, motions: Sequence[RecordedMotion], free: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean and information of the base parameters, widths, delay and session changes."""
+    """Mean and information of the base parameters, widths, recording chain and session changes."""
     base, prior = identified.model.base, identified.prior
     p, n = len(free), motions[0].n
-    changes = session_changes.prior_std(motions)
-    mean, out = np.zeros(p + n + 1 + len(changes)), np.zeros((p + n + 1 + len(changes),) * 2)
+    others = np.concatenate(
+        [
+            np.ones(n),
+            recording_chain.prior_std(n, motions[0].band.hertz),
+            session_changes.prior_std(motions),
+        ]
+    )
+    mean, out = np.zeros(p + len(others)), np.zeros((p + len(others),) * 2)
     if not identified.options.trusted:
         out[:p, :p] = consistency.base_prior_information(identified.model.parameters, base, prior)
         mean[:p] = base.matrix @ prior.nominal
-    out[range(p, p + n), range(p, p + n)] = 1.0
-    out[p + n, p + n] = 1.0 / MAX_DELAY_STEP**2
-    places = np.arange(p + n + 1, len(mean))
-    out[places, places] = 1.0 / changes**2
+    places = np.arange(p, len(mean))
+    out[places, places] = 1.0 / others**2
     return mean, out
 
 
@@ -446,14 +508,6 @@ def renewed(
     robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
     columns = _coulomb_columns(identified)
     return [m.with_base_model(robot, widths, model.base.matrix @ psi, columns) for m in motions]
-
-
-def _moved(motion: RecordedMotion, delay: float) -> FloatArray:
-    """Return the recorded torque of a motion at earlier times, shape (M, n) [N m]."""
-    if not delay:
-        return motion.segment.torque
-    t = motion.times
-    return np.asarray(motion.torque_spline(np.clip(t + delay, t[0], t[-1])))
 
 
 def consistent_parameters(identified: Identification, fitted: JointModel) -> FloatArray:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._types import FloatArray
+from ..identification.lowpass import Grid
 from .effect import (
     CandidateModel,
     Effect,
@@ -25,6 +27,8 @@ MIN_DELAY_DWELL = 0.1
 """Smallest delay of the torque over the time that a joint dwells in one encoder step at a reversal.
 Positions smoothed within the encoder's steps reverse late where friction is large, so that torque
 seems early: by up to 0.27 of that time in 91 simulated robots without any effect; late by 0.08."""
+FILTER_COEFFICIENTS = 3
+"""Coefficients of a filter of the recorded torque."""
 MIN_LEAD_DWELL = 0.3
 """Smallest lead of the torque, over the same time."""
 
@@ -40,6 +44,8 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     seconds = model.values.get("seconds", 0.0)
     joints = slice(None) if model.joint is None else [model.joint]
     torque = motion.motor_torque
+    if "hertz" in model.values:
+        return filter_columns(motion, torque, model.values["hertz"])
     if not seconds:
         torque = motion.measured_torque if model.values["measured"] else torque
         spectrum = motion.band.transform(torque[:, joints])
@@ -68,10 +74,68 @@ def clock_delay() -> CandidateModel:
     )
 
 
+def filtered_recording(hertz: float) -> CandidateModel:
+    """Return the filter that all recorded torque has passed, over that of the positions.
+
+    Its coefficients are those of `filter_response`.
+
+    Args:
+        hertz: Cutoff frequency of the coefficients [Hz].
+    """
+    return CandidateModel("delay", None, _columns, {"measured": 1.0, "hertz": hertz})
+
+
+def filter_response(coefficients: FloatArray, x: FloatArray) -> NDArray[np.complex128]:
+    """Return exp(a x² − i p x³ + b x⁴), shape (k,).
+
+    Args:
+        coefficients: a, p and b.
+        x: Frequencies over the cutoff frequency, shape (k,); the response at 1 holds beyond it.
+    """
+    a, p, b = coefficients
+    x = np.minimum(x, 1.0)
+    return np.asarray(np.exp(a * x**2 - 1j * p * x**3 + b * x**4))
+
+
+def filter_columns(motion: RecordedMotion, torque: FloatArray, hertz: float) -> FloatArray:
+    """Return the change of torque per unit of a, p and b, shape (N, n, 3).
+
+    Args:
+        motion: The recorded motion.
+        torque: The torque at every sample, shape (M, n) [N m].
+        hertz: Cutoff frequency of the coefficients [Hz].
+    """
+    spectrum, unit = motion.band.transform(torque), 2.0 * np.pi * hertz
+    second, third, fourth = (
+        spectrum.filter(motion.grid, order)[motion.kept] / unit**order for order in (2, 3, 4)
+    )
+    return np.stack([-second, third, fourth], axis=2)
+
+
+def filtered(
+    motion: RecordedMotion, torque: FloatArray, coefficients: FloatArray, hertz: float
+) -> FloatArray:
+    """Return torque filtered below the cutoff frequency of a motion, the rest as it is.
+
+    Args:
+        motion: The recorded motion.
+        torque: The torque at every sample, shape (M, n) [N m].
+        coefficients: a, p and b.
+        hertz: Their cutoff frequency [Hz].
+    """
+
+    def change(frequency: FloatArray) -> NDArray[np.complex128]:
+        return filter_response(coefficients, frequency / hertz) - 1.0
+
+    return torque + motion.band.transform(torque).filter(Grid.RECORDED, response=change)
+
+
 def _predicted_torque(
     motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
 ) -> FloatArray:
-    """Change of the produced torque by a delay, shape (M, n)."""
+    """Change of the produced torque by a delay or a filter, shape (M, n)."""
+    if "hertz" in model.values:
+        return filtered(motion, produced, c, model.values["hertz"]) - produced
     joints, out = slice(None) if model.joint is None else [model.joint], np.zeros_like(produced)
     out[:, joints] = _delayed(motion, produced[:, joints], float(c[0])) - produced[:, joints]
     return out

@@ -27,7 +27,7 @@ from .gear_dynamics import (
 )
 from .recorded_motion import RecordedMotion
 
-RESONANCES = np.geomspace(2.0, 34.0, 16)
+RESONANCES = np.geomspace(3.0, 34.0, 14)
 """Resonance frequencies of the link on its motor that define the stiffness grid [Hz]."""
 STIFFNESS_RATIO = 1.1
 """Ratio of two stiffnesses whose deflections are compared to find the dominant M ω²."""

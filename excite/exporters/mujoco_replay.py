@@ -173,7 +173,7 @@ def recording_delay(model: IdentifiedModel) -> FloatArray:
     """Return the time by which a model finds torque recorded late. Shape (n,) [s]."""
     delay = np.zeros(model.robot.n)
     for effect in model.effects:
-        if effect.effect == "delay":
+        if effect.effect == "delay" and "hertz" not in effect.values:
             chosen = slice(None) if effect.joint is None else model.robot.joints.index(effect.joint)
             delay[chosen] += max(float(effect.coefficients[0]), 0.0)
     return delay

@@ -454,8 +454,11 @@ def _stays_within(limit: tuple[float, float] | None, values: Mapping[str, float]
 def _add_delay(model: IdentifiedModel, effect: EffectDocument, out: JointTorques) -> Held | None:
     """Add a delay of the actuators: torque that is recorded before the motion that it causes.
 
-    Torque that is recorded after the motion is a delay of its measurement, not of the actuator.
+    Torque that is recorded after the motion is a delay of its measurement, not of the actuator, and
+    so is a filter.
     """
+    if "hertz" in effect.values:
+        return None
     seconds = float(effect.coefficients[0])
     if seconds >= 0.0:
         return None

@@ -11,6 +11,7 @@ discarded.
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -224,8 +225,13 @@ class SignalSpectrum:
         bandwidth_ratio: float = 1.0,
         delay: float = 0.0,
         time_constant: float = 0.0,
+        response: Callable[[FloatArray], NDArray[np.complex128]] | None = None,
     ) -> FloatArray:
-        """Filter and differentiate the signals; arguments as in `LowPassFilter.filter`."""
+        """Filter and differentiate the signals; arguments as in `LowPassFilter.filter`.
+
+        Args:
+            response: Frequency response of an additional filter, a function of frequencies [Hz].
+        """
         rate = self.band.rate_of(self.source)
         if self.band.periodic:
             step, kept, target = 1, self.band.samples(to), self.band.samples(to)
@@ -238,6 +244,8 @@ class SignalSpectrum:
         if delay or time_constant:
             s = 2j * np.pi * np.arange(bins) * (rate / self.length)
             factor = factor * np.exp(-delay * s) / (1.0 + time_constant * s)
+        if response is not None:
+            factor = factor * response(np.asarray(np.arange(bins) * (rate / self.length)))
         factor = factor * (target / self.length)
         filtered = np.fft.irfft(self.coefficients[:, :bins] * factor, target)
         first = self.head // step

@@ -20,7 +20,13 @@ from .figures.diagnosis import held_out_predictions
 from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
 from .formatting import number, significant, value_with_error
-from .torque_budget import JointBudget, change_words, joint_words, probability_words
+from .torque_budget import (
+    JointBudget,
+    change_words,
+    filter_words,
+    joint_words,
+    probability_words,
+)
 
 DRAWN_UNKNOWN = 6
 """Unmodelled residuals that are drawn."""
@@ -43,6 +49,7 @@ def prediction_section(
         "errors": _error_table(diagnosis, budgets),
         "recordings": figures,
         "band": number(document["band_hz"], 3),
+        "filter": filter_words(document),
         "excerpt": f"{EXCERPT_SECONDS:g}",
     }
     answer, tone = _prediction_answer(budgets)

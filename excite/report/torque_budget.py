@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ..diagnosis.budget import RECORDING_FILTER
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
 from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
@@ -31,6 +32,7 @@ _WORDS = {
     "hysteresis": "presliding hysteresis",
     "nonlinear_viscous": "nonlinear viscous friction",
     "position_friction": "friction that depends on position",
+    RECORDING_FILTER: "filter of the recorded torque",
     "stribeck": "Stribeck friction",
     "torque_gain": "torque scale error",
 }
@@ -39,6 +41,25 @@ _WORDS = {
 def effect_words(effect: str) -> str:
     """Return the name of an effect in a sentence."""
     return _WORDS.get(effect, effect.replace("_", " "))
+
+
+def filter_words(document: Mapping[str, Any]) -> str:
+    """Return what filter the recorded torque has passed; "" if none.
+
+    Args:
+        document: The diagnosis as in `diagnosis.json`.
+    """
+    entry = document[RECORDING_FILTER]
+    if entry is None:
+        return ""
+    gains = [
+        f"{gain:.2f} at {significant(hertz)} Hz"
+        for hertz, gain in zip(entry["hertz"], entry["gain"], strict=True)
+    ]
+    return (
+        "The recorded torque has passed a low-pass filter that the positions have not "
+        f"(gain {', '.join(gains)}); the saved model has it, too."
+    )
 
 
 @dataclass(frozen=True)

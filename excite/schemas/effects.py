@@ -149,6 +149,9 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "encoder_error": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
     "delay": (
         EffectForm({"measured": SWITCH}, joint=None),
+        EffectForm(
+            {"measured": SWITCH, "hertz": FREQUENCY}, coefficients=lambda values: 3, joint=False
+        ),
         EffectForm({"seconds": Range(1e-9, 10.0, "s")}, {"lagging": FLAG}),
     ),
     "payload": (

@@ -1,0 +1,93 @@
+"""Filters that the recorded torque has passed and the positions have not."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from diagnosis_cases import (
+    HIDDEN,
+    RATE,
+    diagnose,
+    diagnosed,
+    findings_of,
+    motions,
+    noise_ratios,
+    recordings_of,
+)
+from scipy import signal
+
+from excite.diagnosis.diagnosis import Diagnosis
+from excite.diagnosis.diagnosis_file import document
+from excite.effects import delay
+from excite.report.torque_budget import filter_words
+
+CORNER = 20.0
+"""Corner frequency of the filter below [Hz]."""
+FREQUENCIES = np.array([5.0, 10.0, 15.0])
+
+
+@cache
+def stored(effect: str | None) -> Diagnosis:
+    """Return the diagnosis of recordings whose torque was filtered without phase when stored."""
+    sections = signal.butter(2, CORNER / (0.5 * RATE), output="sos")
+    recordings = recordings_of(None if effect is None else HIDDEN[effect].torque)
+    return diagnose(
+        [
+            dataclasses.replace(r, tau=signal.sosfiltfilt(sections, r.torque, axis=0))
+            for r in recordings
+        ]
+    )
+
+
+@pytest.mark.parametrize("effect", [None, "stribeck", "torque_ripple", "load_friction"])
+def test_filtered_torque_is_no_effect_and_hides_none(effect):
+    found = findings_of(stored(effect))
+    assert found == ([(effect, HIDDEN[effect].joint)] if effect else [])
+
+
+@pytest.mark.parametrize("effect", [None, "stribeck", "torque_ripple", "load_friction"])
+def test_gain_of_the_filter_is_found(effect):
+    result = stored(effect)
+    gain = result.final.chain.gain(FREQUENCIES, result.hertz)
+    expected = 1.0 / (1.0 + (FREQUENCIES / CORNER) ** 4)
+    np.testing.assert_allclose(gain, expected, atol=0.05)
+    assert abs(result.final.chain.delay) < 1e-3
+
+
+@pytest.mark.parametrize("effect", [None, "stribeck", "torque_ripple", "load_friction"])
+def test_saved_model_predicts_filtered_torque(effect):
+    assert (noise_ratios(stored(effect))[1] < 1.4).all()
+
+
+@pytest.mark.parametrize("hertz", [3.0, 9.0, 14.0])
+def test_wave_passes_the_filter_with_its_gain_and_phase(hertz):
+    motion, (a, p, b) = motions()[0], (-0.4, 0.7, -0.3)
+    angle, x = 2.0 * np.pi * hertz * motion.times, hertz / motion.band.hertz
+    torque = np.column_stack([np.sin(angle), 2.0 * np.cos(angle)])
+    passed = delay.filtered(motion, torque, np.array([a, p, b]), motion.band.hertz)
+    gain, phase = np.exp(a * x**2 + b * x**4), p * x**3
+    expected = gain * np.column_stack([np.sin(angle - phase), 2.0 * np.cos(angle - phase)])
+    inside = slice(motion.band.margin, -motion.band.margin)
+    np.testing.assert_allclose(passed[inside], expected[inside], atol=0.01)
+    restored = delay.filtered(motion, passed, -np.array([a, p, b]), motion.band.hertz)
+    np.testing.assert_allclose(restored[inside], torque[inside], atol=0.02)
+
+
+def test_filter_is_stated():
+    content = document(stored(None))
+    entry = content["recording_filter"]
+    assert entry["hertz"] == [5.0, 10.0, 15.0, 20.0]
+    assert entry["gain"] == sorted(entry["gain"], reverse=True)
+    words = filter_words(content)
+    assert "low-pass filter" in words and f"{entry['gain'][2]:.2f} at 15 Hz" in words
+
+
+@pytest.mark.parametrize("effect", [None, "hysteresis", "elasticity", "delay"])
+def test_unfiltered_torque_has_no_filter(effect):
+    result = diagnosed(effect)
+    assert not result.final.chain.is_filtered
+    content = document(result)
+    assert content["recording_filter"] is None and filter_words(content) == ""

@@ -44,8 +44,7 @@ def stored(effect: str | None) -> Diagnosis:
 
 @pytest.mark.parametrize("effect", [None, "stribeck", "torque_ripple", "load_friction"])
 def test_filtered_torque_is_no_effect_and_hides_none(effect):
-    found = findings_of(stored(effect))
-    assert found == ([(effect, HIDDEN[effect].joint)] if effect else [])
+    assert findings_of(stored(effect)) == ([(effect, HIDDEN[effect].joint)] if effect else [])
 
 
 @pytest.mark.parametrize("effect", [None, "stribeck", "torque_ripple", "load_friction"])

@@ -129,11 +129,8 @@ def fit(
         # the same recordings, but effects and base model at once: where an effect can stand for a
         # part of the base model, the recordings without its torque cannot show that part
         joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
-        widths = model.motions[0].widths
         refitted = dataclasses.replace(
-            refitted,
-            posterior=joint_model.consistent_estimate(refitted, joint),
-            model=dataclasses.replace(refitted.model, widths=widths),
+            refitted, posterior=joint_model.consistent_estimate(refitted, joint)
         )
     psi = joint_model.initial_parameters(refitted)
     motions = joint_model.renewed(identified, model.motions, psi, refitted.model.widths)

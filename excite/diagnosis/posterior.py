@@ -31,6 +31,9 @@ Key = tuple[str, int | None]
 """Name of an effect and index of its joint; None for an effect of no single joint."""
 MIN_SEVERITY = 0.3
 """Growth of the residual without an effect, over the noise, from which it counts."""
+MIN_SHARED_SEVERITY = 0.1
+"""The same where the robot's other joints make a friction more probable than not: a residual that
+is 0.5 % larger without it."""
 VARIANCE_FREEDOM = 2.0
 """Degrees of freedom of the prior of the variance during a transient effect, by the scatter of the
 variance over tenths of a recording: 2 to 4 for hobby servos, KR300 and TX40, 8 in the median of 12
@@ -66,7 +69,7 @@ class EffectEvidence:
     def is_needed(self) -> bool:
         """True if the effect is more probable than not, and large enough to matter."""
         if self.name in DENSE_NAMES:
-            return self.log_bayes_factor > 0.0 and self.size > MIN_SEVERITY
+            return self.log_bayes_factor > 0.0 and self.size > MIN_SHARED_SEVERITY
         return _rare_probability(self) > 0.5
 
 
@@ -176,6 +179,11 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         for other in evidence:
             if touched & set(_joints(regression, groups[other])):
                 evidence[other] = evidence_of(model, other, groups[other], left_out, current)
+    probable = probabilities(model.n, [*evidence.values(), *out])
+    for key in [key for key, entry in evidence.items() if entry.size <= MIN_SEVERITY]:
+        if key[0] in DENSE_NAMES and probable[key] < 0.5:
+            out.append(evidence.pop(key))
+            left_out |= set(groups[key])
     # one that is doubtful only next to a form error stays: it is a part of the friction curve
     for joint in range(model.n):
         evidence |= _next_to_form_errors(model, joint, left_out, evidence)

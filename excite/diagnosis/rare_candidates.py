@@ -11,7 +11,7 @@ import numpy as np
 from .._types import FloatArray
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
-from . import posterior, probability
+from . import posterior, probability, ripple_search
 from .candidate_fits import CandidateBatch, CandidateFit
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import JointModel
@@ -156,6 +156,8 @@ class CandidateColumns:
                 for shape in effect.candidates(model.motions)
                 if shape.joint is None or noise_ratio[shape.joint] <= shape.max_noise_ratio
             )
+        if not names or "encoder_error" in names:
+            shapes += ripple_search.encoder_errors(model)
         shapes += flexible_models(model.motions, model.regression.sigma)
         self._shapes = CandidateShapes.of(model, shapes)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from ..effects import torque_ripple
+from ..effects import encoder_error, torque_ripple
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from .candidate_fits import CandidateBatch
@@ -78,7 +78,13 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         while len(known) + len(waves) < MAX_WAVES:
             residual = regression.residual_of(j)
             order, gain, count = _spectrum_peak(
-                residual, angle / radian, speed / radian, moving, low * radian, hertz
+                residual,
+                np.ones(len(residual)),
+                angle / radian,
+                speed / radian,
+                moving,
+                low * radian,
+                hertz,
             )
             order /= radian
             gain *= share / float(np.mean(residual[moving] ** 2))
@@ -150,8 +156,34 @@ def _angle_and_speed(
     return np.concatenate(angle), np.concatenate(speed)
 
 
+def encoder_errors(fitted: JointModel) -> list[CandidateModel]:
+    """Return the encoder error of each joint whose order fits the residual best, above the grid's.
+
+    Its torque on the joint is a wave whose amplitude grows with the square of the speed.
+
+    Args:
+        fitted: A joint model.
+    """
+    out = []
+    for j in range(fitted.n):
+        angle, speed = _angle_and_speed(fitted.motions, j)
+        span, moving = float(np.ptp(angle)), fitted.regression.moving[:, j]
+        size = (speed / max(float(np.abs(speed).max()), 1e-300)) ** 2
+        if span <= 0.0 or not moving.any():
+            continue
+        width = 2.0 * np.pi / span
+        low = max(encoder_error.ORDERS[-1], MIN_WAVES * width)
+        hertz = fitted.motions[0].band.hertz
+        residual = fitted.regression.residual_of(j)
+        order, gain, count = _spectrum_peak(residual, size, angle, speed, moving, low, hertz)
+        if gain > 0.0:
+            out.append(encoder_error.high_order(j, order, 0.5 * width, float(count)))
+    return out
+
+
 def _spectrum_peak(
     residual: FloatArray,
+    size: FloatArray,
     angle: FloatArray,
     speed: FloatArray,
     moving: BoolArray,
@@ -166,6 +198,7 @@ def _spectrum_peak(
 
     Args:
         residual: Torque residual, shape (N,) [N m].
+        size: Relative amplitude of the wave in each row, shape (N,).
         angle: Joint angle, shape (N,) [rad].
         speed: Joint speed, shape (N,) [rad/s].
         moving: Rows that count, shape (N,).
@@ -189,15 +222,17 @@ def _spectrum_peak(
         if not members.any():
             continue
         below = orders[wanted] <= float(np.median(highest[members]))
-        sums = np.bincount(place[members], residual[rows][members], length)
-        numbers = np.bincount(place[members], minlength=length)
+        sums = np.bincount(place[members], (residual * size)[rows][members], length)
+        numbers = np.bincount(place[members], size[rows][members] ** 2, length)
         wave += np.where(below, np.fft.rfft(sums)[wanted], 0.0)
         square += np.where(below, np.fft.rfft(numbers)[twice], 0.0)
-        count += below * float(members.sum())
+        count += below * float(np.sum(size[rows][members] ** 2))
     cc, ss, cs = 0.5 * (count + square.real), 0.5 * (count - square.real), -0.5 * square.imag
     yc, ys = wave.real, -wave.imag
     determinant = cc * ss - cs**2
-    usable = (determinant > 1e-3 * (cc + ss) ** 2) & (count > MIN_WAVE_ROWS * len(rows))
+    usable = (determinant > 1e-3 * (cc + ss) ** 2) & (
+        count > MIN_WAVE_ROWS * float(np.sum(size[rows] ** 2))
+    )
     power = np.where(
         usable,
         (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / np.where(usable, determinant, 1.0),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from .recorded_motion import RecordedMotion
 
 MAX_AMPLITUDE = 0.1
 """Largest plausible error of an encoder [rad]."""
+ORDERS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0)
+"""Orders of single waves of the grid [1/rad]."""
 ALIAS_ORDER_RATIO = 1.5
 """Order of a wave with multiples over that of another for which it may be mistaken: two of its
 three waves lie close to two of the other's."""
@@ -44,39 +47,57 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return -motion.lowpass(torque, Grid.COARSE)
 
 
+def _family(joint: int, multiples: Mapping[str, float]) -> Callable[[float], CandidateModel]:
+    """Return the models of a joint by their order, a single wave or one with its multiples."""
+
+    def model(order: float) -> CandidateModel:
+        def variants() -> list[NonlinearParameter]:
+            families = [_family(joint, multiples)] if multiples else []
+            return variants_within(ALIAS_ORDER_RATIO * order, ALIAS_ORDER_FACTOR, families)
+
+        return CandidateModel(
+            "encoder_error",
+            joint,
+            _columns,
+            {"order": order, **multiples},
+            parameters=pair_amplitude(order=order),
+            is_plausible=_is_small,
+            variants=variants,
+        )
+
+    return model
+
+
+def _is_small(c: FloatArray) -> bool:
+    return bool(np.hypot(c[::2], c[1::2]).max() < MAX_AMPLITUDE)
+
+
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Single waves, and waves with their multiples.
 
     The torque of a wave grows with the square of its order, so that the multiples of an eccentric
-    disc's error matter.
+    disc's error matter. Orders above those of the grid are sought in the residual.
+    """
+    for j in range(motions[0].n):
+        yield from grid_candidates(ORDERS, _family(j, {}))
+        multiples = dict.fromkeys(HARMONIC_KEYS.values(), 1.0)
+        yield from grid_candidates((1.0, 1.6, 2.5, 4.0), _family(j, multiples))
+
+
+def high_order(joint: int, order: float, width: float, alternatives: float) -> CandidateModel:
+    """Return a wave of an order above those of the grid, as of the encoder of a geared motor.
+
+    Args:
+        joint: Index of the joint.
+        order: Order of a peak in the spectrum of the residual [1/rad].
+        width: Distance within which the order may be optimised [1/rad].
+        alternatives: Number of orders that were searched.
     """
 
-    def is_small(c: FloatArray) -> bool:
-        return bool(np.hypot(c[::2], c[1::2]).max() < MAX_AMPLITUDE)
+    def model(order: float) -> CandidateModel:
+        return replace(_family(joint, {})(order), alternatives=alternatives)
 
-    def family(j: int, multiples: Mapping[str, float]) -> Callable[[float], CandidateModel]:
-        def model(order: float) -> CandidateModel:
-            def variants() -> list[NonlinearParameter]:
-                families = [family(j, multiples)] if multiples else []
-                return variants_within(ALIAS_ORDER_RATIO * order, ALIAS_ORDER_FACTOR, families)
-
-            return CandidateModel(
-                "encoder_error",
-                j,
-                _columns,
-                {"order": order, **multiples},
-                parameters=pair_amplitude(order=order),
-                is_plausible=is_small,
-                variants=variants,
-            )
-
-        return model
-
-    for j in range(motions[0].n):
-        orders = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0)
-        yield from grid_candidates(orders, family(j, {}))
-        multiples = dict.fromkeys(HARMONIC_KEYS.values(), 1.0)
-        yield from grid_candidates((1.0, 1.6, 2.5, 4.0), family(j, multiples))
+    return NonlinearParameter(order, order - width, order + width, model).at(order)
 
 
 ENCODER_ERROR = Effect(

@@ -71,7 +71,8 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         The effects that are left out, and the evidence of all.
     """
     left_out, evidence = posterior.select(model)
-    return _without_unpredictive(model, left_out, evidence), evidence
+    left_out = _without_unpredictive(model, left_out, evidence)
+    return posterior.without_improbable(model.n, left_out, evidence), evidence
 
 
 def _without_unpredictive(

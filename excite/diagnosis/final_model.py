@@ -25,7 +25,7 @@ from ..recordings import Recording
 from . import fitted_effects, joint_model, recording_chain
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
-from .joint_model import JointModel, model_columns
+from .joint_model import FRICTIONS, JointModel, model_columns
 from .recording_chain import RecordingChain
 from .regression import JointRegression, independent_share, rms
 
@@ -130,7 +130,9 @@ def fit(
         # part of the base model, the recordings without its torque cannot show that part
         joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
         refitted = dataclasses.replace(
-            refitted, posterior=joint_model.consistent_estimate(refitted, joint)
+            refitted,
+            posterior=joint_model.consistent_estimate(refitted, joint),
+            model=dataclasses.replace(refitted.model, widths=_widths(refitted, model, shapes)),
         )
     psi = joint_model.initial_parameters(refitted)
     motions = joint_model.renewed(identified, model.motions, psi, refitted.model.widths)
@@ -150,6 +152,26 @@ def fit(
     return FinalModel(
         refitted, tuple(motions), _fitted(shapes, regression), regression, model.chain
     )
+
+
+def _widths(
+    refitted: Identification, model: JointModel, shapes: Sequence[CandidateModel]
+) -> FloatArray:
+    """Return the widths of Coulomb friction of the saved model, shape (n,).
+
+    Saved frictions were fitted jointly with the widths of the joint model. Those of other joints
+    stood for frictions that are not saved.
+
+    Args:
+        refitted: The base model of the recordings without the torque of the effects.
+        model: The joint model.
+        shapes: The saved effects.
+    """
+    widths = refitted.model.widths.copy()
+    for shape in shapes:
+        if shape.effect in FRICTIONS:
+            widths[shape.joint_index] = model.motions[0].widths[shape.joint_index]
+    return widths
 
 
 def _with_effects(

@@ -179,15 +179,30 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         for other in evidence:
             if touched & set(_joints(regression, groups[other])):
                 evidence[other] = evidence_of(model, other, groups[other], left_out, current)
-    probable = probabilities(model.n, [*evidence.values(), *out])
-    for key in [key for key, entry in evidence.items() if entry.size <= MIN_SEVERITY]:
-        if key[0] in DENSE_NAMES and probable[key] < 0.5:
-            out.append(evidence.pop(key))
-            left_out |= set(groups[key])
     # one that is doubtful only next to a form error stays: it is a part of the friction curve
     for joint in range(model.n):
         evidence |= _next_to_form_errors(model, joint, left_out, evidence)
     return frozenset(left_out), [*evidence.values(), *out]
+
+
+def without_improbable(
+    n: int, left_out: Collection[int], evidence: Sequence[EffectEvidence]
+) -> frozenset[int]:
+    """Leave out small frictions that those of the robot's other joints do not make probable.
+
+    Args:
+        n: Number of joints.
+        left_out: Numbers of effects that are left out; they make nothing probable.
+        evidence: Evidence of all effects.
+    """
+    present = [entry for entry in evidence if not set(entry.effects) <= set(left_out)]
+    probable = probabilities(n, present)
+    small = [
+        entry.effects
+        for entry in present
+        if entry.name in DENSE_NAMES and entry.size <= MIN_SEVERITY and probable[entry.key] < 0.5
+    ]
+    return frozenset(left_out).union(*small)
 
 
 def _next_to_form_errors(

@@ -71,8 +71,10 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         The effects that are left out, and the evidence of all.
     """
     left_out, evidence = posterior.select(model)
-    left_out = _without_unpredictive(model, left_out, evidence)
-    return posterior.without_improbable(model.n, left_out, evidence), evidence
+    predictive = _without_unpredictive(model, left_out, evidence)
+    if predictive != left_out:
+        predictive = posterior.without_improbable(model.n, predictive, evidence)
+    return predictive, evidence
 
 
 def _without_unpredictive(

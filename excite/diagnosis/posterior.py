@@ -167,11 +167,12 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         evidence = {
             key: evidence_of(model, key, groups[key], left_out, current) for key in evidence
         }
-    while evidence:
-        unneeded = [key for key, entry in evidence.items() if not entry.is_needed]
+    while True:
+        improbable = _improbable(model.n, list(evidence.values()))
+        unneeded = [e for key, e in evidence.items() if not e.is_needed or key in improbable]
         if not unneeded:
             break
-        key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
+        key = min(unneeded, key=lambda e: e.log_bayes_factor).key
         out.append(evidence.pop(key))
         left_out |= set(groups[key])
         current = regression.without(left_out)
@@ -188,21 +189,31 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
 def without_improbable(
     n: int, left_out: Collection[int], evidence: Sequence[EffectEvidence]
 ) -> frozenset[int]:
-    """Leave out small frictions that those of the robot's other joints do not make probable.
+    """Leave out small frictions of which those that others made probable are gone.
 
     Args:
         n: Number of joints.
-        left_out: Numbers of effects that are left out; they make nothing probable.
+        left_out: Numbers of effects that are left out.
         evidence: Evidence of all effects.
     """
     present = [entry for entry in evidence if not set(entry.effects) <= set(left_out)]
+    improbable = _improbable(n, present)
+    return frozenset(left_out).union(*(e.effects for e in present if e.key in improbable))
+
+
+def _improbable(n: int, present: Sequence[EffectEvidence]) -> frozenset[Key]:
+    """Small frictions that those of the robot's other joints do not make probable.
+
+    Args:
+        n: Number of joints.
+        present: Evidence of the effects of the model.
+    """
     probable = probabilities(n, present)
-    small = [
-        entry.effects
+    return frozenset(
+        entry.key
         for entry in present
         if entry.name in DENSE_NAMES and entry.size <= MIN_SEVERITY and probable[entry.key] < 0.5
-    ]
-    return frozenset(left_out).union(*small)
+    )
 
 
 def _next_to_form_errors(

@@ -29,7 +29,7 @@ MAX_DELAY_STEP = 0.01
 """Prior standard deviation of the delay [s]."""
 MIN_DELAY = 1e-5
 """Delay below which there is none [s]."""
-FILTER_HERTZ = 10.0
+FILTER_HERTZ = 20.0
 """Frequency at which the prior standard deviation of the filter, by a, p or b, is a factor of e
 [Hz]: no one filters a robot's torque at much less."""
 COLUMNS = 1 + delay.FILTER_COEFFICIENTS

@@ -47,6 +47,8 @@ MIN_FREEDOM = 0.1
 """Smallest share of rows that counts as degrees of freedom of the residual."""
 MIN_CHAIN_EVIDENCE = 5.0
 """Log Bayes factor from which the delay, or the filter, of the recording chain enters the model."""
+MAX_DELAY_PHASE = 0.3
+"""Phase of a step of the delay at the cutoff frequency up to which it is linear [rad]."""
 MIN_LEVEL_SHARE = 0.3
 """Least friction level of a joint, over the median of all joints."""
 MIN_TORQUE_SHARE = 0.1
@@ -218,9 +220,14 @@ def fit(
     waves: list[CandidateModel] = []
     fitted = (start or first_round(identified, motions)).with_effects(rare)
     for step in range(ROUNDS - 1):
+        delayed = _without_filter(fitted)
+        # what a delay leaves that is not yet found looks like a filter
+        is_filtered = _delay_phase(delayed) < MAX_DELAY_PHASE
+        fitted = fitted if is_filtered else delayed
         reweight(fitted.regression)
-        chain = _renewed_chain(fitted)
-        _hold_absent_filter(fitted, chain)
+        chain = _renewed_chain(fitted, is_filtered)
+        if not chain.is_filtered:
+            fitted = _without_filter(fitted)
         width_steps = fitted.solution.coefficients[len(fitted.free) : fitted.delay_place]
         widths = widths * np.exp(np.clip(width_steps, -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
         psi = consistent_parameters(identified, fitted)
@@ -235,25 +242,40 @@ def fit(
         weights = fitted.regression.sigma, fitted.regression.independent_share
         fitted = base_model(identified, present, psi, chain, weights, modelled_torque(fitted))
         fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
-    _hold_absent_filter(fitted, chain)
+    if not chain.is_filtered:
+        fitted = _without_filter(fitted)
     reweight(fitted.regression)
     for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
         motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
     return fitted
 
 
-def _hold_absent_filter(fitted: JointModel, chain: RecordingChain) -> None:
-    """Hold the filter of the recording chain at 1 where the chain has none."""
-    if not chain.is_filtered:
-        fitted.regression.fix_at_zero(fitted.filter_places)
+def _without_filter(fitted: JointModel) -> JointModel:
+    """Return a joint model whose recording chain has no filter, or none beyond the present one."""
+    out = replace(fitted, regression=fitted.regression.copy())
+    out.regression.fix_at_zero(fitted.filter_places)
+    return out
 
 
-def _renewed_chain(fitted: JointModel) -> RecordingChain:
-    """Return the recording chain with the step of a fit; what has no evidence is left out."""
+def _delay_phase(fitted: JointModel) -> float:
+    """Return the phase of the step of the delay at the cutoff frequency [rad]."""
+    seconds = float(fitted.solution.coefficients[fitted.delay_place])
+    return 2.0 * np.pi * fitted.motions[0].band.hertz * abs(seconds)
+
+
+def _renewed_chain(fitted: JointModel, is_filtered: bool) -> RecordingChain:
+    """Return the recording chain with the step of a fit; what has no evidence is left out.
+
+    Args:
+        fitted: A joint model.
+        is_filtered: Whether the chain may have a filter.
+    """
     x, chain = fitted.solution.coefficients, fitted.chain
     seconds = chain.delay + float(x[fitted.delay_place])
     if delay_evidence(fitted, seconds)[0] <= MIN_CHAIN_EVIDENCE:
         seconds = 0.0
+    if not is_filtered:
+        return RecordingChain(seconds)
     places = np.array(fitted.filter_places)
     information, prior = _information(fitted, places)
     a, p, b = recording_chain.low_pass(np.array(chain.filter) + x[places], information)

@@ -120,4 +120,4 @@ def low_pass(coefficients: FloatArray, information: FloatArray) -> FloatArray:
     of_slopes = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.5, 0.0, 0.5]])  # a, p, a + 2b
     bounds = (-np.inf, [0.0, np.inf, 0.0])
     slopes = lsq_linear(root @ of_slopes, root @ coefficients, bounds).x
-    return np.asarray(of_slopes @ slopes if slopes[0] + slopes[2] < 0.0 else np.zeros(3))
+    return np.asarray(of_slopes @ slopes if slopes[0] + slopes[2] < -1e-6 else np.zeros(3))

@@ -71,10 +71,7 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         The effects that are left out, and the evidence of all.
     """
     left_out, evidence = posterior.select(model)
-    predictive = _without_unpredictive(model, left_out, evidence)
-    if predictive != left_out:
-        predictive = posterior.without_improbable(model.n, predictive, evidence)
-    return predictive, evidence
+    return _without_unpredictive(model, left_out, evidence), evidence
 
 
 def _without_unpredictive(

@@ -31,9 +31,6 @@ Key = tuple[str, int | None]
 """Name of an effect and index of its joint; None for an effect of no single joint."""
 MIN_SEVERITY = 0.3
 """Growth of the residual without an effect, over the noise, from which it counts."""
-MIN_SHARED_SEVERITY = 0.1
-"""The same where the robot's other joints make a friction more probable than not: a residual that
-is 0.5 % larger without it."""
 VARIANCE_FREEDOM = 2.0
 """Degrees of freedom of the prior of the variance during a transient effect, by the scatter of the
 variance over tenths of a recording: 2 to 4 for hobby servos, KR300 and TX40, 8 in the median of 12
@@ -69,7 +66,7 @@ class EffectEvidence:
     def is_needed(self) -> bool:
         """True if the effect is more probable than not, and large enough to matter."""
         if self.name in DENSE_NAMES:
-            return self.log_bayes_factor > 0.0 and self.size > MIN_SHARED_SEVERITY
+            return self.log_bayes_factor > 0.0 and self.size > MIN_SEVERITY
         return _rare_probability(self) > 0.5
 
 
@@ -167,12 +164,11 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         evidence = {
             key: evidence_of(model, key, groups[key], left_out, current) for key in evidence
         }
-    while True:
-        improbable = _improbable(model.n, list(evidence.values()))
-        unneeded = [e for key, e in evidence.items() if not e.is_needed or key in improbable]
+    while evidence:
+        unneeded = [key for key, entry in evidence.items() if not entry.is_needed]
         if not unneeded:
             break
-        key = min(unneeded, key=lambda e: e.log_bayes_factor).key
+        key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
         out.append(evidence.pop(key))
         left_out |= set(groups[key])
         current = regression.without(left_out)
@@ -184,36 +180,6 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     for joint in range(model.n):
         evidence |= _next_to_form_errors(model, joint, left_out, evidence)
     return frozenset(left_out), [*evidence.values(), *out]
-
-
-def without_improbable(
-    n: int, left_out: Collection[int], evidence: Sequence[EffectEvidence]
-) -> frozenset[int]:
-    """Leave out small frictions of which those that others made probable are gone.
-
-    Args:
-        n: Number of joints.
-        left_out: Numbers of effects that are left out.
-        evidence: Evidence of all effects.
-    """
-    present = [entry for entry in evidence if not set(entry.effects) <= set(left_out)]
-    improbable = _improbable(n, present)
-    return frozenset(left_out).union(*(e.effects for e in present if e.key in improbable))
-
-
-def _improbable(n: int, present: Sequence[EffectEvidence]) -> frozenset[Key]:
-    """Small frictions that those of the robot's other joints do not make probable.
-
-    Args:
-        n: Number of joints.
-        present: Evidence of the effects of the model.
-    """
-    probable = probabilities(n, present)
-    return frozenset(
-        entry.key
-        for entry in present
-        if entry.name in DENSE_NAMES and entry.size <= MIN_SEVERITY and probable[entry.key] < 0.5
-    )
 
 
 def _next_to_form_errors(

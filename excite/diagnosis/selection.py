@@ -43,8 +43,7 @@ LAST_RESORTS = (UNMODELLED, "contact")
 """Explanations that are tried when no other is left: a flexible model fits what remains, and the
 time of a contact is chosen where most remains."""
 MAX_REJECTIONS = 3
-"""Candidates of the catalogue, contacts and flexible models that are tried in vain, of each, before
-an effect is added."""
+"""Candidates of the catalogue, contacts and flexible models that are tried in vain, of each."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +165,6 @@ class _Search:
         self.effects: list[RareEffect] = []
         self._shapes: tuple[CandidateModel, ...] = ()
         self._rejected: set[Key] = set()
-        self._in_vain: list[Key] = []
 
     def add_effects(self, candidates: CandidateColumns) -> None:
         """Add effects, the best one first, while there is evidence for one.
@@ -246,7 +244,6 @@ class _Search:
             addition = self._tried(key, shape, (*self._shapes, shape))
             if addition is None:
                 self._rejected.add(key)
-                self._in_vain.append(key)
             elif (
                 best is None or addition.evidence.log_bayes_factor > best.evidence.log_bayes_factor
             ):
@@ -254,12 +251,12 @@ class _Search:
         return best
 
     def _tries(self, key: Key) -> int:
-        """Return how many of a candidate's kind were tried in vain since the last addition."""
+        """Return how many of a candidate's kind, its last resort or none, were tried in vain."""
 
         def kind(k: Key) -> str:
             return k[0] if k[0] in LAST_RESORTS else ""
 
-        return sum(kind(k) == kind(key) for k in self._in_vain)
+        return sum(kind(k) == kind(key) for k in self._rejected)
 
     def _tried(
         self, key: Key, shape: CandidateModel, shapes: Sequence[CandidateModel]
@@ -295,7 +292,6 @@ class _Search:
             and key not in self._rejected
             and (key[0] in LAST_RESORTS) is is_last_resort
         }
-        self._in_vain.clear()
         factor = chosen.evidence.log_bayes_factor
         self.effects.append(RareEffect(chosen.key, scores[chosen.key], others, {}, factor))
 

@@ -99,7 +99,13 @@ def test_kuka_has_a_counterbalance_spring_that_may_be_the_payload():
 @pytest.mark.parametrize(
     ("name", "train", "held_out", "prior", "urdf"),
     [
-        ("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
+        pytest.param(
+            *("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
+            marks=pytest.mark.xfail(
+                strict=True,
+                reason="windows are compared by a residual that is not that of a refit",
+            ),
+        ),
         ("kuka_kr300", ("traj_A",), "traj_B", "prior.json", None),
         (
             *("xl330", ("kp200_sin_time_square", "kp400_up_and_down"), "kp400_sin_sin"),
@@ -110,8 +116,6 @@ def test_kuka_has_a_counterbalance_spring_that_may_be_the_payload():
 )
 def test_no_contact_is_found_where_none_was(name, train, held_out, prior, urdf):
     """The model error varies over time, which alone is no evidence of a contact."""
-    if train == ("traj_B",):
-        pytest.xfail("a contact is asserted since a change after 986d424 that is not traced")
     result = diagnose_machine(name, train, held_out, prior, urdf)
     assert "contact" not in {effect for effect, _ in findings_of(result)}
 

@@ -16,6 +16,7 @@ import numpy as np
 from .._types import FloatArray
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
+from ..schemas.effects import is_recording_filter
 from . import final_model
 from .estimates import EffectEstimate
 from .final_model import FinalModel
@@ -72,7 +73,9 @@ def torque_budget(
         share = (
             np.sum(np.where(moving, torque - gamma @ theta, 0.0) * held_out.base, axis=0) / power
         )
-        name = RECORDING_FILTER if "hertz" in effect.shape.values else effect.shape.effect
+        name = effect.shape.effect
+        if is_recording_filter(effect.shape.values):
+            name = RECORDING_FILTER
         shares[name] = shares.get(name, np.zeros(n)) + share
         std = share * relative.get((name, effect.shape.joint), 0.0)
         variances[name] = variances.get(name, np.zeros(n)) + std**2

@@ -226,7 +226,7 @@ def fit(
         fitted = fitted if is_filtered else delayed
         reweight(fitted.regression)
         chain = _renewed_chain(fitted, is_filtered)
-        if not chain.is_filtered:
+        if is_filtered and not chain.is_filtered:
             fitted = _without_filter(fitted)
         width_steps = fitted.solution.coefficients[len(fitted.free) : fitted.delay_place]
         widths = widths * np.exp(np.clip(width_steps, -MAX_WIDTH_STEP, MAX_WIDTH_STEP))

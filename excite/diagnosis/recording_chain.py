@@ -23,6 +23,7 @@ from .._types import FloatArray
 from ..effects import delay
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.lowpass import Grid
+from ..schemas.effects import FILTER_COEFFICIENTS
 from .regression import FIXED_STD
 
 MAX_DELAY_STEP = 0.01
@@ -32,7 +33,7 @@ MIN_DELAY = 1e-5
 FILTER_HERTZ = 20.0
 """Frequency at which the prior standard deviation of the filter, by a, p or b, is a factor of e
 [Hz]: no one filters a robot's torque at much less."""
-COLUMNS = 1 + delay.FILTER_COEFFICIENTS
+COLUMNS = 1 + FILTER_COEFFICIENTS
 """Columns of a recording chain: the delay, then the filter."""
 
 
@@ -120,4 +121,6 @@ def low_pass(coefficients: FloatArray, information: FloatArray) -> FloatArray:
     of_slopes = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.5, 0.0, 0.5]])  # a, p, a + 2b
     bounds = (-np.inf, [0.0, np.inf, 0.0])
     slopes = lsq_linear(root @ of_slopes, root @ coefficients, bounds).x
-    return np.asarray(of_slopes @ slopes if slopes[0] + slopes[2] < -1e-6 else np.zeros(3))
+    if slopes[0] + slopes[2] > -1e-6:  # on both bounds, but for rounding
+        return np.zeros(FILTER_COEFFICIENTS)
+    return np.asarray(of_slopes @ slopes)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
+from ..schemas.effects import is_recording_filter
 from .effect import (
     CandidateModel,
     Effect,
@@ -27,8 +28,6 @@ MIN_DELAY_DWELL = 0.1
 """Smallest delay of the torque over the time that a joint dwells in one encoder step at a reversal.
 Positions smoothed within the encoder's steps reverse late where friction is large, so that torque
 seems early: by up to 0.27 of that time in 91 simulated robots without any effect; late by 0.08."""
-FILTER_COEFFICIENTS = 3
-"""Coefficients of a filter of the recorded torque."""
 MIN_LEAD_DWELL = 0.3
 """Smallest lead of the torque, over the same time."""
 
@@ -44,7 +43,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     seconds = model.values.get("seconds", 0.0)
     joints = slice(None) if model.joint is None else [model.joint]
     torque = motion.motor_torque
-    if "hertz" in model.values:
+    if is_recording_filter(model.values):
         return filter_columns(motion, torque, model.values["hertz"])
     if not seconds:
         torque = motion.measured_torque if model.values["measured"] else torque
@@ -134,7 +133,7 @@ def _predicted_torque(
     motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
 ) -> FloatArray:
     """Change of the produced torque by a delay or a filter, shape (M, n)."""
-    if "hertz" in model.values:
+    if is_recording_filter(model.values):
         return filtered(motion, produced, c, model.values["hertz"]) - produced
     joints, out = slice(None) if model.joint is None else [model.joint], np.zeros_like(produced)
     out[:, joints] = _delayed(motion, produced[:, joints], float(c[0])) - produced[:, joints]

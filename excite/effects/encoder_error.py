@@ -24,7 +24,9 @@ from .recorded_motion import RecordedMotion
 MAX_AMPLITUDE = 0.1
 """Largest plausible error of an encoder [rad]."""
 ORDERS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0)
-"""Orders of single waves of the grid [1/rad]."""
+"""Orders of single waves of the grid [1/rad], a factor of √2 apart; the order is optimised between
+two. An eccentric disc errs once a turn, its pattern a few times; higher orders are sought in the
+residual."""
 ALIAS_ORDER_RATIO = 1.5
 """Order of a wave with multiples over that of another for which it may be mistaken: two of its
 three waves lie close to two of the other's."""

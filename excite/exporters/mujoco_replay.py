@@ -20,6 +20,7 @@ from ..errors import UnusableInput
 from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
 from ..robot.samples import Samples
+from ..schemas.effects import is_recording_filter
 from . import friction_runtime, mjcf_file
 from .python_friction import friction_table
 from .simulator_model import SimulatorModel
@@ -173,7 +174,7 @@ def recording_delay(model: IdentifiedModel) -> FloatArray:
     """Return the time by which a model finds torque recorded late. Shape (n,) [s]."""
     delay = np.zeros(model.robot.n)
     for effect in model.effects:
-        if effect.effect == "delay" and "hertz" not in effect.values:
+        if effect.effect == "delay" and not is_recording_filter(effect.values):
             chosen = slice(None) if effect.joint is None else model.robot.joints.index(effect.joint)
             delay[chosen] += max(float(effect.coefficients[0]), 0.0)
     return delay

@@ -25,7 +25,7 @@ from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
 from ..robot.inertial_parameters import body_inertia
 from ..robot.limits import Limits
-from ..schemas.effects import EffectDocument
+from ..schemas.effects import EffectDocument, is_recording_filter
 from .file_format import comment
 
 RMS_SECONDS = 20.0
@@ -457,7 +457,7 @@ def _add_delay(model: IdentifiedModel, effect: EffectDocument, out: JointTorques
     Torque that is recorded after the motion is a delay of its measurement, not of the actuator, and
     so is a filter.
     """
-    if "hertz" in effect.values:
+    if is_recording_filter(effect.values):
         return None
     seconds = float(effect.coefficients[0])
     if seconds >= 0.0:

@@ -77,6 +77,8 @@ HYSTERESIS_ELEMENTS = 16
 """Maxwell-slip elements of presliding hysteresis."""
 UNEQUAL_ELEMENTS = 2
 """Maxwell-slip elements whose branches may be unequal."""
+FILTER_COEFFICIENTS = 3
+"""Coefficients a, p and b of the frequency response of a filter of the recorded torque [1]."""
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "torque_offset": (EffectForm(),),
     "torque_gain": (EffectForm(),),
@@ -150,7 +152,9 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "delay": (
         EffectForm({"measured": SWITCH}, joint=None),
         EffectForm(
-            {"measured": SWITCH, "hertz": FREQUENCY}, coefficients=lambda values: 3, joint=False
+            {"measured": SWITCH, "hertz": FREQUENCY},
+            coefficients=lambda values: FILTER_COEFFICIENTS,
+            joint=False,
         ),
         EffectForm({"seconds": Range(1e-9, 10.0, "s")}, {"lagging": FLAG}),
     ),
@@ -191,6 +195,11 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     ),
 }
 """The forms of every effect of the catalogue, by its name."""
+
+
+def is_recording_filter(values: Values) -> bool:
+    """Tell whether a "delay" with these values is a filter of the recorded torque."""
+    return "hertz" in values
 
 
 class EffectDocument(msgspec.Struct):

@@ -40,7 +40,7 @@ def test_a_contact_is_located_in_time():
     finding = next(f for f in diagnosed("contact").findings if f.effect == "contact")
     intervals = [model.interval for model in finding.models if model.interval is not None]
     low, high = min(low for low, _ in intervals), max(high for _, high in intervals)
-    assert abs(low - 4.0) < 0.6 and abs(high - 6.0) < 0.6
+    assert abs(low - 4.0) < 0.1 and abs(high - 6.0) < 0.1
     assert {model.source for model in finding.models} == {"2.csv"}
 
 
@@ -52,7 +52,7 @@ def test_a_lasting_contact_in_the_only_recording_is_found():
     (finding,) = result.findings
     assert (finding.effect, finding.joint) == ("contact", 1)
     (model,) = finding.models
-    assert model.interval == pytest.approx((start, end), abs=0.6)
+    assert model.interval == pytest.approx((start, end), abs=0.1)
 
 
 def test_a_contact_is_one_finding_of_one_model():

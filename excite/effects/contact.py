@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .._types import FloatArray, IntArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect
+from .effect import CandidateModel, Effect, NonlinearParameter
 from .recorded_motion import RecordedMotion
 
 WINDOWS = 40
@@ -24,12 +24,15 @@ MAX_SHARE = 0.5
 model without the contact is known from the rest, which is not to be the smaller part."""
 MAX_INTERVALS = 2
 """Intervals that are proposed."""
-COURSES = ((0.0, 0.0, 0.0), (0.15, 0.0, 0.0), (0.15, 1.0, 0.0), (0.4, 1.0, 0.0), (0.0, 0.0, 8.0))
-"""Time courses of the force that are tried, each (extension, swells, knots).
+COURSES = ((1.0, 0.0, 0.0), (1.348, 1.0, 0.0), (1.0, 0.0, 8.0))
+"""Time courses of the force that are tried, each (stretch, swells, knots).
 
-Extension of the interval on either side over its length [1]; 1 if the force rises and falls as half
-a sine, 0 if it is constant; number of knots of a piecewise linear course, 0 for the other two.
+Length of the interval over that of the constant force that explains most of it [1]: for half a sine
+that which maximises (∫ sin)²/length; 1 if the force rises and falls as half a sine, 0 if it is
+constant; number of knots of a piecewise linear course, 0 for the other two.
 """
+END_FACTOR = 1.5
+"""Largest factor by which a search for one end changes the length of an interval [1]."""
 KNOT_EXTENSION = 0.3
 """Extension of a piecewise linear course before and after the interval, over its length."""
 
@@ -66,24 +69,46 @@ def _largest_force(c: FloatArray) -> dict[str, float]:
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Yield forces on every link in the intervals in which a force explains most."""
-    # pairs of a begin and an end, as far apart as those of the shortest windows
-    windows = 0.5 * WINDOWS * (WINDOWS + 1) * len({motion.segment.source for motion in motions})
-    for source, interval in _intervals(motions):
-        for extension, swells, knots in COURSES:
-            margin = extension * (interval[1] - interval[0])
+    """Yield forces on every link, about the intervals in which a force explains most."""
+    sources = {motion.segment.source for motion in motions}
+    lengths = np.arange(1, int(MAX_SHARE * WINDOWS) + 1)
+    windows = float((WINDOWS + 1 - lengths).sum()) * len(sources)
+    for source, (low, high) in _intervals(motions):
+        for stretch, swells, knots in COURSES:
+            margin = 0.5 * (stretch - 1.0) * (high - low)
             for joint in range(motions[0].n):
-                yield CandidateModel(
+                model = CandidateModel(
                     "contact",
                     joint,
                     _columns,
                     {"swells": swells, "knots": knots},
-                    None,
-                    (interval[0] - margin, interval[1] + margin),
-                    source,
-                    _largest_force,
+                    source=source,
+                    parameters=_largest_force,
                     alternatives=windows,
                 )
+                yield _moving_end(model, low - margin, high + margin, first=True).current
+
+
+def _moving_end(model: CandidateModel, low: float, high: float, first: bool) -> NonlinearParameter:
+    """Return the length of an interval of which one end is free, and in turn the other.
+
+    Args:
+        model: The contact.
+        low: Begin of the interval [s].
+        high: End of the interval [s].
+        first: True if the begin is free, False if the end is.
+    """
+
+    def of_length(length: float) -> CandidateModel:
+        interval = (high - length, high) if first else (low, low + length)
+
+        def variants() -> list[NonlinearParameter]:
+            return [_moving_end(model, *interval, not first)]
+
+        return replace(model, interval=interval, variants=variants)
+
+    length = high - low
+    return NonlinearParameter(length, length / END_FACTOR, length * END_FACTOR, of_length)
 
 
 def _intervals(motions: Sequence[RecordedMotion]) -> list[tuple[str, tuple[float, float]]]:
@@ -91,7 +116,7 @@ def _intervals(motions: Sequence[RecordedMotion]) -> list[tuple[str, tuple[float
 
     The base model is fitted anew with each force: it takes a large part of the torque of a contact
     that lasts. Of windows of all lengths the best is chosen, and the best that it does not overlap;
-    then both ends move while that explains more.
+    then both ends move while that explains more. In the joint model they move once more.
     """
     usual = np.array([np.median(np.abs(m.residual), axis=0) for m in motions]).mean(axis=0) + 1e-12
     weights = [motion.moving / usual**2 for motion in motions]
@@ -101,8 +126,13 @@ def _intervals(motions: Sequence[RecordedMotion]) -> list[tuple[str, tuple[float
     )
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-9, hermitian=True)
+    inverse *= scale[:, None] * scale
+    change = inverse @ sum(
+        np.einsum("tjp,tj->p", motion.gamma, weight * motion.residual)
+        for motion, weight in zip(motions, weights, strict=True)
+    )
     forces = [
-        _WindowedForces.of(motion, weight, inverse * scale[:, None] * scale)
+        _WindowedForces.of(motion, weight, motion.residual - motion.gamma @ change, inverse)
         for motion, weight in zip(motions, weights, strict=True)
     ]
     windows = [
@@ -133,8 +163,8 @@ class _WindowedForces:
 
     Attributes:
         edges: First row of each block, and the number of rows, shape (B + 1,).
-        score: Sum over the first blocks of the products of force and residual, for each link and
-            component of the force, shape (B + 1, links, 3).
+        score: Sum over the first blocks of the products of force and residual of the base model,
+            for each link and component of the force, shape (B + 1, links, 3).
         shared: The same of force and base regressor, shape (B + 1, links, p, 3).
         square: The same of the components of the force, shape (B + 1, links, 3, 3).
         inverse: Inverse information of the base parameters, shape (p, p).
@@ -147,12 +177,19 @@ class _WindowedForces:
     inverse: FloatArray
 
     @classmethod
-    def of(cls, motion: RecordedMotion, weight: FloatArray, inverse: FloatArray) -> _WindowedForces:
+    def of(
+        cls,
+        motion: RecordedMotion,
+        weight: FloatArray,
+        residual: FloatArray,
+        inverse: FloatArray,
+    ) -> _WindowedForces:
         """Return the forces on all links of a motion.
 
         Args:
             motion: The motion.
             weight: Weights of its rows, shape (N, n).
+            residual: Residual of the base model fitted with these weights [N m], shape (N, n).
             inverse: Inverse information of the base parameters, shape (p, p).
         """
         n, rows = motion.n, len(motion)
@@ -164,7 +201,7 @@ class _WindowedForces:
         for first, last in itertools.pairwise(edges.tolist()):
             x = columns[first:last]
             weighted = x * weight[first:last, None, :, None]
-            score.append(np.einsum("tljx,tj->lx", weighted, motion.residual[first:last]))
+            score.append(np.einsum("tljx,tj->lx", weighted, residual[first:last]))
             shared.append(np.tensordot(weighted, motion.gamma[first:last], ((0, 2), (0, 1))))
             square.append(np.einsum("tljx,tljy->lxy", weighted, x))
 

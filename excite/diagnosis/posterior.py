@@ -47,7 +47,8 @@ class EffectEvidence:
         joint: Index of the joint; None for an effect of no single joint.
         log_bayes_factor: Of the model with it over the model without.
         severity: Growth of the RMS residual of each joint without it [N m], shape (n,).
-        size: The largest of them over the residual of its joint [1].
+        size: The largest of them over the residual of its joint [1]; of an effect that acts for
+            some of the time, of the rows in which it acts.
     """
 
     effects: tuple[int, ...]
@@ -286,8 +287,8 @@ def judge(
 
 def _gain_of_transient(
     model: JointModel, shapes: Sequence[CandidateModel], reduced: Solution, current: Solution
-) -> float:
-    """Return the log-likelihood gain of an effect that acts for some of the time.
+) -> tuple[float, float]:
+    """Return the log-likelihood gain of an effect that acts for some of the time, and its size.
 
     The error of a robot's model varies over time, and a transient effect is sought where the
     residual is largest. The residual variance in the rows in which it acts therefore has a prior,
@@ -295,7 +296,8 @@ def _gain_of_transient(
 
         ½ Σ_j (ν + ρ N_j) ln((ν σ_j² + ρ E_j without the effect) / (ν σ_j² + ρ E_j with it))
 
-    over the joints j, with N_j rows in which it acts, and their squared errors E_j.
+    over the joints j, with N_j rows in which it acts, and their squared errors E_j. Its size is
+    that of the growth of E_j/N_j without it, over σ_j.
 
     Args:
         model: A joint model with the effect.
@@ -305,13 +307,15 @@ def _gain_of_transient(
     """
     regression = model.regression
     acting = transient_rows(shapes, model.motions)[:, None] & regression.moving
-    share, prior = regression.independent_share, VARIANCE_FREEDOM * regression.sigma**2
+    rows, share = acting.sum(axis=0), regression.independent_share
     without, with_ = (
-        prior + share * np.sum(np.where(acting, regression.residual(solution), 0.0) ** 2, axis=0)
+        np.sum(np.where(acting, regression.residual(solution) / regression.sigma, 0.0) ** 2, axis=0)
         for solution in (reduced, current)
     )
-    freedom = VARIANCE_FREEDOM + share * acting.sum(axis=0)
-    return 0.5 * float(freedom @ np.log(without / with_))
+    gains = np.log((VARIANCE_FREEDOM + share * without) / (VARIANCE_FREEDOM + share * with_))
+    growth = np.maximum(without - with_, 0.0) / np.maximum(rows, 1)
+    gain = 0.5 * float((VARIANCE_FREEDOM + share * rows) @ gains)
+    return gain, float(np.sqrt(growth.max()))
 
 
 def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:
@@ -334,10 +338,10 @@ def evidence_of(
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
     shapes = [model.models[e] for e in members]
     factor -= float(sum(np.log(shape.alternatives) for shape in shapes))
-    if any(shape.interval is not None for shape in shapes):
-        factor -= reduced.objective - current.objective
-        factor += _gain_of_transient(model, shapes, reduced, current)
     before, after = (regression.residual_rms(s) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
     size = float((severity / regression.sigma).max())
+    if any(shape.interval is not None for shape in shapes):
+        gain, size = _gain_of_transient(model, shapes, reduced, current)
+        factor += gain - (reduced.objective - current.objective)
     return EffectEvidence(members, *key, factor, severity, size)

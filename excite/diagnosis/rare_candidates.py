@@ -11,7 +11,7 @@ import numpy as np
 from .._types import FloatArray
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
-from . import posterior, probability, ripple_search
+from . import contact_search, posterior, probability, ripple_search
 from .candidate_fits import CandidateBatch, CandidateFit
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import JointModel
@@ -138,7 +138,7 @@ class CandidateColumns:
     """Columns of all candidates over the motions of a joint model.
 
     They are computed once, with the first joint model, and rank the candidates on top of later ones
-    as well; the best of them are computed anew.
+    as well; the best of them are computed anew. Contacts alone are sought again.
     """
 
     def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
@@ -160,6 +160,17 @@ class CandidateColumns:
             shapes += ripple_search.encoder_errors(model)
         shapes += flexible_models(model.motions, model.regression.sigma)
         self._shapes = CandidateShapes.of(model, shapes)
+        self._seeks_contacts = not names or "contact" in names
+        self._contacts = CandidateShapes.of(model, ())
+
+    def seek_contacts(self, model: JointModel) -> None:
+        """Renew the candidates for contacts: the times at which most remains.
+
+        Args:
+            model: The joint model of whose residual they explain a part.
+        """
+        if self._seeks_contacts:
+            self._contacts = CandidateShapes.of(model, contact_search.contacts(model))
 
     def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
         """Return the ranking of the shapes of every effect at every joint.
@@ -169,7 +180,7 @@ class CandidateColumns:
         """
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
-        for candidate in self._shapes.fitted(model):
+        for candidate in (*self._shapes.fitted(model), *self._contacts.fitted(model)):
             key = candidate.model.effect, candidate.model.joint
             counts[key] = counts.get(key, 0) + 1
             if candidate.is_plausible:

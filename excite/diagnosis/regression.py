@@ -370,6 +370,19 @@ class JointRegression:
         rows = np.maximum(self.moving.sum(axis=0), 1)
         return np.asarray(np.sqrt(np.maximum(square, 0.0) / rows))
 
+    def active_columns(self, joint: int) -> tuple[FloatArray, IntArray]:
+        """Return the columns of the active coefficients that act on a joint.
+
+        Args:
+            joint: Index of the joint.
+
+        Returns:
+            Columns, shape (N, k), and their positions among the active coefficients, shape (k,).
+        """
+        gram, active = self._grams[joint], self.solution.active
+        on = active[gram.places]
+        return gram.columns[:, on], (np.cumsum(active) - 1)[gram.places[on]]
+
     def fitted_per_joint(self) -> FloatArray:
         """Return the number of coefficients that are fitted to the rows of each joint, shape (n,).
 

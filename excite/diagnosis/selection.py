@@ -176,16 +176,12 @@ class _Search:
             scores, rankings = candidates.scored(self.model)
             if self.effects:
                 self.effects[-1] = replace(self.effects[-1], after=scores)
-            promising = sorted(
-                (key for key in scores if self._is_promising(key, scores[key], rankings[key])),
-                key=lambda key: -scores[key],
-            )
-            catalogue = [key for key in promising if key[0] not in LAST_RESORTS]
-            last_resorts = [key for key in promising if key[0] in LAST_RESORTS]
-            # these last: they could stand for the sum of effects that are still to be found
-            chosen = self._best(catalogue, scores, rankings) or self._best(
-                last_resorts, scores, rankings
-            )
+            chosen = self._best(self._promising(scores, rankings, False), scores, rankings)
+            if chosen is None:
+                # these last: they could stand for the sum of effects that are still to be found
+                candidates.seek_contacts(self.model)
+                scores, rankings = candidates.scored(self.model)
+                chosen = self._best(self._promising(scores, rankings, True), scores, rankings)
             if chosen is None:
                 return
             self._add(chosen, scores)
@@ -210,14 +206,27 @@ class _Search:
     def _fit(self, shapes: Sequence[CandidateModel]) -> JointModel:
         return joint_model.fit(self._identified, self._motions, shapes, self._start)
 
-    def _is_promising(self, key: Key, evidence: float, ranking: Ranking) -> bool:
-        """Tell whether a candidate is to be tried."""
-        return (
-            key not in self._rejected
+    def _promising(
+        self, scores: Mapping[Key, float], rankings: Mapping[Key, Ranking], last_resorts: bool
+    ) -> list[Key]:
+        """Return the candidates that are to be tried, the one with the most evidence first.
+
+        Args:
+            scores: Evidence of all candidates.
+            rankings: Their shapes.
+            last_resorts: Whether last resorts are returned, or all others.
+        """
+        added = [effect.key for effect in self.effects]
+        promising = [
+            key
+            for key, evidence in scores.items()
+            if (key[0] in LAST_RESORTS) is last_resorts
+            and key not in self._rejected
             and evidence > MIN_CANDIDATE_EVIDENCE
-            and [effect.key for effect in self.effects].count(key) < MAX_MODELS.get(key[0], 1)
-            and not any(_is_same_body(ranking.best.model, shape) for shape in self._shapes)
-        )
+            and added.count(key) < MAX_MODELS.get(key[0], 1)
+            and not any(_is_same_body(rankings[key].best.model, shape) for shape in self._shapes)
+        ]
+        return sorted(promising, key=lambda key: -scores[key])
 
     def _best(
         self, keys: Sequence[Key], scores: dict[Key, float], rankings: Mapping[Key, Ranking]

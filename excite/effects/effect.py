@@ -209,7 +209,7 @@ class Effect:
         equation: Equation and its source.
         torque_columns: Torque per unit of each coefficient of a candidate model.
         candidates: Yields all candidate models for a robot with these recorded motions;
-            `no_candidates` for an effect that is part of the joint model.
+            `no_candidates` for an effect that is part of the joint model or sought in its residual.
         units: Units of the reported parameters.
         signature: Description of the residual that the effect causes.
         similar: Names of effects that this one may be confused with.
@@ -238,7 +238,7 @@ class Effect:
 
 
 def no_candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Yield nothing: the joint model of a diagnosis has the effect from the start."""
+    """Yield nothing: the joint model of a diagnosis has the effect, or its residual shows it."""
     return iter(())
 
 

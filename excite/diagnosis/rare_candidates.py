@@ -144,18 +144,12 @@ class CandidateColumns:
     def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
         self._trusted = trusted
         shapes: list[CandidateModel] = []
-        torque = np.concatenate([motion.torque for motion in model.motions])
-        noise_ratio = model.regression.sigma / np.maximum(torque.std(axis=0), 1e-300)
         for effect in EFFECTS:
             if effect.name in DENSE_NAMES or (effect.prior_only and not trusted):
                 continue
             if names and effect.name not in names:
                 continue
-            shapes += (
-                shape
-                for shape in effect.candidates(model.motions)
-                if shape.joint is None or noise_ratio[shape.joint] <= shape.max_noise_ratio
-            )
+            shapes += effect.candidates(model.motions)
         if not names or "encoder_error" in names:
             shapes += ripple_search.encoder_errors(model)
         shapes += flexible_models(model.motions, model.regression.sigma)

@@ -196,7 +196,7 @@ class _Search:
             kept = [i for i, c in enumerate(columns) if c is None or c.joints != (joint,)]
             key = UNMODELLED, joint
             shapes = (*(self._shapes[i] for i in kept), flexible.model)
-            addition = self._tried(key, flexible.model, shapes)
+            addition = self._judged(key, self._fit(shapes), flexible.model)
             if addition is not None:
                 self.model, self._shapes = addition.joint, shapes
                 factor = addition.evidence.log_bayes_factor
@@ -249,8 +249,7 @@ class _Search:
                 continue
             if best is not None and scores[key] < scores[best.key] - TIE:
                 break
-            shape = shapes[key].model
-            addition = self._tried(key, shape, (*self._shapes, shape))
+            addition = self._tried(key, shapes[key].model, rankings[key])
             if addition is None:
                 self._rejected.add(key)
             elif (
@@ -267,11 +266,30 @@ class _Search:
 
         return sum(kind(k) == kind(key) for k in self._rejected)
 
-    def _tried(
-        self, key: Key, shape: CandidateModel, shapes: Sequence[CandidateModel]
-    ) -> _Addition | None:
-        """Fit rare effects, and return one of them; None if it is to be left out again."""
-        extended = self._fit(shapes)
+    def _tried(self, key: Key, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
+        """Add an effect to the joint model; None if it is to be left out again.
+
+        The torque of the joint model stands for the measured torque, and is another one with the
+        effect. A shape that is a function of it is therefore chosen once more.
+
+        Args:
+            key: The effect.
+            shape: Its best shape.
+            ranking: All its shapes.
+        """
+        extended = self._fit((*self._shapes, shape))
+        if shape.values.get("measured"):
+            others = [i for i, m in enumerate(extended.models) if (m.effect, m.joint) != key]
+            reduced = extended.keeping(others)
+            again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
+            plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
+            if plausible:
+                shape = tuned(reduced, Ranking(plausible, ranking.count)).model
+                extended = self._fit((*self._shapes, shape))
+        return self._judged(key, extended, shape)
+
+    def _judged(self, key: Key, extended: JointModel, shape: CandidateModel) -> _Addition | None:
+        """Judge an effect of a joint model; None if it is to be left out again."""
         members = posterior.effect_groups(extended).get(key)
         if members is None:
             return None

@@ -36,9 +36,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Change of the torque by a delay, per second.
 
     −τ̇ for a small delay; else (τ(t − d) − τ)/d, or the same for a first-order lag. The torque is
-    the base model's, or the measured one, which contains other effects too, but also noise. Noise
-    is uncorrelated with its own derivative, but not with a delayed copy of itself: therefore large
-    delays use the base model only.
+    the measured one, for which that of the joint model stands, or the base model's.
     """
     seconds = model.values.get("seconds", 0.0)
     joints = slice(None) if model.joint is None else [model.joint]
@@ -173,15 +171,14 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     )
     is_plausible = _is_resolved(MIN_DELAY_DWELL * dwell, MIN_LEAD_DWELL * dwell)
     for joint in range(motions[0].n):
-        for measured in (0.0, 1.0):
-            yield CandidateModel(
-                "delay",
-                joint,
-                _columns,
-                {"measured": measured},
-                parameters=named_coefficients("seconds"),
-                is_plausible=is_plausible,
-            )
+        yield CandidateModel(
+            "delay",
+            joint,
+            _columns,
+            {"measured": 1.0},
+            parameters=named_coefficients("seconds"),
+            is_plausible=is_plausible,
+        )
         for kind in ({}, {"lagging": 1.0}):
             yield from grid_candidates(DELAYS, family(joint, kind))
 

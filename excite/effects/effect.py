@@ -37,8 +37,6 @@ class CandidateModel:
             dissipation.
         nonlinear: The nonlinear parameter to optimise; None if there is none.
         variants: Returns nonlinear parameters of neighbouring models that no grid contains.
-        max_noise_ratio: Torque noise over torque above which columns made of measured torque are
-            too noisy to be used.
         nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
         prior_std: Prior standard deviation of the coefficients; None: the friction level of the
             joint.
@@ -60,7 +58,6 @@ class CandidateModel:
     is_plausible: Callable[[FloatArray], bool] = lambda c: bool(np.isfinite(c).all())
     nonlinear: NonlinearParameter | None = None
     variants: Callable[[], Sequence[NonlinearParameter]] = tuple
-    max_noise_ratio: float = np.inf
     nonnegative: tuple[bool, ...] = ()
     prior_std: float | None = None
     prior_shares: tuple[float, ...] = ()

@@ -10,10 +10,6 @@ from .._types import FloatArray
 from .effect import CandidateModel, Effect, grid_candidates, is_between, single_joint_columns
 from .recorded_motion import STANDSTILL_SPEED_RATIO, RecordedMotion
 
-MAX_POWER_NOISE = 0.01
-"""Torque noise over torque up to which powers of the measured torque are used."""
-MAX_LEVEL_NOISE = 0.003
-"""The same for a torque that levels off, whose column is nearly the torque itself."""
 POWERS = (2.0, 3.0, 5.0)
 """Powers of the torque that are lost."""
 SHARPNESSES = (1.0, 2.0, 4.0)
@@ -25,7 +21,7 @@ MAX_USUAL_LOSS = 0.3
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Lost torque, of the measured torque or of the base model's."""
+    """Lost torque, of the measured torque, or of the base model's in older files."""
     torque = motion.measured_torque if model.values.get("measured") else motion.motor_torque
     return single_joint_columns(
         motion, model.joint_index, lost_torque(model.values, torque[:, model.joint_index])
@@ -41,27 +37,12 @@ def lost_torque(values: Mapping[str, float], x: FloatArray) -> FloatArray:
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Losses as functions of the base model's torque and of the measured torque.
+    """Losses as functions of the measured torque, for which that of the joint model stands.
 
-    The recorded τ stands for a current that produced less: true = τ (1 − loss (τ/τ_max)²), or to
-    first order recorded = true + loss true³/τ_max². The former is exact, but needs measured torque
-    of little noise, as its power has the noise's variance in it. The latter uses the base model,
-    which a strong loss has distorted. A magnetically saturated motor levels off with the measured
-    torque as τ/(1 + |τ/L|^p)^(1/p).
+    The recorded τ stands for a current that produced less: true = τ (1 − loss (τ/τ_max)²). A
+    magnetically saturated motor levels off with the measured torque as τ/(1 + |τ/L|^p)^(1/p).
     """
-
-    def from_motor_torque(joint: int, largest: float) -> Iterator[CandidateModel]:
-        for power in POWERS:
-            yield CandidateModel(
-                "torque_saturation",
-                joint,
-                _columns,
-                {"power": power, "largest": largest},
-                parameters=lambda c: {"loss": float(c[0] / (1.0 + c[0]))},
-                is_plausible=is_between(0.0, 2.0),
-            )
-
-    def from_measured_torque(joint: int) -> Iterator[CandidateModel]:
+    for joint in range(motions[0].n):
         signals = zip(
             *((motion.measured_torque, motion.samples.dq) for motion in motions), strict=True
         )
@@ -70,41 +51,47 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         # median torque in motion: a joint at standstill may carry none
         moving = speed >= STANDSTILL_SPEED_RATIO * speed.max()
         usual = max(float(np.median(torque[moving])), 1e-9)
-
-        def model(
-            max_coefficient: float, max_noise_ratio: float, **values: float
-        ) -> CandidateModel:
-            """Reports the loss at the largest torque; the loss at a usual one must be small."""
-            fixed = {"measured": 1.0, "largest": largest, **values}
-            usual_loss, largest_loss = (
-                lost_torque(fixed, np.array([usual, largest])) / [usual, largest]
-            ).tolist()
-            return CandidateModel(
-                "torque_saturation",
-                joint,
-                _columns,
-                fixed,
-                parameters=lambda c: {"loss": largest_loss * float(c[0])},
-                is_plausible=is_between(
-                    0.0, min(max_coefficient, MAX_USUAL_LOSS / max(usual_loss, 1e-9))
-                ),
-                max_noise_ratio=max_noise_ratio,
-            )
-
-        def family(sharpness: float) -> Callable[[float], CandidateModel]:
-            return lambda level: model(
-                MAX_LEVEL_COEFFICIENT, MAX_LEVEL_NOISE, level=level, bend=sharpness
-            )
-
         for power in POWERS:
-            yield model(1.0, MAX_POWER_NOISE, power=power)
+            yield _loss(joint, usual, largest, 1.0, power=power)
         for sharpness in SHARPNESSES:
-            yield from grid_candidates(np.geomspace(usual, largest, 6).tolist(), family(sharpness))
+            levels = np.geomspace(usual, largest, 6).tolist()
+            yield from grid_candidates(levels, _levelling_off(joint, usual, largest, sharpness))
 
-    for j in range(motions[0].n):
-        largest = (float(np.abs(motion.motor_torque[:, j]).max()) for motion in motions)
-        yield from from_motor_torque(j, max(*largest, 1e-9))
-        yield from from_measured_torque(j)
+
+def _levelling_off(
+    joint: int, usual: float, largest: float, sharpness: float
+) -> Callable[[float], CandidateModel]:
+    """Return the model of a torque that levels off, for each level [N m]."""
+    return lambda level: _loss(
+        joint, usual, largest, MAX_LEVEL_COEFFICIENT, level=level, bend=sharpness
+    )
+
+
+def _loss(
+    joint: int, usual: float, largest: float, max_coefficient: float, **values: float
+) -> CandidateModel:
+    """Return a loss that is reported at the largest torque, and is small at a usual one.
+
+    Args:
+        joint: Index of the joint.
+        usual: A usual torque [N m].
+        largest: The largest torque [N m].
+        max_coefficient: Largest coefficient.
+        **values: Power, or level and bend.
+    """
+    fixed = {"measured": 1.0, "largest": largest, **values}
+    usual_loss, largest_loss = (
+        lost_torque(fixed, np.array([usual, largest])) / [usual, largest]
+    ).tolist()
+    highest = min(max_coefficient, MAX_USUAL_LOSS / max(usual_loss, 1e-9))
+    return CandidateModel(
+        "torque_saturation",
+        joint,
+        _columns,
+        fixed,
+        parameters=lambda c: {"loss": largest_loss * float(c[0])},
+        is_plausible=is_between(0.0, highest),
+    )
 
 
 def _predicted_torque(

@@ -44,7 +44,7 @@ def effect_words(effect: str) -> str:
 
 
 def filter_words(document: Mapping[str, Any]) -> str:
-    """Return what filter the recorded torque has passed; "" if none.
+    """Return how recorded torque and positions differ in their frequency response; "" if not.
 
     Args:
         document: The diagnosis as in `diagnosis.json`.
@@ -57,8 +57,9 @@ def filter_words(document: Mapping[str, Any]) -> str:
         for hertz, gain in zip(entry["hertz"], entry["gain"], strict=True)
     ]
     return (
-        "The recorded torque has passed a low-pass filter that the positions have not "
-        f"(gain {', '.join(gains)}); the saved model has it, too."
+        "High frequencies of the recorded torque are smaller than the positions imply "
+        f"(gain {', '.join(gains)}): the torque was low-pass filtered, or the positions are noisy "
+        "or their time stamps not exact. The saved model has this gain, too."
     )
 
 

@@ -32,7 +32,7 @@ from excite import _json, physical_ranges, recordings
 from excite.cli.main import main
 from excite.collision import scene_file
 from excite.diagnosis import fitted_effects, joint_model
-from excite.effects import EFFECTS, recorded_motion, torque_ripple
+from excite.effects import EFFECTS, contact, recorded_motion, torque_ripple
 from excite.effects.effect import CandidateModel, Effect
 from excite.effects.recorded_motion import RecordedMotion
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
@@ -720,14 +720,12 @@ def test_mutations_change_the_document():
 
 @pytest.fixture(scope="module")
 def tracks() -> list[recorded_motion.RecordedMotion]:
-    """Two motions of a two-link robot with a contact and temperatures."""
+    """Two motions of a two-link robot with temperatures."""
     subject = two_link_model()
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     whole_recording = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
-    torque = whole_recording.torque.copy()
-    torque[3000:3200] += 5.0
-    warm = np.outer(np.linspace(20.0, 40.0, len(torque)), [1.0, 1.2])
-    recording = replace(whole_recording, tau=torque, temperature=warm)
+    warm = np.outer(np.linspace(20.0, 40.0, len(whole_recording.t)), [1.0, 1.2])
+    recording = replace(whole_recording, temperature=warm)
     done = identification.identify(
         subject.robot,
         subject.parameters,
@@ -751,9 +749,11 @@ def variants(shape: CandidateModel) -> Iterator[CandidateModel]:
 
 
 def dense_models(effect: Effect, tracks: Sequence[RecordedMotion]) -> list[CandidateModel]:
-    """Return the models of an effect that a diagnosis fits at every joint."""
+    """Return the models of an effect that a diagnosis fits or seeks in the residual."""
     if effect.name == "torque_ripple":
         return [torque_ripple.wave_model(tracks, 1, 17.3)]
+    if effect.name == "contact":
+        return list(contact.pushes(tracks[0], 1.0, 2.0, 1.0))
     return [m for m in joint_model.dense_models(tracks) if m.effect == effect.name]
 
 

@@ -124,6 +124,21 @@ class Ranking:
         """The plausible candidate with the most evidence."""
         return max(self.plausible, key=lambda c: c.evidence)
 
+    def other_forms(self, chosen: Candidate) -> list[Ranking]:
+        """Return the shapes of each other form of the effect that the ranking cannot tell apart.
+
+        Shapes of one form have the same nonlinear parameters.
+
+        Args:
+            chosen: The chosen shape.
+        """
+        forms: dict[frozenset[str], list[Candidate]] = {}
+        for candidate in self.plausible:
+            forms.setdefault(frozenset(candidate.model.values), []).append(candidate)
+        forms.pop(frozenset(chosen.model.values), None)
+        rankings = [Ranking(tuple(members), self.count) for members in forms.values()]
+        return [r for r in rankings if r.best.evidence > self.best.evidence - TIE]
+
     @cached_property
     def evidence(self) -> float:
         """Evidence of one effect whose shape is one of those tried; −∞ if none is plausible."""

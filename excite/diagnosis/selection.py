@@ -250,6 +250,8 @@ class _Search:
             if best is not None and scores[key] < scores[best.key] - TIE:
                 break
             addition = self._tried(key, shapes[key].model, rankings[key])
+            for form in rankings[key].other_forms(shapes[key]) if addition is None else ():
+                addition = addition or self._tried(key, tuned(self.model, form).model, form)
             if addition is None:
                 self._rejected.add(key)
             elif (

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +31,8 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Friction of the base fit times its relative change per coefficient.
 
     The change is that with temperature where a "reference" is stated, with the joint's friction
-    losses where a mean "power" is, and otherwise with run time.
+    losses where a mean "power" is, and otherwise with run time. An "origin" is the time at which
+    the joint was cold, by the clock of all recordings.
 
     Raises:
         UnusableInput: If the friction depends on a temperature that was not recorded.
@@ -47,9 +49,19 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     elif "power" in values:
         warming = warming_by_losses(motion, model)
     else:
-        warming = 1.0 - np.exp(-motion.run_time / values["time_constant"])
+        warming = 1.0 - np.exp(-_run_time(motion, values) / values["time_constant"])
     friction = values["coulomb"] * motion.sign(j) + values["viscous"] * motion.samples.dq[:, j]
     return single_joint_columns(motion, j, warming * friction)
+
+
+def _run_time(motion: RecordedMotion, values: Mapping[str, float]) -> FloatArray:
+    """Return the time since the joint was cold [s], shape (M,).
+
+    That is the start of the recording, or an "origin" by the clock of all recordings.
+    """
+    if "origin" not in values:
+        return motion.run_time
+    return np.maximum(motion.times - values["origin"], 0.0)
 
 
 def warming_by_losses(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -61,7 +73,7 @@ def warming_by_losses(motion: RecordedMotion, model: CandidateModel) -> FloatArr
 
     constant = model.values["time_constant"]
     decay = float(np.exp(-1.0 / (motion.segment.rate * constant)))
-    initial = float(1.0 - np.exp(-motion.run_time[0] / constant))
+    initial = float(1.0 - np.exp(-_run_time(motion, model.values)[0] / constant))
     losses = _friction_losses(
         motion, model.joint_index, model.values["coulomb"], model.values["viscous"]
     )
@@ -82,8 +94,10 @@ def _friction_losses(
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Changes with run time, with friction losses, and with recorded temperature."""
+    origins = [{}, *({"origin": time} for time in _common_origin(motions))]
     for j in range(motions[0].n):
-        yield from _by_time(motions, j)
+        for origin in origins:
+            yield from _by_time(motions, j, origin)
         yield from _by_temperature(motions, j)
 
 
@@ -96,15 +110,36 @@ def _base_friction(motion: RecordedMotion, joint: int) -> tuple[float, float]:
     return max(coulomb, 1e-9), viscous
 
 
-def _by_time(motions: Sequence[RecordedMotion], j: int) -> Iterator[CandidateModel]:
+def _common_origin(motions: Sequence[RecordedMotion]) -> list[float]:
+    """Return the start of the first of several recordings by one clock [s]; none without one.
+
+    Recordings that follow each other without an overlap have the same clock: the joint was cold
+    before the first, and is warm when the next one starts.
+    """
+    spans = {
+        source: (
+            min(float(m.times[0] - m.run_time[0]) for m in motions if m.segment.source == source),
+            max(float(m.times[-1]) for m in motions if m.segment.source == source),
+        )
+        for source in {motion.segment.source for motion in motions}
+    }
+    ordered = sorted(spans.values())
+    if len(ordered) > 1 and all(a[1] <= b[0] for a, b in itertools.pairwise(ordered)):
+        return [ordered[0][0]]
+    return []
+
+
+def _by_time(
+    motions: Sequence[RecordedMotion], j: int, origin: Mapping[str, float]
+) -> Iterator[CandidateModel]:
     """Exponential changes with run time, and with the heat of the joint's friction losses."""
-    length = max(float(motion.run_time[-1]) for motion in motions)
+    length = max(float(_run_time(motion, origin)[-1]) for motion in motions)
     coulomb, viscous = _base_friction(motions[0], j)
     losses = [_friction_losses(motion, j, coulomb, viscous) for motion in motions]
     power = float(np.mean(np.concatenate(losses)))
 
     def model(constant: float, by_losses: bool = False) -> CandidateModel:
-        values = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous} | (
+        values = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous, **origin} | (
             {"power": power} if by_losses else {}
         )
         largest = 1.0 - np.exp(-length / constant)

@@ -24,6 +24,7 @@ POSITIVE = Range(1e-12, 1e9, "1")
 EXPONENT = Range(1e-2, 1e2, "1")
 SPATIAL_FREQUENCY = Range(1e-6, 1e6, "1/rad or 1/m")
 SECONDS = Range(1e-9, 1e6, "s")
+CLOCK = Range(-1e12, 1e12, "s")
 FREQUENCY = Range(1e-3, 1e5, "Hz")
 FRICTION_SPEED = Range(1e-12, ranges.VELOCITY.upper, "rad/s or m/s")
 POSITION = ranges.POSITION
@@ -110,7 +111,8 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     ),
     "thermal_drift": (
         EffectForm(
-            {"time_constant": SECONDS, "coulomb": COULOMB, "viscous": VISCOUS}, {"power": POSITIVE}
+            {"time_constant": SECONDS, "coulomb": COULOMB, "viscous": VISCOUS},
+            {"power": POSITIVE, "origin": CLOCK},
         ),
         EffectForm(
             {"reference": Range(-273.15, 1e4, "°C"), "coulomb": COULOMB, "viscous": VISCOUS}

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy import special
 
+from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
-from ..effects.recorded_motion import split_by_motion
+from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..robot.parameter_names import percent
 from . import (
     effect_curves,
@@ -70,6 +71,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     held_out, floor = diagnosis.held_out, diagnosis.floor
     torque_rms = rms(held_out.torque, held_out.moving)
     motion = motion_rows.motion_rows(diagnosis.model.motions)
+    speed_ratio = _largest_speed(held_out.motions) / _largest_speed(diagnosis.model.motions)
     rows = {
         joint: joint_entry(
             float(floor[i]),
@@ -77,7 +79,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
             float(held_out.rmse_before[i]),
             float(held_out.rmse_after[i]),
         )
-        | {"torque_rms": float(torque_rms[i])}
+        | {"torque_rms": float(torque_rms[i]), "speed_ratio": float(speed_ratio[i])}
         for i, joint in enumerate(joints)
     }
     return {
@@ -97,6 +99,15 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "encoders": {joints[gear.joint]: _gear(diagnosis, gear) for gear in diagnosis.gears},
         "parameters": _parameters(diagnosis),
     }
+
+
+def _largest_speed(motions: Sequence[RecordedMotion]) -> FloatArray:
+    """Return the largest speed of each joint in the fitted rows, shape (n,) [rad/s or m/s]."""
+    largest = [
+        np.abs(m.samples.dq[(m.times >= m.time[0]) & (m.times <= m.time[-1])]).max(axis=0)
+        for m in motions
+    ]
+    return np.maximum(np.max(largest, axis=0), 1e-12)
 
 
 def joint_entry(floor: float, method: str, before: float, after: float) -> dict[str, Any]:

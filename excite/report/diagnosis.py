@@ -60,6 +60,7 @@ _VERDICTS = {
 _ONE_SESSION = (
     "warm up alike, or record temp.<joint>, and record training and validation again in one session"
 )
+_AS_FAST = "record training motion as fast as the motion that is to be predicted"
 _NOISE_FLOORS = {
     "periods": "the difference between repeated periods",
     "differences": "estimated from the torque's spectrum above that of the motion; no period was "
@@ -93,7 +94,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
             *session_changes_section(document),
             prediction_section(diagnosis, document, budgets),
             *encoders_section(diagnosis, document),
-            _next_section(diagnosis, document),
+            _next_section(diagnosis, document, budgets),
             _considered_section(diagnosis, document),
             _provenance_section(diagnosis, remarks),
         ],
@@ -117,7 +118,12 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
     verdict, (text, tone) = document["verdict"], _VERDICTS[document["verdict"]]
     unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
     changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
-    above = [b.joint for b in budgets if not (b.is_explained or b.is_changed or b.unknown)]
+    extrapolated = [b.joint for b in budgets if b.is_extrapolated]
+    above = [
+        b.joint
+        for b in budgets
+        if not (b.is_explained or b.is_changed or b.is_extrapolated or b.unknown)
+    ]
     if unknown:
         places = joint_words(unknown, len(budgets))
         remains = f"torque at {places} repeats with the motion and resembles no known effect"
@@ -126,6 +132,11 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
         text += (
             f"; most of the error of {joint_words(changed, len(budgets))} is friction or offset "
             "that changed between the recordings"
+        )
+    if extrapolated:
+        text += (
+            f"; friction is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
+            "held-out motion is faster than the fitted recordings"
         )
     if verdict == "partly-explained" and above:
         ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
@@ -166,6 +177,8 @@ def _use(budgets: Sequence[JointBudget]) -> str:
 def _next_action(document: Document, budgets: Sequence[JointBudget]) -> str:
     """First actions on what these recordings leave open."""
     actions = [_ONE_SESSION] if any(b.is_changed for b in budgets) else []
+    if any(b.is_extrapolated for b in budgets):
+        actions.append(_AS_FAST)
     actions += [
         f"for the unknown torque at {entry['joint']}, {entry['experiment']}"
         for entry in document["unknown"][:1]
@@ -184,6 +197,7 @@ def _budget_section(
     """The torque budget of every joint, as a picture and in words."""
     improved = sorted((b for b in budgets if b.is_improved), key=lambda b: b.after / b.before)
     changed = [b.joint for b in budgets if b.is_changed]
+    fast = [b.joint for b in budgets if b.is_extrapolated]
     unknown = [b.joint for b in budgets if b.unknown]
     answer, tone = "Not known: no effect found reduces the error.", "warn"
     if "doubts" in document:
@@ -200,9 +214,10 @@ def _budget_section(
         tone = ""
     elif all(b.is_explained for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"
-    elif changed or unknown:
+    elif changed or fast or unknown:
         causes = {
             "friction or offset that changed between the recordings": changed,
+            "friction at speeds that the fitted recordings do not have": fast,
             "torque that no known effect explains": unknown,
         }
         texts = [
@@ -323,18 +338,26 @@ def _open_effects(document: Document) -> dict[tuple[str, ...], list[str]]:
     return groups
 
 
-def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
+def _next_section(
+    diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
+) -> Section:
     """Experiments that separate or confirm effects."""
     groups, count = _open_effects(document), len(document["joints"])
-    changed = list(dict.fromkeys(c["joint"] for c in document["between_recordings"]))
-    lines = (
-        [
-            f"{capitalized(_ONE_SESSION)}: friction or offset changed at "
-            f"{joint_words(changed, count)}."
-        ]
-        if changed
-        else []
-    )
+    fast = [b.joint for b in budgets if b.is_extrapolated]
+    changed = [
+        joint
+        for joint in dict.fromkeys(c["joint"] for c in document["between_recordings"])
+        if joint not in fast
+    ]
+    causes = {
+        f"{_ONE_SESSION}: friction or offset changed": changed,
+        f"{_AS_FAST}: friction is extrapolated": fast,
+    }
+    lines = [
+        f"{capitalized(cause)} at {joint_words(joints, count)}."
+        for cause, joints in causes.items()
+        if joints
+    ]
     for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
         purpose = "To tell apart" if names[1:] else "To be surer of"
         effects = listed([effect_words(name) for name in names])

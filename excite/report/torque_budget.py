@@ -23,6 +23,9 @@ NAMED_JOINTS = 5
 """Joints that are named before they are only counted."""
 CHANGED_SHARE = 0.5
 """Share of the squared error from which it is mostly a change between the recordings."""
+EXTRAPOLATED_SPEED_RATIO = 1.2
+"""Largest held-out speed over that of the fitted recordings from which friction is extrapolated:
+repeats of a motion differ by 5 %."""
 _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
 _WORDS = {
@@ -98,6 +101,7 @@ class JointBudget:
             differ from those of the fitted recordings [1].
         unknown: Whether the joint has torque that no effect explains.
         absent: Findings at the joint that remove no notable part of its error.
+        speed_ratio: Largest held-out speed over that of the fitted recordings [1].
     """
 
     joint: str
@@ -112,6 +116,7 @@ class JointBudget:
     changed: float = 0.0
     unknown: bool = False
     absent: tuple[str, ...] = ()
+    speed_ratio: float = 1.0
 
     @property
     def removed(self) -> float:
@@ -124,9 +129,14 @@ class JointBudget:
         return self.noise_ratio <= EXPLAINED_RMSE_RATIO
 
     @property
+    def is_extrapolated(self) -> bool:
+        """True if there is an error at speeds to which friction was not fitted."""
+        return self.speed_ratio > EXTRAPOLATED_SPEED_RATIO and not self.is_explained
+
+    @property
     def is_changed(self) -> bool:
         """True if most of the squared error is friction or offset that changed."""
-        return self.changed > CHANGED_SHARE and not self.is_explained
+        return self.changed > CHANGED_SHARE and not self.is_explained and not self.is_extrapolated
 
     @property
     def unchanged(self) -> float:
@@ -194,6 +204,11 @@ class JointBudget:
         texts = []
         if self.unknown and not self.is_explained:
             texts.append("torque that repeats and that no known effect explains remains")
+        if self.is_extrapolated:
+            texts.append(
+                f"friction is extrapolated to speeds {self.speed_ratio:.1f} times those of the "
+                "fitted recordings"
+            )
         if self.is_changed:
             start = "of the remaining squared error" if self.is_improved else "of its square"
             texts.append(
@@ -297,6 +312,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 changed,
                 joint in unknown,
                 tuple(name for name in effects if name not in {part.effect for part in shown}),
+                errors["speed_ratio"],
             )
         )
     return out

@@ -239,8 +239,11 @@ def fit(
             m if chain == RecordingChain() else m.with_torque(chain.removed(m)) for m in motions
         ]
         present = renewed(identified, moved, psi, widths)
+        modelled = modelled_torque(fitted)
+        for motion, torque in zip(present, modelled, strict=True):
+            motion.cache["measured_torque"] = torque
         weights = fitted.regression.sigma, fitted.regression.independent_share
-        fitted = base_model(identified, present, psi, chain, weights, modelled_torque(fitted))
+        fitted = base_model(identified, present, psi, chain, weights, modelled)
         fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
     if not chain.is_filtered:
         fitted = _without_filter(fitted)

@@ -23,9 +23,9 @@ NAMED_JOINTS = 5
 """Joints that are named before they are only counted."""
 CHANGED_SHARE = 0.5
 """Share of the squared error from which it is mostly a change between the recordings."""
-EXTRAPOLATED_SPEED_RATIO = 1.2
+EXTRAPOLATED_SPEED_RATIO = 1.5
 """Largest held-out speed over that of the fitted recordings from which friction is extrapolated:
-repeats of a motion differ by 5 %."""
+other motions within the same limits differ by less."""
 _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
 _WORDS = {

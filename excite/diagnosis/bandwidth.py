@@ -40,13 +40,14 @@ def chosen_hertz(
 
     Args:
         train: Segments of the training recordings.
-        validate: Segments of the held-out recordings, of which only the length counts.
+        validate: Segments of the held-out recordings, of which only length and rate count.
         robot: The robot.
     """
     longest = max(train, key=len)
     carried = position_bandwidth.position_bandwidth(longest, robot)
     usable = max(segments.usable_from_hertz(group) for group in (train, validate))
-    return min(_needed_hertz(longest), max(carried, usable), MAX_RATE_SHARE * longest.rate)
+    slowest = min(segment.rate for segment in (*train, *validate))
+    return min(_needed_hertz(longest), max(carried, usable), MAX_RATE_SHARE * slowest)
 
 
 def _needed_hertz(longest: RecordingSegment) -> float:

@@ -13,13 +13,13 @@ from ..effects.effect import CandidateModel
 from .joint_model import JointModel
 
 WINDOWS = 40
-"""The shortest window in which a contact is sought is this share of a recording."""
+"""The shortest window in which a contact is sought is this share of a motion."""
 BLOCKS = 400
-"""Blocks of a recording at whose edges a contact may begin and end."""
+"""Blocks of a motion at whose edges a contact may begin and end."""
 DOUBLINGS = 5
 """Lengths of windows, each twice the one before."""
 MAX_SHARE = 0.5
-"""Length of the longest window over that of its recording [1], the bound of its prior: the joint
+"""Length of the longest window over that of its motion [1], the bound of its prior: the joint
 model without the contact is known from the rest, which is not to be the smaller part."""
 MAX_WINDOWS = 2
 """Windows in which a contact is proposed."""
@@ -43,7 +43,8 @@ def contacts(fitted: JointModel) -> list[CandidateModel]:
     windows = [
         (gain, number, window)
         for number, force in enumerate(forces)
-        for gain, window in zip(force.gains(force.grid()).tolist(), force.grid(), strict=True)
+        for grid in (force.grid(),)
+        for gain, window in zip(force.gains(grid).tolist(), grid, strict=True)
     ]
     chosen: list[tuple[int, IntArray]] = []
     for _, number, window in sorted(windows, key=lambda entry: -entry[0]):
@@ -58,7 +59,7 @@ def contacts(fitted: JointModel) -> list[CandidateModel]:
     for number, window in chosen:
         motion, force = fitted.motions[number], forces[number]
         low, high = motion.time[force.edges[force.refined(window)] - (0, 1)].tolist()
-        out += contact.pushes(motion, low, high, count)
+        out += contact.contact_models(motion, low, high, count)
     return out
 
 

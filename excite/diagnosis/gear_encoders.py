@@ -195,6 +195,8 @@ def _estimate(
         np.concatenate([r.lag - r.lag.mean() for r in held_out]),
         [_columns(r, load, speed) for r in held_out],
     )
+    if not lag.any():  # a copy of the motor's encoder
+        return None
     centred, gear = np.concatenate([c - c.mean(axis=0) for c in columns]), [0, 1]
     estimates = [(float(value), float(error)) for value, error in zip(x, std, strict=True)]
     return GearEstimate(

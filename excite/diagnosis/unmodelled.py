@@ -150,9 +150,10 @@ def repeated_share(products: FloatArray, square: float, steps: float) -> tuple[f
         square: Mean square residual.
         steps: RMS of the errors by encoder quantisation, which repeat as well.
     """
-    blocks = np.array([part.mean() for part in np.array_split(products, ERROR_BLOCKS)])
+    count = min(ERROR_BLOCKS, len(products))
+    blocks = np.array([part.mean() for part in np.array_split(products, count)])
     power = float(blocks.mean()) - steps**2
-    std = max(float(blocks.std() / np.sqrt(ERROR_BLOCKS)), 1e-300)
+    std = max(float(blocks.std() / np.sqrt(count)), 1e-300)
     return power / max(square, 1e-300), power / std
 
 

@@ -12,23 +12,22 @@ from ..identification.lowpass import Grid
 from .effect import CandidateModel, Effect, NonlinearParameter, no_candidates
 from .recorded_motion import RecordedMotion
 
-COURSES = ((1.0, 0.0, 0.0), (1.348, 1.0, 0.0), (1.0, 0.0, 8.0))
+COURSES = ((1.0, 0.0, 0.0), (1.348, 1.0, 0.0), (1.6, 0.0, 8.0))
 """Time courses of the force that are tried, each (stretch, swells, knots).
 
 Length of the interval over that of the constant force that explains most of it [1]: for half a sine
-that which maximises (∫ sin)²/length; 1 if the force rises and falls as half a sine, 0 if it is
-constant; number of knots of a piecewise linear course, 0 for the other two.
+that which maximises (∫ sin)²/length, for a piecewise linear course with room to rise and fall; 1 if
+the force rises and falls as half a sine, 0 if it is constant; number of knots of a piecewise linear
+course, 0 for the other two.
 """
 END_FACTOR = 1.5
 """Largest factor by which a search for one end changes the length of an interval [1]."""
-KNOT_EXTENSION = 0.3
-"""Extension of a piecewise linear course before and after the interval, over its length."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Return the torque −Jᵀ f of a force f on a link's centre of mass during an interval.
 
-    The force is in the base frame; one column per basis function and component. Shape (C, n, 3 k).
+    The force is in the base frame; one column per basis function and component. Shape (N, n, 3 k).
     """
     course = _course(motion, model)
     torque = -np.einsum("tk,txj->tjkx", course, motion.link_jacobians[:, model.joint_index])
@@ -46,8 +45,7 @@ def _course(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     if not model.values["knots"]:
         return np.where(inside, np.sin(np.pi * u) if model.values["swells"] else 1.0, 0.0)[:, None]
     count = int(model.values["knots"])
-    u = (u + KNOT_EXTENSION) / (1.0 + 2.0 * KNOT_EXTENSION) * (count + 1.0)
-    hats = np.maximum(1.0 - np.abs(u[:, None] - np.arange(1, count + 1)), 0.0)
+    hats = np.maximum(1.0 - np.abs((count + 1.0) * u[:, None] - np.arange(1, count + 1)), 0.0)
     return hats * (motion.segment.source == model.source)
 
 
@@ -70,7 +68,7 @@ def unit_forces(motion: RecordedMotion) -> FloatArray:
     return low.reshape(len(motion), *torque.shape[1:])
 
 
-def pushes(
+def contact_models(
     motion: RecordedMotion, low: float, high: float, alternatives: float
 ) -> Iterator[CandidateModel]:
     """Yield forces on every link, about an interval in which a constant force explains most.

@@ -38,30 +38,36 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         UnusableInput: If the friction depends on a temperature that was not recorded.
     """
     values, j = model.values, model.joint_index
-    if "reference" in values:
-        warming = motion.temperature[:, j] - values["reference"]
-        if not np.isfinite(warming).all():
-            joint = motion.fitted_robot.robot.joints[j]
-            raise UnusableInput(
-                f"{motion.segment.source}: the friction of joint '{joint}' depends on its "
-                f"temperature, but there is no column temp.{joint}; record it"
-            )
-    elif "power" in values:
-        warming = warming_by_losses(motion, model)
-    else:
-        warming = 1.0 - np.exp(-_run_time(motion, values) / values["time_constant"])
     friction = values["coulomb"] * motion.sign(j) + values["viscous"] * motion.samples.dq[:, j]
-    return single_joint_columns(motion, j, warming * friction)
+    return single_joint_columns(motion, j, _warming(motion, model) * friction)
+
+
+def _warming(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Return the change of friction per coefficient, over friction; shape (M,)."""
+    values, j = model.values, model.joint_index
+    if "power" in values:
+        return warming_by_losses(motion, model)
+    if "reference" not in values:
+        return np.asarray(1.0 - np.exp(-_run_time(motion, values) / values["time_constant"]))
+    warming = motion.temperature[:, j] - values["reference"]
+    if not np.isfinite(warming).all():
+        joint = motion.fitted_robot.robot.joints[j]
+        raise UnusableInput(
+            f"{motion.segment.source}: the friction of joint '{joint}' depends on its "
+            f"temperature, but there is no column temp.{joint}; record it"
+        )
+    return warming
 
 
 def _run_time(motion: RecordedMotion, values: Mapping[str, float]) -> FloatArray:
     """Return the time since the joint was cold [s], shape (M,).
 
-    That is the start of the recording, or an "origin" by the clock of all recordings.
+    That is the start of the recording, or an "origin" by the clock of all recordings. A recording
+    from before it has another clock.
     """
-    if "origin" not in values:
+    if "origin" not in values or motion.times[0] < values["origin"]:
         return motion.run_time
-    return np.maximum(motion.times - values["origin"], 0.0)
+    return motion.times - values["origin"]
 
 
 def warming_by_losses(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -142,8 +148,6 @@ def _by_time(
         values = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous, **origin} | (
             {"power": power} if by_losses else {}
         )
-        largest = 1.0 - np.exp(-length / constant)
-        mean = 1.0 - largest * constant / length
         candidate = CandidateModel(
             "thermal_drift",
             j,
@@ -154,9 +158,8 @@ def _by_time(
             if by_losses
             else "friction changes with run time",
         )
-        if by_losses:
-            warming = np.concatenate([warming_by_losses(motion, candidate) for motion in motions])
-            largest, mean = float(warming.max()), float(warming.mean())
+        warming = np.concatenate([_warming(motion, candidate) for motion in motions])
+        largest, mean = float(warming.max()), float(warming.mean())
         # the base fit has the mean of the friction, which must never become negative, nor start
         # at a large multiple
         return replace(

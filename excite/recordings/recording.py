@@ -16,7 +16,7 @@ from . import encoder_resolution
 from .block import QUANTITIES
 from .remark import Remark
 from .sidecar import Sidecar
-from .time_axis import gap_free_slices
+from .time_axis import gap_free_slices, mean_step
 
 DEFAULT_CUTOFF_HZ = 20.0
 """Cutoff frequency of `Recording.samples` [Hz]."""
@@ -85,7 +85,7 @@ class Recording:
     @property
     def step(self) -> float:
         """Time between rows [s]."""
-        return float(np.median(np.diff(self.t)))
+        return mean_step(self.t)
 
     @functools.cached_property
     def quantization_noise(self) -> FloatArray:

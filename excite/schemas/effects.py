@@ -261,6 +261,8 @@ def _check_values(values: Values, form: EffectForm) -> None:
             raise ValueError(f"values.{key}: {shown(value)} should be {accepted[key]}")
         if key in INTEGERS and value != round(value):
             raise ValueError(f"values.{key}: {shown(value)} should be a whole number")
+    if ("low" in values) != ("high" in values):
+        raise ValueError("values: low and high go together")
     if "low" in values and not values["low"] < values["high"]:
         raise ValueError(f"values.low: {values['low']:g} should be below high, {values['high']:g}")
     if "count" in values and int(values["count"]) not in (4, 10):

@@ -11,6 +11,9 @@ import numpy as np
 
 from .._types import FloatArray
 
+BLOCK_SECONDS = 1.0
+"""Length of a block [s], longer than the correlation time of a servo's noise."""
+
 
 def sandwiched(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
     """Return least-squares coefficients and their sandwich covariance A⁻¹ Σ s sᵀ A⁻¹.

@@ -45,7 +45,7 @@ class TorqueBudget:
 
 def torque_budget(
     identified: Identification,
-    motions: Sequence[RecordedMotion],
+    motions: Sequence[Sequence[RecordedMotion]],
     final: FinalModel,
     effects: Sequence[EffectEstimate],
     held_out: HeldOutErrors,
@@ -54,13 +54,14 @@ def torque_budget(
 
     Args:
         identified: The base model without effects.
-        motions: The fitted motions, with that base model.
+        motions: The fitted motions and the held-out ones, with that base model.
         final: The saved model.
         effects: Estimates of all effects.
         held_out: Held-out errors.
     """
-    gamma = np.concatenate([motion.gamma for motion in held_out.motions])
-    absorbed = final_model.absorbed_parameters(final, identified, motions)
+    fitted, held_out_motions = motions
+    gamma = np.concatenate([motion.gamma for motion in held_out_motions])
+    absorbed = final_model.absorbed_parameters(final, identified, fitted)
     torques = final_model.effect_torques(final, held_out.motions)
     moving = held_out.moving
     power = np.sum(np.where(moving, held_out.base, 0.0) ** 2, axis=0)

@@ -237,7 +237,7 @@ def diagnose(
         rms(residual, model.regression.moving),
         tuple(remaining),
         held_out,
-        budget.torque_budget(identified, halves[0], final, effects, held_out),
+        budget.torque_budget(identified, halves, final, effects, held_out),
         document,
         tuple(_changes(final, held_out)),
         gear_encoders.gears(halves, (train, validate)),
@@ -301,10 +301,14 @@ def _held_out_errors(
     torque = np.concatenate([motion.torque for motion in motions])
     moving = np.concatenate([motion.moving for motion in motions])
     saved = model_check.read_back(document)
-    residual = np.where(moving, model_check.residuals(saved, validate, motions), 0.0)
-    base = np.where(moving, base, 0.0)
+    residual = model_check.residuals(saved, validate, motions)
+    present = final_model.renewed(final, motions)
+    predicted = recorded_motion.split_by_motion(torque - residual, present)
+    for motion, part in zip(present, predicted, strict=True):
+        motion.cache["measured_torque"] = motion.at_samples(part)
+    residual, base = np.where(moving, residual, 0.0), np.where(moving, base, 0.0)
     return HeldOutErrors(
-        tuple(final_model.renewed(final, motions)),
+        tuple(present),
         torque,
         base,
         residual,

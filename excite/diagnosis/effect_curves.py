@@ -9,7 +9,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .estimates import EffectEstimate
-from .joint_model import JointModel
+from .joint_model import JointModel, transient_rows
 from .motion_rows import MIN_BIN_ROWS, MotionRows
 
 BINS = 40
@@ -67,8 +67,8 @@ _ABSCISSAS: Mapping[str, _Abscissa] = {
         along=True,
         logarithmic=True,
     ),
-    "run time": _Abscissa("time", "s", lambda rows, j: rows.clock, along=True),
-    "time": _Abscissa("time", "s", lambda rows, j: rows.clock),
+    "run time": _Abscissa("time", "s", lambda rows, j: rows.run_time, along=True),
+    "time": _Abscissa("time", "s", lambda rows, j: rows.time),
 }
 
 
@@ -92,9 +92,13 @@ def effect_curve(
         if columns is not None and j in columns.joints:
             torque += columns.values[columns.joints.index(j)] @ coefficients
     x = abscissa.values(rows, j)
+    if "origin" in estimate.models[0].values:
+        x = rows.time - estimate.models[0].values["origin"]
     along = abscissa.along or estimate.effect in DISSIPATIVE_EFFECTS
     sign = rows.direction(j) if along else np.ones(len(rows))
     shown = rows.moving[:, j] & (sign != 0.0)
+    if estimate.models[0].interval is not None:
+        shown &= transient_rows(estimate.models, model.motions)
     x, y = x[shown], (torque * sign)[shown]
     if not len(x) or np.ptp(x) <= 0.0:
         return None

@@ -18,8 +18,7 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion
 from ..recordings import Recording
-from .blocks import sandwiched
-from .motion_rows import BLOCK, block_starts
+from .blocks import BLOCK_SECONDS, sandwiched
 
 SIGN_WIDTH_RATIO = 0.03
 """Width of the smooth sign of torque and speed over their largest value: manufacturers state a
@@ -142,9 +141,8 @@ def _rows(motion: RecordedMotion, recording: Recording, joint: int) -> _GearRows
     ).T
     rotor_inertia = motion.fitted_robot.actuator_parameter("rotor_inertia")[joint]
     load = motion.torque[:, joint] - rotor_inertia * acceleration
-    block = np.searchsorted(
-        block_starts(motion.time - motion.time[0], BLOCK), np.arange(len(motion)), side="right"
-    )
+    clock = (motion.time - motion.time[0]) / BLOCK_SECONDS
+    block = np.minimum(clock.astype(int), max(round(clock[-1]), 1) - 1)  # the last with a remainder
     return _GearRows(lag[moving], load[moving], speed[moving], position[moving], block[moving])
 
 

@@ -342,10 +342,7 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
     total = model.known + regression.torque - regression.residual()
     total = total - regression.torque_along(of_filter)
     parts = recorded_motion.split_by_motion(total, model.motions)
-    return [
-        np.column_stack([np.interp(m.times, m.time, x) for x in part.T])
-        for m, part in zip(model.motions, parts, strict=True)
-    ]
+    return [m.at_samples(part) for m, part in zip(model.motions, parts, strict=True)]
 
 
 def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateModel:

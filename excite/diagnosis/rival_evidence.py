@@ -64,12 +64,15 @@ def rivals_of(diagnosis: Diagnosis, estimate: EffectEstimate) -> tuple[str, ...]
     """Return the effects that may stand in the place of a finding.
 
     They are its equivalents, and those with which it is often confused and which the model does not
-    have at the joint anyway.
+    have at the joint anyway. An effect of no single joint, as a delay of the clock, is not confused
+    with one of a joint.
 
     Args:
         diagnosis: The diagnosis.
         estimate: A finding of it.
     """
+    if estimate.joint is None:
+        return estimate.equivalents
     present = {e.effect for e in diagnosis.effects if e.needed and e.joint == estimate.joint}
     confusable = (
         name

@@ -244,6 +244,7 @@ class _Search:
         for key, candidate in shapes.items():
             scores[key] += max(candidate.evidence - rankings[key].best.evidence, 0.0)
         best: _Addition | None = None
+        highest = -np.inf
         for key in sorted(shapes, key=lambda key: -scores[key]):
             if self._tries(key) >= MAX_REJECTIONS:
                 continue
@@ -254,10 +255,10 @@ class _Search:
                 addition = addition or self._tried(key, tuned(self.model, form).model, form)
             if addition is None:
                 self._rejected.add(key)
-            elif (
-                best is None or addition.evidence.log_bayes_factor > best.evidence.log_bayes_factor
-            ):
-                best = addition
+            else:
+                factor = addition.evidence.log_bayes_factor - np.log(rankings[key].count)
+                if factor > highest:
+                    best, highest = addition, factor
         return best
 
     def _tries(self, key: Key) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import RecordedMotion
-from .blocks import sandwiched
+from .blocks import BLOCK_SECONDS, sandwiched
 
 KINDS = ("coulomb", "viscous", "offset")
 """Actuator parameters that may change, in the order of `SessionChange.change`."""
@@ -26,8 +26,6 @@ RELATIVE_CHANGE = 0.5
 """Prior standard deviation of a change over friction itself."""
 MIN_FRICTION_SHARE = 0.01
 """Smallest friction that is assumed, over the joint's largest torque."""
-BLOCK_SECONDS = 1.0
-"""Length of the blocks between which standard errors are estimated [s]."""
 WALD_THRESHOLD = 20.0
 """Wald statistic from which a change is significant; with three degrees of freedom chance exceeds
 it twice in ten thousand times."""

@@ -30,13 +30,11 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     Where the model is "whole", the link itself is moved too.
     """
     robot, columns, samples = motion.fitted_robot.robot, [], motion.coarse_samples
-    is_angle, joint = model.values["angle"] > 0.0, model.joint_index
+    is_angle, body = model.values["angle"] > 0.0, robot.body_of(model.joint_index)
     pinocchio_model = motion.fitted_robot.model
     Q = robot.expand(samples.q)
     V, A = samples.dq @ robot.spread.T, samples.ddq @ robot.spread.T
-    children = [
-        i for i in range(1, pinocchio_model.njoints) if pinocchio_model.parents[i] == joint + 1
-    ]
+    children = [i for i in range(1, pinocchio_model.njoints) if pinocchio_model.parents[i] == body]
     for axis in range(3):
         moved = pinocchio_model.copy()
         twist = np.zeros(6)
@@ -45,7 +43,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         for i in children:
             moved.jointPlacements[i] = change * moved.jointPlacements[i]
         if model.values["whole"]:
-            moved.inertias[joint + 1] = change.act(moved.inertias[joint + 1])
+            moved.inertias[body] = change.act(moved.inertias[body])
         data = moved.createData()
         torque = (
             np.array([pin.rnea(moved, data, *state) for state in zip(Q, V, A, strict=True)])
@@ -66,7 +64,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     def norm(name: str) -> Callable[[FloatArray], dict[str, float]]:
         return lambda c: {name: float(np.linalg.norm(c))}
 
-    for j in range(min(motions[0].n, motions[0].fitted_robot.model.njoints - 1)):
+    for j in range(motions[0].n):
         for is_angle, name in ((1.0, "angle"), (0.0, "length")):
             for moves_link in (0.0, 1.0):
                 yield CandidateModel(

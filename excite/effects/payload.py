@@ -52,11 +52,12 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             "com_z": float(centre[2]),
         }
 
+    spread = motions[0].fitted_robot.robot.spread
     for link in range(len(motions[0].fitted_robot.parameters.links)):
         for count in (4, 10):
             yield CandidateModel(
                 "payload",
-                min(link, motions[0].n - 1),
+                int(np.flatnonzero(spread[link])[0]),
                 _columns,
                 {"link": float(link), "count": float(count)},
                 parameters=parameters,

@@ -288,6 +288,10 @@ class RecordedMotion:
         source = Grid.RECORDED if self.grid is Grid.RECORDED else of
         return self.band.filter(x, self.grid, source=source)[self.kept]
 
+    def at_samples(self, rows: FloatArray) -> FloatArray:
+        """Interpolate from the kept rows to every sample: (N, k) -> (M, k)."""
+        return np.column_stack([np.interp(self.times, self.time, x) for x in rows.T])
+
     def upsample(self, x: FloatArray) -> FloatArray:
         """Interpolate from the coarse grid to every sample: (C, k) -> (M, k)."""
         t = np.arange(len(x)) / self.band.rate_of(Grid.COARSE)
@@ -412,7 +416,7 @@ class RecordedMotion:
         """Jacobians of the links' centres of mass in the base frame, shape (C, n links, 3, n)."""
         robot, model = self.fitted_robot.robot, self.fitted_robot.model
         data = model.createData()
-        joints = [int(np.flatnonzero(column)[0]) + 1 for column in robot.spread.T]
+        joints = [robot.body_of(joint) for joint in range(robot.n)]
         # column v of the Jacobian of joint i is zero unless the joint of v carries joint i
         carries = np.zeros((robot.n, model.nv))
         for k, joint in enumerate(joints):

@@ -112,6 +112,14 @@ class Robot:
             )
         return self.joints.index(joint)
 
+    def body_of(self, joint: int) -> int:
+        """Return the number in the Pinocchio model of the first body that a joint moves.
+
+        Args:
+            joint: Index of the joint; mimic joints have none.
+        """
+        return int(np.flatnonzero(self.spread[:, joint])[0]) + 1
+
     def expand(self, q: FloatArray) -> FloatArray:
         """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or
         m]."""

@@ -781,3 +781,11 @@ def test_every_candidate_model_of_the_catalogue_fits_its_schema(effect, tracks, 
             with pytest.raises(UnusableInput, match="coefficients: "):
                 file.converted(entry, EffectDocument)
     assert forms
+
+
+def test_one_bound_of_a_range_is_refused():
+    entry = {"effect": "position_friction", "joint": "joint_1", "from": None, "coefficients": [0.1]}
+    values = {"order": 1.0, "waves": 1.0, "low": 0.0}
+    file = DocumentFile(Path("model.json"), "a model", "diagnose again", "a model.json")
+    with pytest.raises(UnusableInput, match="high"):
+        file.converted({**entry, "values": values, "time": None, "recording": None}, EffectDocument)

@@ -241,6 +241,13 @@ def test_uneven_stamps_of_even_rows_are_evened(two_link, tmp_path, damage, lost)
     assert np.abs(error).max() < 1e-3  # a common offset of the clock
 
 
+def test_rate_of_unix_time_stamps_is_exact(two_link, tmp_path, damage):
+    """Neighbouring stamps differ by multiples of 0.24 µs."""
+    damage.columns["t"] = 1.7e9 + 1e-3 * np.arange(400)
+    recording, _ = damage.read(tmp_path, two_link)
+    assert recording.rate == pytest.approx(1000.0, rel=1e-5)
+
+
 def test_noise_of_positions_does_not_even_stamps(two_link, tmp_path, damage):
     """Positions do not tell which times are right; the stamps are kept."""
     generator = np.random.default_rng(1)

@@ -135,6 +135,12 @@ def test_mimic_joints_are_no_joints_of_the_robot():
     assert set(robot.joints) == {"j0", "j1", "j4"}
 
 
+def test_body_of_a_joint_is_its_own_where_others_are_mimics():
+    robot = loaded(random_urdf(np.random.default_rng(0), 5, mimics=MIMICS))
+    bodies = [robot.model.names[robot.body_of(j)] for j in range(robot.n)]
+    assert bodies == list(robot.joints)
+
+
 def test_locking_the_master_locks_its_mimic_where_it_belongs():
     text = random_urdf(np.random.default_rng(0), 3, mimics={2: (0, 0.5, 0.1)}, tree=False)
     robot, motion = loaded(text, lock={"j0": 0.8}), states(1)

@@ -54,3 +54,11 @@ def test_what_one_joint_cannot_predict_hides_no_effect_of_another():
     assert ("thermal_drift", 1) in findings
     # one thing at a joint
     assert {("drag", 0), ("nonlinear_viscous", 0)} & set(findings)
+
+
+def test_cutoff_frequency_is_one_that_the_slowest_recording_permits():
+    whole = recording(random_fourier(2, 3), 3)
+    coarse = dataclasses.replace(
+        whole, t=whole.t[::8], q=whole.q[::8], tau=whole.torque[::8], row_times=whole.t[::8]
+    )
+    assert diagnose([whole, coarse]).hertz <= 0.4 * coarse.rate

@@ -1,4 +1,4 @@
-"""Fitted effects: torque along a motion, removal from recordings, and entries of `model.json`."""
+"""Fitted effects: torque along a motion, entries of `model.json`, and prediction by such a file."""
 
 from __future__ import annotations
 

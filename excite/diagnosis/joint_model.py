@@ -5,9 +5,11 @@ at once. All of it is fitted jointly with the base model, before anything is jud
 
 1. columns of the frictions at every joint (`dense_models`), with nonnegative coefficients;
 2. weights of the rows from the residual and its autocorrelation;
-3. the delay, whose coefficient on the slope of the torque moves into the torque's time stamps;
+3. the delay, whose coefficient on the slope of the torque moves into the torque's time stamps, and
+   the filter that the torque has passed, which is undone;
 4. the spatial frequencies of torque ripple, from the residual of all that;
-5. physically consistent base parameters, and with them the load of every joint; again from 1.
+5. widths of Coulomb friction, physically consistent base parameters, and with them the load of
+   every joint; again from 1.
 """
 
 from __future__ import annotations

@@ -46,7 +46,8 @@ class EffectEvidence:
         name: Name of the effect.
         joint: Index of the joint; None for an effect of no single joint.
         log_bayes_factor: Of the model with it over the model without.
-        severity: Growth of the RMS residual of each joint without it [N m], shape (n,).
+        severity: RMS torque by which the residual of each joint grows without it, √(r² − r₀²) with
+            the RMS residuals r without it and r₀ with it [N m], shape (n,).
         size: The largest of them over the residual of its joint [1]; of an effect that acts for
             some of the time, of the rows in which it acts.
     """

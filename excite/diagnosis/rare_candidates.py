@@ -56,7 +56,7 @@ class Candidate:
 
     @property
     def _occam(self) -> float:
-        """Logarithm of the share of the prior volume that the data leave."""
+        """Log Occam factor: prior volume over what the data leave of it, times its alternatives."""
         scaled = self.fit.information * np.outer(self.prior_std, self.prior_std)
         return 0.5 * float(np.linalg.slogdet(scaled)[1]) + float(np.log(self.model.alternatives))
 

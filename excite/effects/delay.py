@@ -35,8 +35,7 @@ MIN_LEAD_DWELL = 0.3
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Change of the torque by a delay, per second.
 
-    −τ̇ for a small delay; else (τ(t − d) − τ)/d, or the same for a first-order lag. The torque is
-    the measured one, for which that of the joint model stands, or the base model's.
+    −τ̇ for a small delay; else (τ(t − d) − τ)/d, or the same for a first-order lag.
     """
     seconds = model.values.get("seconds", 0.0)
     joints = slice(None) if model.joint is None else [model.joint]

@@ -318,7 +318,10 @@ class RecordedMotion:
 
     @memoized
     def motor_torque(self) -> FloatArray:
-        """Torque of the base model with actuators, at every sample [N m], shape (M, n)."""
+        """Torque of the base model with actuators, at every sample [N m], shape (M, n).
+
+        A joint model that is fitted to the motion puts its torque in the place of this one.
+        """
         s, parameter = self.samples, self.fitted_robot.actuator_parameter
         friction = parameter("viscous") * s.dq + parameter("coulomb") * np.tanh(s.dq / self.widths)
         return (
@@ -330,7 +333,10 @@ class RecordedMotion:
 
     @memoized
     def measured_torque(self) -> FloatArray:
-        """Measured torque, low-passed, at every sample, with its noise [N m], shape (M, n)."""
+        """Measured torque, low-passed, at every sample [N m], shape (M, n).
+
+        The noiseless torque of a joint model that is fitted to the motion takes its place.
+        """
         return self.band.filter(self.segment.torque, Grid.RECORDED)
 
     def _inverse_dynamics(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> FloatArray:

@@ -64,7 +64,6 @@ ALLOWED: dict[str, dict[str, str]] = {
     "scripts/concealed_trial/score.py": {"outsider": "key of excite.truth/1"},
     "tests/test_concealed_trial.py": {"outsider": "key of excite.truth/1"},
     "excite/recordings/remark.py": {"waver": "value of a remark's kind in --json documents"},
-    "excite/diagnosis/diagnosis_file.py": {"foreseen": "key of the diagnosis document"},
 }
 """Path prefix -> {term: reason}: places in which a banned term is right; "*" allows all terms."""
 

@@ -385,7 +385,6 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
             f"{by} predicts {percent(entry.share)} of the residual",
             "regime": entry.regime,
             "frequency_hz": entry.frequency,
-            "foreseen": entry.share,
             "response": {
                 "over": over,
                 "relative": response.relative,

@@ -232,14 +232,10 @@ def effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list
         final: The model.
         motions: Motions with the saved base model.
     """
-    out = []
-    for effect in final.effects:
-        columns = np.concatenate([effect.shape.columns(motion) for motion in motions])
-        out.append(np.asarray(columns @ effect.coefficients))
-    for effect in final.saved_effects[len(final.effects) :]:
-        columns = np.concatenate([effect.shape.columns(motion) for motion in motions])
-        out.append(np.asarray(columns @ effect.coefficients))
-    return out
+    return [
+        np.concatenate([effect.shape.columns(motion) @ effect.coefficients for motion in motions])
+        for effect in final.saved_effects
+    ]
 
 
 def absorbed_parameters(

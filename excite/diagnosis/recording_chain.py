@@ -26,7 +26,7 @@ from ..identification.lowpass import Grid
 from ..schemas.effects import FILTER_COEFFICIENTS
 from .regression import FIXED_STD
 
-MAX_DELAY_STEP = 0.01
+DELAY_STD = 0.01
 """Prior standard deviation of the delay [s]."""
 MIN_DELAY = 1e-5
 """Delay below which there is none [s]."""
@@ -105,7 +105,7 @@ def prior_std(joints: int, hertz: float) -> FloatArray:
     of_filter = (hertz / FILTER_HERTZ) ** np.arange(2.0, 5.0)
     if joints == 1:
         of_filter = np.full(len(of_filter), FIXED_STD)
-    return np.array([MAX_DELAY_STEP, *of_filter])
+    return np.array([DELAY_STD, *of_filter])
 
 
 def low_pass(coefficients: FloatArray, information: FloatArray) -> FloatArray:

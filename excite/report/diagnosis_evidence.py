@@ -87,8 +87,7 @@ def _error_table(diagnosis: Diagnosis, budgets: Sequence[JointBudget]) -> Table:
     """Held-out errors of each joint with the base model and with the saved model."""
     held_out = diagnosis.held_out
     rows: list[Sequence[str | TableCell]] = []
-    sizes = np.sqrt(np.mean(held_out.torque**2, axis=0, where=held_out.moving))
-    for budget, size, moving in zip(budgets, sizes, held_out.moving.mean(axis=0), strict=True):
+    for budget, moving in zip(budgets, held_out.moving.mean(axis=0), strict=True):
         tone = "bad" if budget.is_worse else "good" if budget.is_improved else ""
         rows.append(
             (
@@ -98,7 +97,10 @@ def _error_table(diagnosis: Diagnosis, budgets: Sequence[JointBudget]) -> Table:
                 TableCell(significant(budget.after, 3), tone=tone, bold=bool(tone)),
                 significant(budget.floor, 3),
                 significant(budget.noise_ratio),
-                *(percent(value / max(size, 1e-300)) for value in (budget.before, budget.after)),
+                *(
+                    percent(value / max(budget.torque, 1e-300))
+                    for value in (budget.before, budget.after)
+                ),
                 percent(moving),
             )
         )

@@ -85,7 +85,7 @@ def test_the_parameters_of_a_hidden_effect_are_estimated(name):
         HIDDEN,
         {
             "thermal_drift": "1.45 noise floors",
-            "torque_limit": "2.2 noise floors",
+            "torque_limit": "1.8 noise floors",
             "elasticity": "2.5 noise floors",
             "dragging_contact": "1.42 noise floors: half a sine stands for another course",
         },

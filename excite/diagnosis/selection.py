@@ -251,8 +251,10 @@ class _Search:
             if best is not None and scores[key] < scores[best.key] - TIE:
                 break
             addition = self._tried(key, shapes[key].model, rankings[key])
-            for form in rankings[key].other_forms(shapes[key]) if addition is None else ():
-                addition = addition or self._tried(key, tuned(self.model, form).model, form)
+            for form in rankings[key].other_forms(shapes[key]):
+                if addition is not None:
+                    break
+                addition = self._tried(key, tuned(self.model, form).model, form)
             if addition is None:
                 self._rejected.add(key)
             else:
@@ -286,9 +288,9 @@ class _Search:
             reduced = extended.keeping(others)
             again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
             plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
-            if plausible:
-                shape = tuned(reduced, Ranking(plausible, ranking.count)).model
-                extended = self._fit((*self._shapes, shape))
+            better = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
+            if better.values != shape.values:
+                shape, extended = better, self._fit((*self._shapes, better))
         return self._judged(key, extended, shape)
 
     def _judged(self, key: Key, extended: JointModel, shape: CandidateModel) -> _Addition | None:

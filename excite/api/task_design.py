@@ -24,6 +24,8 @@ from ..robot.samples import Samples
 from ..trajectory import trajectory_file
 from .identification_result import REFERENCE_RATE
 
+MIN_TRAVEL = 1e-6
+"""Range from which a joint moves, more than the rounding errors of a filter [rad or m]."""
 MAX_TASK_SAMPLES = 4000
 """Samples of a task beyond which it is thinned out evenly [1]; the band is an average over them."""
 
@@ -102,7 +104,7 @@ def read_task(path: Path, robot: Robot, limits: Limits, options: DesignOptions) 
     samples = samples.rows(
         np.linspace(0, len(samples) - 1, min(len(samples), MAX_TASK_SAMPLES)).round().astype(int)
     )
-    if not np.ptp(samples.q, axis=0).any():
+    if np.ptp(samples.q, axis=0).max() < MIN_TRAVEL:
         raise UnusableInput(f"{path}: no joint moves; record the task that the model is for")
     standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     noise = torque_noise_levels(limits, options.noise)

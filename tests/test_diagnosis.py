@@ -250,7 +250,6 @@ def test_the_catalogue_has_the_effects_of_the_contract():
     assert len(effects.EFFECTS) == len(EFFECT_NAMES)
     for effect in effects.EFFECTS:
         assert effect.units and effect.signature and effect.experiment and effect.equation
-        assert set(effect.similar) <= set(EFFECT_NAMES)
 
 
 def test_options_select_the_effects():

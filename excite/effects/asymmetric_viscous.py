@@ -47,7 +47,6 @@ ASYMMETRIC_VISCOUS = Effect(
     _candidates,
     {"positive": "N m s/rad", "negative": "N m s/rad"},
     "torque against speed has another slope in each direction",
-    ("thermal_drift", "drag"),
     "constant speeds in both directions, several of them",
     form_std={"positive": 0.09, "negative": 0.09},
 )

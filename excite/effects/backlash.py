@@ -82,7 +82,6 @@ BACKLASH = Effect(
     _candidates,
     {"width": "rad"},
     "a kick where the load changes sign",
-    ("hysteresis", "elasticity"),
     "slow reversals through zero load",
     form_std={"width": 0.47},
 )

@@ -235,7 +235,6 @@ BASE_COMPLIANCE = Effect(
     _candidates,
     {"frequency": "Hz"},
     "the same resonance in all joints",
-    ("elasticity", "backlash"),
     "a chirp of joint 1 with the arm stretched",
     form_std={"frequency": 0.2},
 )

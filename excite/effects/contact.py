@@ -123,7 +123,6 @@ CONTACT = Effect(
     no_candidates,
     {"force": "N"},
     "for some of the time only, in the joints before the contact",
-    (),
     "the same motion without anything near the robot",
     form_std={"force": 0.1},
     of_link=True,

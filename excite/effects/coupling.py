@@ -96,7 +96,6 @@ COUPLING = Effect(
     _candidates,
     {"viscous": "N m s/rad", "coulomb": "N m", "inertia": "kg m²"},
     "torque where only the other joint moves",
-    ("load_friction",),
     "each joint singly, then together",
     form_std={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1},
 )

@@ -196,7 +196,6 @@ DELAY = Effect(
     _candidates,
     {"seconds": "s"},
     "residual like the slope of torque",
-    ("hysteresis", "elasticity", "stribeck"),
     "fast, jerky motion",
     form_std={"seconds": 0.1},
     predicted_torque=_predicted_torque,

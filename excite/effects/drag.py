@@ -37,7 +37,6 @@ DRAG = Effect(
     _candidates,
     {"coefficient": "N m s²/rad²"},
     "resistance grows with the square of speed",
-    ("nonlinear_viscous",),
     "very fast motion",
 )
 """Air or fluid drag, churning losses of a gear's oil."""

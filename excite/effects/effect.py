@@ -209,8 +209,7 @@ class Effect:
             `no_candidates` for an effect that is part of the joint model or sought in its residual.
         units: Units of the reported parameters.
         signature: Description of the residual that the effect causes.
-        similar: Names of effects that this one may be confused with.
-        experiment: Experiment that would tell them apart.
+        experiment: Experiment that shows it apart from others.
         prior_only: Whether a refit of the base model absorbs the effect, so that it can be found
             only with a trusted prior.
         form_std: Relative standard deviation of the parameters where the robot's effect has not
@@ -226,7 +225,6 @@ class Effect:
     candidates: Callable[[Sequence[RecordedMotion]], Iterator[CandidateModel]]
     units: Mapping[str, str]
     signature: str
-    similar: tuple[str, ...]
     experiment: str
     prior_only: bool = False
     form_std: Mapping[str, float] = field(default_factory=dict)

@@ -147,7 +147,6 @@ ELASTICITY = Effect(
     _candidates,
     {"stiffness": "N m/rad"},
     "residual like the second derivative of the load",
-    ("delay", "base_compliance"),
     "fast motion at several poses",
     form_std={"stiffness": 0.14},
 )

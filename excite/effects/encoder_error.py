@@ -109,7 +109,6 @@ ENCODER_ERROR = Effect(
     _candidates,
     {"amplitude": "rad", "order": "1/turn"},
     "once or a few times a turn, growing with the square of speed",
-    ("torque_ripple",),
     "constant speeds, slow and fast, over a turn",
     form_std={"amplitude": 0.4, "order": 0.4},
 )

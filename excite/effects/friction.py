@@ -49,7 +49,6 @@ FRICTION = Effect(
     _candidates,
     {"coulomb": "N m", "viscous": "N m s/rad"},
     "torque against the motion",
-    ("stribeck",),
     "any motion in both directions",
     prior_only=True,
     form_std={"coulomb": 0.04, "viscous": 0.04},

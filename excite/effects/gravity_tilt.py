@@ -71,7 +71,6 @@ GRAVITY_TILT = Effect(
     _candidates,
     {"roll": "rad", "pitch": "rad"},
     "joint 1 of an upright arm feels gravity",
-    ("spring",),
     "joint 1 a full turn, arm stretched",
     prior_only=True,
     form_std={"roll": 0.05, "pitch": 0.05},

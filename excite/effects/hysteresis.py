@@ -121,7 +121,6 @@ HYSTERESIS = Effect(
     no_candidates,
     {"amplitude": "N m", "stiffness": "N m/rad"},
     "friction takes some way to build up after a reversal",
-    ("delay", "backlash", "stribeck"),
     "strokes of many small amplitudes",
     form_std={"amplitude": 0.1, "stiffness": 0.4},
 )

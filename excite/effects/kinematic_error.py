@@ -84,7 +84,6 @@ KINEMATIC_ERROR = Effect(
     _candidates,
     {"angle": "rad", "length": "m"},
     "small cross terms of gravity and inertia",
-    ("payload",),
     "poses, and an external measurement of them",
     prior_only=True,
     of_link=True,

@@ -55,7 +55,6 @@ LOAD_FRICTION = Effect(
     no_candidates,
     {"mu": "1"},
     "friction grows with the torque carried",
-    ("position_friction", "coupling"),
     "repeat the same trajectory with another load",
     form_std={"mu": 0.35},
 )

@@ -91,7 +91,6 @@ NONLINEAR_VISCOUS = Effect(
     no_candidates,
     {"coefficient": "N m (s/rad)^k", "exponent": "1"},
     "friction is not linear in speed",
-    ("drag", "stribeck", "thermal_drift"),
     "a wide range of constant speeds",
     form_std={"coefficient": 0.25, "exponent": 0.25},
 )

@@ -72,7 +72,6 @@ PAYLOAD = Effect(
     _candidates,
     {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m"},
     "many joints, in a ratio that the kinematics fix",
-    ("torque_gain", "gravity_tilt"),
     "static poses and fast ones, with and without the load",
     prior_only=True,
     form_std={"mass": 0.04, "com_x": 0.04, "com_y": 0.04, "com_z": 0.04},

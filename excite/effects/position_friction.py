@@ -70,7 +70,6 @@ POSITION_FRICTION = Effect(
     _candidates,
     {"amplitude": "N m"},
     "friction depends on where the joint is",
-    ("load_friction",),
     "the same stroke at shifted positions",
     form_std={"amplitude": 0.5},
 )

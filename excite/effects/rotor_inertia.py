@@ -27,7 +27,6 @@ ROTOR_INERTIA = Effect(
     _candidates,
     {"inertia": "kg m²"},
     "like the joint's own acceleration, at any pose",
-    ("payload",),
     "small fast motion at several poses",
     prior_only=True,
     form_std={"inertia": 0.04},

@@ -113,7 +113,6 @@ SPRING = Effect(
     _candidates,
     {"stiffness": "N m/rad", "amplitude": "N m"},
     "the same in both directions, pose alone",
-    ("payload", "gravity_tilt"),
     "poses up to both ends",
     # a refit base model absorbs as much of the slope into gravity as the form permits
     form_std={"stiffness": 1.0, "amplitude": 0.25},

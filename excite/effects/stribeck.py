@@ -58,7 +58,6 @@ STRIBECK = Effect(
     no_candidates,
     {"amplitude": "N m", "velocity": "rad/s"},
     "friction is larger near zero speed",
-    ("hysteresis", "nonlinear_viscous", "delay"),
     "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
     form_std={"amplitude": 0.25, "velocity": 0.25},
 )

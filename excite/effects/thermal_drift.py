@@ -217,7 +217,6 @@ THERMAL_DRIFT = Effect(
     _candidates,
     {"change": "1", "time_constant": "s"},
     "friction changes with run time or temperature",
-    ("asymmetric_viscous",),
     "a long run that ends with its first motion, temperatures recorded",
     form_std={"change": 0.25, "time_constant": 0.25},
 )

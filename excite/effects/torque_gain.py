@@ -35,7 +35,6 @@ TORQUE_GAIN = Effect(
     _candidates,
     {"gain": "1"},
     "every term of one joint scaled",
-    ("payload", "torque_saturation"),
     "two known loads",
     prior_only=True,
     form_std={"gain": 0.035},

@@ -29,7 +29,6 @@ TORQUE_OFFSET = Effect(
     _candidates,
     {"offset": "N m"},
     "constant, whatever the motion",
-    ("payload",),
     "hold a pose, reached from both sides",
     prior_only=True,
     form_std={"offset": 0.04},

@@ -55,7 +55,6 @@ TORQUE_RIPPLE = Effect(
     no_candidates,
     {"order": "1/turn", "amplitude": "N m"},
     "periodic in the angle, whatever the speed",
-    ("encoder_error",),
     "slow constant speed over a turn",
     form_std={"order": 0.02, "amplitude": 0.1},
 )

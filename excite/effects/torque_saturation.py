@@ -130,7 +130,6 @@ TORQUE_SATURATION = Effect(
     _candidates,
     {"loss": "1"},
     "torque is missing at high current only",
-    ("load_friction", "nonlinear_viscous"),
     "short bursts near the torque limit",
     predicted_torque=_predicted_torque,
 )

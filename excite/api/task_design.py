@@ -20,12 +20,10 @@ from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..robot.samples import Samples
+from ..robot.samples import MIN_TRAVEL, Samples
 from ..trajectory import trajectory_file
 from .identification_result import REFERENCE_RATE
 
-MIN_TRAVEL = 1e-6
-"""Range from which a joint moves, more than the rounding errors of a filter [rad or m]."""
 MAX_TASK_SAMPLES = 4000
 """Samples of a task beyond which it is thinned out evenly [1]; the band is an average over them."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from ..effects import contact
 from ..effects.effect import CandidateModel
+from ..effects.recorded_motion import RecordedMotion
 from .joint_model import JointModel
 
 WINDOWS = 40
@@ -37,15 +38,16 @@ def contacts(fitted: JointModel) -> list[CandidateModel]:
     """
     rows = np.cumsum([0, *(len(motion) for motion in fitted.motions)])
     forces = [
-        _WindowedForces.of(fitted, number, slice(first, last))
-        for number, (first, last) in enumerate(itertools.pairwise(rows.tolist()))
+        _WindowedForces.of(fitted, motion, slice(first, last))
+        for motion, (first, last) in zip(
+            fitted.motions, itertools.pairwise(rows.tolist()), strict=True
+        )
     ]
-    windows = [
-        (gain, number, window)
-        for number, force in enumerate(forces)
-        for grid in (force.grid(),)
-        for gain, window in zip(force.gains(grid).tolist(), grid, strict=True)
-    ]
+    windows: list[tuple[float, int, IntArray]] = []
+    for number, force in enumerate(forces):
+        grid = force.grid()
+        gains = force.gains(grid).tolist()
+        windows += [(gain, number, window) for gain, window in zip(gains, grid, strict=True)]
     chosen: list[tuple[int, IntArray]] = []
     for _, number, window in sorted(windows, key=lambda entry: -entry[0]):
         if all(k != number or window[1] <= w[0] or window[0] >= w[1] for k, w in chosen):
@@ -85,15 +87,15 @@ class _WindowedForces:
     inverse: FloatArray
 
     @classmethod
-    def of(cls, fitted: JointModel, number: int, rows: slice) -> _WindowedForces:
+    def of(cls, fitted: JointModel, motion: RecordedMotion, rows: slice) -> _WindowedForces:
         """Return the forces on all links of a motion.
 
         Args:
             fitted: The joint model.
-            number: Number of the motion.
+            motion: One of its motions.
             rows: Its rows among those of the joint model.
         """
-        motion, regression = fitted.motions[number], fitted.regression
+        regression = fitted.regression
         n, active = fitted.n, int(fitted.solution.active.sum())
         forces = contact.unit_forces(motion)
         count = len(forces)

@@ -18,6 +18,7 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion
 from ..recordings import Recording
+from ..robot.samples import MIN_TRAVEL
 from .blocks import BLOCK_SECONDS, sandwiched
 
 SIGN_WIDTH_RATIO = 0.03
@@ -29,8 +30,6 @@ MIN_BLOCKS = 8
 """Smallest number of blocks for standard errors."""
 MIN_STANDARD_ERRORS = 2.0
 """Value over its standard error from which a parameter is reported."""
-MIN_TRAVEL = 1e-6
-"""Range from which a joint moves [rad or m]."""
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,13 @@ COURSES = ((1.0, 0.0, 0.0), (1.348, 1.0, 0.0), (1.6, 0.0, 8.0))
 """Time courses of the force that are tried, each (stretch, swells, knots).
 
 Length of the interval over that of the constant force that explains most of it [1]: for half a sine
-that which maximises (∫ sin)²/length, for a piecewise linear course with room to rise and fall; 1 if
-the force rises and falls as half a sine, 0 if it is constant; number of knots of a piecewise linear
-course, 0 for the other two.
+that which maximises (∫ sin)²/length, for a piecewise linear course 0.3 on either side to rise and
+fall; 1 if the force rises and falls as half a sine, 0 if it is constant; number of knots of a
+piecewise linear course, 0 for the other two. Forms of the model, no bounds on a score.
 """
 END_FACTOR = 1.5
-"""Largest factor by which a search for one end changes the length of an interval [1]."""
+"""Largest factor by which a search for one end changes the length of an interval [1]: windows are a
+factor of two apart, so that the true length is within √2 of one. The range of a search."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from .._types import FloatArray
+from ..robot.samples import MIN_TRAVEL
 from .effect import CandidateModel, Effect, grid_candidates, single_joint_columns
 from .recorded_motion import RecordedMotion, position_range
 
@@ -28,8 +29,6 @@ CURVE_WAVES = (6, 12)
 """Half waves over the joint's range of a curve of any form."""
 CURVE_POINTS = 200
 """Positions at which a spring's torque is evaluated to report stiffness and amplitude."""
-MIN_RANGE = 1e-6
-"""Range from which a joint moves at all [rad or m]."""
 MIN_CURVE_RANGE = 0.05
 """Range from which more than a standard form is fitted [rad or m]."""
 
@@ -102,7 +101,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
     for j in range(motions[0].n):
         low, high = position_range(motions, j)
-        if high - low >= MIN_RANGE:
+        if high - low >= MIN_TRAVEL:
             yield from candidates(j, low, high)
 
 

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from .._types import BoolArray, FloatArray, IntArray
 
+MIN_TRAVEL = 1e-6
+"""Range of positions from which a joint moves, above the rounding errors of filters [rad or m]."""
+
 
 @dataclass(frozen=True)
 class Samples:

@@ -70,7 +70,7 @@ FRICTION_EFFECTS = {
     "hysteresis": effect_entry(
         "hysteresis",
         "joint_1",
-        {"elements": 16.0},
+        {"elements": 16.0, "reach": 5e-4},
         *(0.1, 0, 0, 0.2, 0, 0, 0.3, 0, 0.2, 0, 0.1, 0, 0.2, 0, 0, 0.1),
         *(0.05, -0.03),
     ),

@@ -42,6 +42,7 @@ def pays(
     effects: Sequence[int],
     left_out: Collection[int] = (),
     replaced: Collection[int] = (),
+    before: JointModel | None = None,
 ) -> bool:
     """Tell whether effects lower the error on recordings to which they are not fitted.
 
@@ -52,11 +53,14 @@ def pays(
         effects: Their numbers.
         left_out: Numbers of other effects that are left out.
         replaced: Numbers of those that are in the model without the effects alone.
+        before: The joint model to which they were added, which they have to surpass as well: a wave
+            that it had may be gone, and be worth more.
     """
     if any(model.models[e].interval is not None for e in effects):
         return True
-    without, with_ = _log_errors(model, [{*left_out, *effects}, {*left_out, *replaced}])
-    return bool(with_.sum() < without.sum())
+    without, with_ = _log_errors(model, [{*left_out, *effects}, {*left_out, *replaced}]).sum(axis=1)
+    least = without if before is None else min(without, _log_errors(before, [()]).sum())
+    return bool(with_ < least)
 
 
 def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:

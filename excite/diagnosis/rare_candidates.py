@@ -125,7 +125,7 @@ class Ranking:
         return max(self.plausible, key=lambda c: c.evidence)
 
     def other_forms(self, chosen: Candidate) -> list[Ranking]:
-        """Return the shapes of each other form of the effect that the ranking cannot tell apart.
+        """Return the shapes of each other form of the effect.
 
         Shapes of one form have the same nonlinear parameters.
 
@@ -136,8 +136,7 @@ class Ranking:
         for candidate in self.plausible:
             forms.setdefault(frozenset(candidate.model.values), []).append(candidate)
         forms.pop(frozenset(chosen.model.values), None)
-        rankings = [Ranking(tuple(members), self.count) for members in forms.values()]
-        return [r for r in rankings if r.best.evidence > self.best.evidence - TIE]
+        return [Ranking(tuple(members), self.count) for members in forms.values()]
 
     @cached_property
     def evidence(self) -> float:
@@ -227,20 +226,20 @@ class CandidateColumns:
 def tuned(model: JointModel, ranking: Ranking) -> Candidate:
     """Return the best candidate of an effect at a joint, nonlinear parameters optimised.
 
-    A resonance between two frequencies of the grid may explain more than a function of state.
+    The best of each form is optimised: between two points of its grid it may explain more than a
+    form of more parameters, or a function of state.
 
     Args:
         model: The joint model.
         ranking: The candidates of the grid.
     """
-    best = ranking.best
-    out = optimised(model, best)
-    if best.model.effect == UNMODELLED and best.model.nonlinear is None:
-        resonances = [c for c in ranking.plausible if c.model.nonlinear is not None]
-        if resonances:
-            resonance = optimised(model, max(resonances, key=lambda c: c.evidence))
-            return max(out, resonance, key=lambda c: c.evidence)
-    return out
+    best = optimised(model, ranking.best)
+    others = [
+        optimised(model, form.best)
+        for form in ranking.other_forms(ranking.best)
+        if form.best.model.nonlinear is not None
+    ]
+    return max([best, *others], key=lambda c: c.evidence)
 
 
 def optimised(model: JointModel, candidate: Candidate) -> Candidate:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from ..effects import encoder_error, torque_ripple
+from ..effects import encoder_error, recorded_motion, torque_ripple
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from .candidate_fits import CandidateBatch
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MIN_RIPPLE_EVIDENCE = 5.0
 """Log Bayes factor from which a wave enters the model, after the search over its order."""
 MIN_RIPPLE_ORDER, MAX_RIPPLE_ORDER = 3.0, 300.0
-"""Spatial frequencies that are searched [1/rad]; the travel of a sliding joint counts as a turn."""
+"""Spatial frequencies that are searched [1/rad], see `recorded_motion.radian`."""
 ORDER_STEPS = 4.0
 """Length of the Fourier transform over the range of the angle."""
 NEAR_ORDERS = 9
@@ -70,23 +70,15 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         if span <= 0.0:
             continue
         width = 2.0 * np.pi / span
-        is_prismatic = fitted.motions[0].fitted_robot.robot.entries[j].kind == "prismatic"
-        radian = span / (2.0 * np.pi) if is_prismatic else 1.0
-        low = max(MIN_RIPPLE_ORDER / radian, MIN_WAVES * width)
+        unit = recorded_motion.radian(fitted.motions, j)
+        low = max(MIN_RIPPLE_ORDER / unit, MIN_WAVES * width)
         waves: list[CandidateModel] = []
         regression = fitted.regression
         while len(known) + len(waves) < MAX_WAVES:
             residual = regression.residual_of(j)
             order, gain, count = _spectrum_peak(
-                residual,
-                np.ones(len(residual)),
-                angle / radian,
-                speed / radian,
-                moving,
-                low * radian,
-                hertz,
+                residual, np.ones(len(residual)), angle, speed, unit, moving, low, hertz
             )
-            order /= radian
             gain *= share / float(np.mean(residual[moving] ** 2))
             evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
             before = [wave.values["order"] for wave in waves]
@@ -172,12 +164,13 @@ def encoder_errors(fitted: JointModel) -> list[CandidateModel]:
         if span <= 0.0 or not moving.any():
             continue
         width = 2.0 * np.pi / span
-        low = max(encoder_error.ORDERS[-1], MIN_WAVES * width)
+        unit = recorded_motion.radian(fitted.motions, j)
+        low = max(encoder_error.ORDERS[-1] / unit, MIN_WAVES * width)
         hertz = fitted.motions[0].band.hertz
         residual = fitted.regression.residual_of(j)
-        order, gain, count = _spectrum_peak(residual, size, angle, speed, moving, low, hertz)
+        order, gain, count = _spectrum_peak(residual, size, angle, speed, unit, moving, low, hertz)
         if gain > 0.0:
-            out.append(encoder_error.high_order(j, order, 0.5 * width, float(count)))
+            out.append(encoder_error.high_order(j, unit, order, 0.5 * width, float(count)))
     return out
 
 
@@ -186,6 +179,7 @@ def _spectrum_peak(
     size: FloatArray,
     angle: FloatArray,
     speed: FloatArray,
+    unit: float,
     moving: BoolArray,
     low: float,
     hertz: float,
@@ -199,20 +193,21 @@ def _spectrum_peak(
     Args:
         residual: Torque residual, shape (N,) [N m].
         size: Relative amplitude of the wave in each row, shape (N,).
-        angle: Joint angle, shape (N,) [rad].
-        speed: Joint speed, shape (N,) [rad/s].
+        angle: Joint position, shape (N,) [rad or m].
+        speed: Joint speed, shape (N,) [rad/s or m/s].
+        unit: What `recorded_motion.radian` returns.
         moving: Rows that count, shape (N,).
-        low: Smallest order [1/rad].
+        low: Smallest order [1/rad or 1/m].
         hertz: Cutoff frequency [Hz].
 
     Returns:
-        Order [1/rad], half the power of its wave [(N m)²], and number of independent orders.
+        Order [1/rad or 1/m], half the power of its wave [(N m)²], and number of independent orders.
     """
     rows = np.flatnonzero(moving)
-    place = np.rint((angle[rows] - angle[rows].min()) / ANGLE_BIN).astype(int)
+    place = np.rint((angle[rows] - angle[rows].min()) / (ANGLE_BIN * unit)).astype(int)
     length = int(2 ** np.ceil(np.log2(ORDER_STEPS * (int(place.max()) + 1))))
-    orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN)
-    wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER))
+    orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN * unit)
+    wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER / unit))
     twice = np.minimum(2 * wanted, length // 2)
     highest = 2.0 * np.pi * hertz / np.maximum(np.abs(speed[rows]), 1e-9)
     edges = np.append(np.quantile(highest, np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[:-1]), np.inf)

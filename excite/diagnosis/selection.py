@@ -252,9 +252,8 @@ class _Search:
                 break
             addition = self._tried(key, shapes[key].model, rankings[key])
             for form in rankings[key].other_forms(shapes[key]):
-                if addition is not None:
-                    break
-                addition = self._tried(key, tuned(self.model, form).model, form)
+                if addition is None and form.best.evidence > rankings[key].best.evidence - TIE:
+                    addition = self._tried(key, tuned(self.model, form).model, form)
             if addition is None:
                 self._rejected.add(key)
             else:
@@ -308,7 +307,7 @@ class _Search:
         if (
             evidence.is_needed
             and _is_plausible(extended, members)
-            and cross_validation.pays(extended, members, replaced=replaced)
+            and cross_validation.pays(extended, members, (), replaced, self.model)
         ):
             return _Addition(key, shape, extended, evidence)
         return None

@@ -17,10 +17,10 @@ from .effect import (
     variants_within,
 )
 from .gear_dynamics import backlash_lag, link_lag_torque
-from .recorded_motion import RecordedMotion
+from .recorded_motion import RecordedMotion, radian
 
 WIDTHS = np.geomspace(1e-4, 1e-2, 13)
-"""Grid of backlash widths [rad]."""
+"""Grid of backlash widths [rad], see `recorded_motion.radian`."""
 HOLDING_FREQUENCIES = (0.0, 1.5, 3.0, 6.0, 12.0)
 """Grid of natural frequencies of the link inside the gap [Hz]: compliant teeth, oil and seals hold
 it there."""
@@ -70,8 +70,9 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
     for j in range(motions[0].n):
         if any(np.ptp(np.sign(motion.rigid_torque[:, j])) > 1.0 for motion in motions):
+            widths = (radian(motions, j) * WIDTHS).tolist()
             for frequency in (f for f in HOLDING_FREQUENCIES if f <= max_frequency):
-                yield from grid_candidates(WIDTHS.tolist(), family(j, frequency))
+                yield from grid_candidates(widths, family(j, frequency))
 
 
 BACKLASH = Effect(

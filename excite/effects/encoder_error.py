@@ -19,14 +19,18 @@ from .effect import (
     pair_amplitude,
     variants_within,
 )
-from .recorded_motion import RecordedMotion
+from .recorded_motion import RecordedMotion, radian
 
 MAX_AMPLITUDE = 0.1
-"""Largest plausible error of an encoder [rad]."""
+"""Largest plausible error of an encoder [rad], see `recorded_motion.radian`."""
 ORDERS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0)
 """Orders of single waves of the grid [1/rad], a factor of √2 apart; the order is optimised between
 two. An eccentric disc errs once a turn, its pattern a few times; higher orders are sought in the
 residual."""
+ORDERS_WITH_MULTIPLES = (1.0, 1.6, 2.5, 4.0)
+"""Orders of the grid of waves with multiples [1/rad], which have no gaps between them."""
+MULTIPLES = dict.fromkeys(HARMONIC_KEYS.values(), 1.0)
+"""Values of a wave with its multiples."""
 ALIAS_ORDER_RATIO = 1.5
 """Order of a wave with multiples over that of another for which it may be mistaken: two of its
 three waves lie close to two of the other's."""
@@ -49,12 +53,20 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return -motion.lowpass(torque, Grid.COARSE)
 
 
-def _family(joint: int, multiples: Mapping[str, float]) -> Callable[[float], CandidateModel]:
-    """Return the models of a joint by their order, a single wave or one with its multiples."""
+def _family(
+    joint: int, unit: float, multiples: Mapping[str, float]
+) -> Callable[[float], CandidateModel]:
+    """Return the models of a joint by their order, a single wave or one with its multiples.
+
+    Args:
+        joint: Index of the joint.
+        unit: What `recorded_motion.radian` returns.
+        multiples: Multiples of the order that are fitted jointly.
+    """
 
     def model(order: float) -> CandidateModel:
         def variants() -> list[NonlinearParameter]:
-            families = [_family(joint, multiples)] if multiples else []
+            families = [_family(joint, unit, multiples)] if multiples else []
             return variants_within(ALIAS_ORDER_RATIO * order, ALIAS_ORDER_FACTOR, families)
 
         return CandidateModel(
@@ -63,15 +75,11 @@ def _family(joint: int, multiples: Mapping[str, float]) -> Callable[[float], Can
             _columns,
             {"order": order, **multiples},
             parameters=pair_amplitude(order=order),
-            is_plausible=_is_small,
+            is_plausible=lambda c: bool(np.hypot(c[::2], c[1::2]).max() < MAX_AMPLITUDE * unit),
             variants=variants,
         )
 
     return model
-
-
-def _is_small(c: FloatArray) -> bool:
-    return bool(np.hypot(c[::2], c[1::2]).max() < MAX_AMPLITUDE)
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -81,23 +89,28 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     disc's error matter. Orders above those of the grid are sought in the residual.
     """
     for j in range(motions[0].n):
-        yield from grid_candidates(ORDERS, _family(j, {}))
-        multiples = dict.fromkeys(HARMONIC_KEYS.values(), 1.0)
-        yield from grid_candidates((1.0, 1.6, 2.5, 4.0), _family(j, multiples))
+        unit = radian(motions, j)
+        for orders, multiples in ((ORDERS, {}), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
+            yield from grid_candidates(
+                (np.array(orders) / unit).tolist(), _family(j, unit, multiples)
+            )
 
 
-def high_order(joint: int, order: float, width: float, alternatives: float) -> CandidateModel:
+def high_order(
+    joint: int, unit: float, order: float, width: float, alternatives: float
+) -> CandidateModel:
     """Return a wave of an order above those of the grid, as of the encoder of a geared motor.
 
     Args:
         joint: Index of the joint.
-        order: Order of a peak in the spectrum of the residual [1/rad].
-        width: Distance within which the order may be optimised [1/rad].
+        unit: What `recorded_motion.radian` returns.
+        order: Order of a peak in the spectrum of the residual [1/rad or 1/m].
+        width: Distance within which the order may be optimised [1/rad or 1/m].
         alternatives: Number of orders that were searched.
     """
 
     def model(order: float) -> CandidateModel:
-        return replace(_family(joint, {})(order), alternatives=alternatives)
+        return replace(_family(joint, unit, {})(order), alternatives=alternatives)
 
     return NonlinearParameter(order, order - width, order + width, model).at(order)
 

@@ -18,10 +18,13 @@ from .effect import (
     single_joint_columns,
     single_joint_rows,
 )
-from .recorded_motion import RecordedMotion
+from .recorded_motion import RecordedMotion, radian
 
-DENSE_REACHES = 1e-3 * 2.0 ** np.arange(0.0, 8.0, 0.5)
-"""Deflections at which the elements of `dense_model` slip [rad or m]."""
+DENSE_REACH = 1e-3
+"""Deflection at which the first element of `dense_model` slips [rad], see `recorded_motion.radian`.
+"""
+REACH_RATIOS = 2.0 ** np.arange(0.0, 8.0, 0.5)
+"""Deflections at which all of them slip, over that of the first."""
 UNEQUAL_ELEMENTS = [6, 10]
 """Elements of `dense_model` that may have unequal branches."""
 
@@ -49,7 +52,7 @@ def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:
 
     Args:
         q: Joint position, shape (M,).
-        reach: Deflection at which the element slips [rad].
+        reach: Deflection at which the element slips [rad or m].
     """
     stroke, travel, distance = _strokes(q)
     *starts, _ = accumulate(
@@ -83,12 +86,13 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 
         def low_passed() -> FloatArray:
             q = motion.samples.q[:, j]
-            elements = np.column_stack([maxwell_slip(q, d) for d in DENSE_REACHES])
+            reaches = model.values["reach"] * REACH_RATIOS
+            elements = np.column_stack([maxwell_slip(q, d) for d in reaches.tolist()])
             unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
             return motion.lowpass(np.hstack([elements, unequal]))
 
         columns = motion.for_all_fits(f"Maxwell-slip elements of joint {j}", low_passed).copy()
-        columns[:, : len(DENSE_REACHES)] -= motion.lowpass(motion.sign(j)[:, None])
+        columns[:, : len(REACH_RATIOS)] -= motion.lowpass(motion.sign(j)[:, None])
         return single_joint_rows(motion, j, columns)
     state = dahl(motion.samples.q[:, j], 1.0 / model.values["reach"])
     return single_joint_columns(motion, j, state - motion.sign(j))
@@ -99,15 +103,16 @@ def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel
 
     The last columns, of either sign, make the two branches of the loop unequal.
     """
-    count = len(DENSE_REACHES)
+    count, reach = len(REACH_RATIOS), DENSE_REACH * radian(motions, joint)
+    reaches = reach * REACH_RATIOS
     return CandidateModel(
         "hysteresis",
         joint,
         _columns,
-        {"elements": float(count)},
+        {"elements": float(count), "reach": reach},
         parameters=lambda c: {
             "amplitude": float(c[:count].sum()),
-            "stiffness": float(np.sum(c[:count] / DENSE_REACHES)),
+            "stiffness": float(np.sum(c[:count] / reaches)),
         },
         nonnegative=(True,) * count + (False,) * len(UNEQUAL_ELEMENTS),
     )

@@ -14,8 +14,13 @@ from .effect import (
     pair_amplitude,
     single_joint_columns,
 )
-from .recorded_motion import RecordedMotion, position_range
+from .recorded_motion import RecordedMotion, position_range, radian
 
+ORDERS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
+"""Orders of single waves [1/rad], a factor of √2 apart: from half of a usual range to where torque
+ripple begins; the order is optimised between two."""
+ORDERS_OF_THREE = (0.5, 1.0, 2.0)
+"""Orders of the first of three waves [1/rad]."""
 CURVE_POINTS = 200
 """Positions at which a wave is evaluated to find its mean."""
 
@@ -59,8 +64,10 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         return model
 
     for j in range(motions[0].n):
-        yield from grid_candidates((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6), family(j, 1.0))
-        yield from grid_candidates((0.5, 1.0, 2.0), family(j, 3.0))
+        for orders, waves in ((ORDERS, 1.0), (ORDERS_OF_THREE, 3.0)):
+            yield from grid_candidates(
+                (np.array(orders) / radian(motions, j)).tolist(), family(j, waves)
+            )
 
 
 POSITION_FRICTION = Effect(

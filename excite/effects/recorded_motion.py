@@ -17,7 +17,7 @@ from ..identification.segments import RecordingSegment
 from ..recordings.missing_values import true_runs
 from ..robot.inertial_parameters import Parameters, model_with_inertias
 from ..robot.robot import Robot
-from ..robot.samples import Samples
+from ..robot.samples import MIN_TRAVEL, Samples
 from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetric
 
 T = TypeVar("T")
@@ -460,6 +460,19 @@ def position_range(motions: Sequence[RecordedMotion], joint: int) -> tuple[float
     """Return the smallest and largest position of a joint [rad or m]."""
     positions = [motion.samples.q[:, joint] for motion in motions]
     return min(float(q.min()) for q in positions), max(float(q.max()) for q in positions)
+
+
+def radian(motions: Sequence[RecordedMotion], joint: int) -> float:
+    """Return the travel that counts as a radian of a joint: 1, or of a sliding joint [m] 1/(2π) of
+    its range, which counts as a turn.
+
+    Args:
+        motions: The recorded motions.
+        joint: Index of the joint.
+    """
+    low, high = position_range(motions, joint)
+    is_sliding = motions[0].fitted_robot.robot.entries[joint].kind == "prismatic"
+    return max(high - low, MIN_TRAVEL) / (2.0 * np.pi) if is_sliding else 1.0
 
 
 def split_by_motion(rows: FloatArray, motions: Sequence[RecordedMotion]) -> list[FloatArray]:

@@ -147,18 +147,18 @@ def _hysteresis(banks: Sequence[tuple[int, MaxwellSlipBank]], widths: Sequence[f
     It is that of `MaxwellSlipBank.advance`, less the part of Coulomb friction that the slipping
     elements replace, as `Friction.parts` has it.
     """
-    elements = len(friction_runtime.SLIP_DISTANCES)
+    elements = len(friction_runtime.REACH_RATIOS)
     unequal = np.zeros((len(banks), elements))
     for row, (_, bank) in zip(unequal, banks, strict=True):
         row[friction_runtime.UNEQUAL_ELEMENTS] = bank.unequal
     values = {
-        "distance": friction_runtime.SLIP_DISTANCES,
+        "distance": np.concatenate([bank.distances for _, bank in banks]),
         "strength": np.concatenate([bank.strengths for _, bank in banks]),
         "unequal": unequal.ravel(),
         "width": np.array([widths[joint] for joint, _ in banks]),
     }
     tables = {
-        "distance": "[EXCITE_ELEMENTS] = {0}; /* at which an element slips [rad or m] */",
+        "distance": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* of slip [rad or m] */",
         "strength": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* force of a slipping element */",
         "unequal": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* factor of |z| - 1 */",
         "width": "[EXCITE_BANKS] = {0}; /* of the sign function [rad/s or m/s] */",
@@ -201,12 +201,13 @@ void excite_hysteresis(excite_hysteresis_state* state, const double q[EXCITE_JOI
   for (i = 0; i < EXCITE_JOINTS; ++i) tau[i] = 0.0;
   for (i = 0; i < EXCITE_BANKS; ++i) {
     const int joint = excite_bank_joint[i];
+    const double* distance = excite_bank_distance + i * EXCITE_ELEMENTS;
     const double* strength = excite_bank_strength + i * EXCITE_ELEMENTS;
     const double* unequal = excite_bank_unequal + i * EXCITE_ELEMENTS;
     const double moved = q[joint] - state->last[i], sign = tanh(dq[joint] / excite_bank_width[i]);
     state->last[i] = q[joint];
     for (k = 0; k < EXCITE_ELEMENTS; ++k) {
-      double z = state->z[i][k] + moved / excite_bank_distance[k];
+      double z = state->z[i][k] + moved / distance[k];
       z = z > 1.0 ? 1.0 : z < -1.0 ? -1.0 : z;
       state->z[i][k] = z;
       tau[joint] += strength[k] * (z - sign) + unequal[k] * (fabs(z) - 1.0);

@@ -31,8 +31,8 @@ ASINH_SPEEDS = (0.02, 0.1, 0.4)
 """Speeds of the asinh curves of nonlinear viscous friction, over the largest speed."""
 TANH_SPEEDS = (0.1, 0.4)
 """Speeds of its tanh curves, over the largest speed."""
-SLIP_DISTANCES = 1e-3 * 2.0 ** np.arange(0.0, 8.0, 0.5)
-"""Deflections at which the Maxwell-slip elements slip [rad or m]."""
+REACH_RATIOS = 2.0 ** np.arange(0.0, 8.0, 0.5)
+"""Deflections at which the Maxwell-slip elements slip, over that of the first."""
 UNEQUAL_ELEMENTS = [6, 10]
 """Maxwell-slip elements whose branches may be unequal."""
 
@@ -220,13 +220,15 @@ class MaxwellSlipBank:
     has a part that is proportional to |z| - 1.
 
     Attributes:
+        distances: Deflection at which each element slips, shape (elements,) [rad or m].
         strengths: Force of each element while it slips, shape (elements,) [N m or N].
         unequal: Factor of |z| - 1 of the elements `UNEQUAL_ELEMENTS` [N m or N].
     """
 
     def __init__(self, term: Term) -> None:
         """Begin with relaxed springs."""
-        count = len(SLIP_DISTANCES)
+        count = len(REACH_RATIOS)
+        self.distances = term.values["reach"] * REACH_RATIOS
         self.strengths = np.array(term.coefficients[:count], float)
         self.unequal = np.array(term.coefficients[count:], float)
         self.last: Any = None
@@ -236,8 +238,8 @@ class MaxwellSlipBank:
         """Move to a position, shape (...); return the force [N m or N]."""
         q = np.asarray(q, float)
         if self.z is None or self.z.shape[:-1] != q.shape:
-            self.last, self.z = q.copy(), np.zeros((*q.shape, len(SLIP_DISTANCES)))
-        self.z = np.clip(self.z + (q - self.last)[..., None] / SLIP_DISTANCES, -1.0, 1.0)
+            self.last, self.z = q.copy(), np.zeros((*q.shape, len(REACH_RATIOS)))
+        self.z = np.clip(self.z + (q - self.last)[..., None] / self.distances, -1.0, 1.0)
         self.last = q.copy()
         return self.z @ self.strengths + (np.abs(self.z[..., UNEQUAL_ELEMENTS]) - 1) @ self.unequal
 

@@ -105,7 +105,10 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "friction": (EffectForm(coefficients=lambda values: 2),),
     "hysteresis": (
         EffectForm(
-            {"elements": Range(HYSTERESIS_ELEMENTS, HYSTERESIS_ELEMENTS, "1")},
+            {
+                "elements": Range(HYSTERESIS_ELEMENTS, HYSTERESIS_ELEMENTS, "1"),
+                "reach": Range(1e-12, 1e2, "rad or m"),
+            },
             coefficients=lambda values: HYSTERESIS_ELEMENTS + UNEQUAL_ELEMENTS,
         ),
     ),

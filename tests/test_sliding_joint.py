@@ -1,0 +1,109 @@
+"""Diagnosis of a sliding joint, whose periods and deflections are lengths and no angles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_recordings import sum_of_sines, write_joint_recording
+
+import excite
+from excite._types import FloatArray
+from excite.diagnosis.diagnosis import Diagnosis
+
+URDF = """<robot name="slide"><link name="base"/>
+<joint name="carriage" type="prismatic"><parent link="base"/><child link="load"/>
+<axis xyz="1 0 0"/><limit lower="0" upper="0.3" velocity="0.5" effort="400"/></joint>
+<link name="load"><inertial><mass value="80"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link></robot>"""
+LEAD, RATE, DURATION, NOISE = 5e-3, 1000.0, 25.0, 0.5
+"""Lead of the ball screw [m], rate [Hz], duration [s] and noise [N]."""
+MASS, VISCOUS, COULOMB, WIDTH = 100.0, 200.0, 20.0, 1e-3
+"""Parameters of the carriage: mass [kg], friction [N s/m, N] and its width [m/s]."""
+Force = Callable[[FloatArray, FloatArray], FloatArray]
+"""Force of an effect [N] by position and velocity, shape (N,)."""
+
+
+def record(
+    path: Path, seed: int, force: Force, misread: Callable[[FloatArray], FloatArray]
+) -> Path:
+    """Record a carriage of 100 kg.
+
+    Args:
+        path: The file.
+        seed: Of the motion and the noise.
+        force: What the carriage needs besides inertia, viscous and Coulomb friction.
+        misread: Error of the recorded position [m].
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, DURATION, 1.0 / RATE)
+    omega = 2.0 * np.pi * np.arange(1, 6) / DURATION
+    amplitude = 0.11 * np.array([0.5, 0.2, 0.15, 0.1, 0.05])
+    offset, dq, ddq = sum_of_sines(t, omega, amplitude, rng)
+    q = 0.15 + offset
+    total = MASS * ddq + VISCOUS * dq + COULOMB * np.tanh(dq / WIDTH) + force(q, dq)
+    return write_joint_recording(
+        path, "carriage", t, q + misread(q), total + NOISE * rng.normal(size=len(t))
+    )
+
+
+def diagnosed(
+    folder: Path,
+    force: Force = lambda q, dq: np.zeros(len(q)),
+    misread: Callable[[FloatArray], FloatArray] = np.zeros_like,
+) -> Diagnosis:
+    """Diagnose the carriage by one recording; another one is held out."""
+    robot = folder / "slide.urdf"
+    robot.write_text(URDF, encoding="utf-8")
+    train, held_out = (record(folder / f"{seed}.csv", seed, force, misread) for seed in (1, 2))
+    return excite.diagnose(robot, [train], [held_out]).diagnosis
+
+
+def findings_of(result: Diagnosis) -> list[str]:
+    """Return the names of the findings, the most probable first."""
+    return [finding.effect for finding in result.findings]
+
+
+def test_the_wave_of_a_ball_screw_is_found(tmp_path):
+    def wave(q: FloatArray, dq: FloatArray) -> FloatArray:
+        return 3.0 * np.cos(2.0 * np.pi * q / LEAD + 0.7)
+
+    result = diagnosed(tmp_path, wave)
+    (ripple,) = (f for f in result.findings if f.effect == "torque_ripple")
+    assert ripple.parameters["order"][0] == pytest.approx(2.0 * np.pi / LEAD, rel=1e-3)
+    assert ripple.parameters["amplitude"][0] == pytest.approx(3.0, rel=0.1)
+    assert result.held_out.rmse_after < 0.3 * result.held_out.rmse_before
+
+
+def test_the_friction_of_a_tight_spot_is_found(tmp_path):
+    def spot(q: FloatArray, dq: FloatArray) -> FloatArray:
+        return 6.0 * np.cos(2.0 * np.pi * q / 0.15) * np.tanh(dq / WIDTH)
+
+    result = diagnosed(tmp_path, spot)
+    assert findings_of(result) == ["position_friction"]
+    assert result.held_out.rmse_after < 0.1 * result.held_out.rmse_before
+
+
+def test_presliding_over_a_fraction_of_a_millimetre_is_found(tmp_path):
+    """Friction that builds up over 0.3 mm instead of with the speed."""
+
+    def presliding(q: FloatArray, dq: FloatArray) -> FloatArray:
+        z, out = 0.0, np.empty(len(q))
+        for k, step in enumerate(np.diff(q, prepend=q[0])):
+            z = min(max(z + step / 3e-4, -1.0), 1.0)
+            out[k] = z
+        return COULOMB * (out - np.tanh(dq / WIDTH))
+
+    result = diagnosed(tmp_path, presliding)
+    assert findings_of(result) == ["hysteresis"]
+    assert result.held_out.rmse_after < 1.2 * result.noise_rms
+
+
+def test_the_error_of_a_linear_scale_is_found(tmp_path):
+    result = diagnosed(tmp_path, misread=lambda q: 2e-4 * np.sin(2.0 * np.pi * q / 0.04))
+    assert findings_of(result) == ["encoder_error"]
+    (error,) = result.findings
+    assert error.parameters["order"][0] == pytest.approx(2.0 * np.pi / 0.04, rel=0.01)
+    assert error.parameters["amplitude"][0] == pytest.approx(2e-4, rel=0.2)

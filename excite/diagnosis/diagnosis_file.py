@@ -21,7 +21,7 @@ from . import (
     unmodelled,
 )
 from .diagnosis import Diagnosis
-from .estimates import EffectEstimate
+from .estimates import QUANTILE, EffectEstimate
 from .gear_encoders import GearEstimate
 from .motion_rows import MotionRows
 from .regression import rms
@@ -55,8 +55,6 @@ CONSIDERED = 20
 """Effects that are listed though they are not asserted."""
 NEUTRAL_VALUES = {"exponent": 1.0}
 """Values of parameters at which there is no effect, where that is not zero."""
-INTERVAL = 1.645
-"""Half width of a 90 % interval over the standard deviation."""
 SINGLE_JOINT_REPETITION = "the same positions at half the speed, then with another load"
 """Experiment on torque that repeats with the motion of a robot of one joint."""
 
@@ -191,7 +189,7 @@ def _determined(
         if np.isfinite(value) and std < abs(value)
     }
     for key, neutral in NEUTRAL_VALUES.items():
-        if key in parameters and INTERVAL * parameters[key][1] >= abs(parameters[key][0] - neutral):
+        if key in parameters and QUANTILE * parameters[key][1] >= abs(parameters[key][0] - neutral):
             return {}
     return out
 

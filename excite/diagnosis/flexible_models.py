@@ -200,12 +200,11 @@ def _driven(
     driven, free = [], []
     for motion, u in zip(motions, drives, strict=True):
         step = 1.0 / motion.band.rate_of(Grid.COARSE)
-        start = motion.segment.start + step * np.arange(len(u))
         states = [
-            np.interp(motion.time, start, signal.lfilter(*_bilinear(b, omega, damping, step), u))
+            signal.lfilter(*_bilinear(b, omega, damping, step), u)
             for b in ((0.0, omega**2), (omega, 0.0))
         ]
-        driven.append(np.column_stack(states))
+        driven.append(motion.at_rows(np.column_stack(states), Grid.COARSE))
         clock = motion.time - motion.time[0]
         phase = omega * np.sqrt(max(1.0 - damping**2, 0.0)) * clock
         decay = np.exp(-damping * omega * clock)

@@ -72,24 +72,19 @@ def motion_rows(motions: Sequence[RecordedMotion]) -> MotionRows:
 
 def _state(motion: RecordedMotion) -> dict[str, Any]:
     """Fields of `MotionRows` of one motion."""
-    s = motion.coarse_samples
-    t = motion.segment.start + np.arange(len(s)) / motion.band.rate_of(Grid.COARSE)
-
-    def at_rows(x: FloatArray) -> FloatArray:
-        return np.column_stack([np.interp(motion.time, t, column) for column in x.T])
-
+    s, of = motion.coarse_samples, Grid.COARSE
     distance = np.column_stack(
         [travel_since_reversal(q, dq) for q, dq in zip(s.q.T, s.dq.T, strict=True)]
     )
     return {
         "time": motion.time,
-        "run_time": np.interp(motion.time, motion.times, motion.run_time),
-        "q": at_rows(s.q),
-        "dq": at_rows(s.dq),
-        "ddq": at_rows(s.ddq),
-        "load": at_rows(motion.rigid_torque),
+        "run_time": motion.at_rows(motion.run_time[:, None])[:, 0],
+        "q": motion.at_rows(s.q, of),
+        "dq": motion.at_rows(s.dq, of),
+        "ddq": motion.at_rows(s.ddq, of),
+        "load": motion.at_rows(motion.rigid_torque, of),
         "motor_torque": motion.lowpass(motion.motor_torque),
-        "distance": at_rows(distance),
+        "distance": motion.at_rows(distance, of),
         "moving": motion.moving,
     }
 

@@ -143,9 +143,9 @@ def _angle_and_speed(
     motions: Sequence[RecordedMotion], joint: int
 ) -> tuple[FloatArray, FloatArray]:
     """Angle and speed of a joint at the rows of all motions."""
-    angle = [np.interp(m.time, m.times, m.samples.q[:, joint]) for m in motions]
-    speed = [np.interp(m.time, m.times, m.samples.dq[:, joint]) for m in motions]
-    return np.concatenate(angle), np.concatenate(speed)
+    states = [np.column_stack([m.samples.q[:, joint], m.samples.dq[:, joint]]) for m in motions]
+    angle, speed = np.vstack([m.at_rows(x) for m, x in zip(motions, states, strict=True)]).T
+    return angle, speed
 
 
 def encoder_errors(fitted: JointModel) -> list[CandidateModel]:

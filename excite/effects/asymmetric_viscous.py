@@ -11,6 +11,10 @@ from .effect import CandidateModel, Effect, is_between, single_joint_columns
 from .friction import joint_speed, max_speed
 from .recorded_motion import RecordedMotion
 
+MAX_EXCESS = 1.5
+"""Largest half difference of both directions, over the friction of the base fit at full speed: the
+friction that refits with it may be larger by half."""
+
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """|q̇|: half of the difference between both directions."""
@@ -30,7 +34,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             max(float(motions[0].fitted_robot.actuator_parameter(kind)[j]), 1e-9)
             for kind in ("viscous", "coulomb")
         )
-        limit = 1.5 * (viscous + coulomb / max(max_speed(motions, j), 1e-9))
+        limit = MAX_EXCESS * (viscous + coulomb / max(max_speed(motions, j), 1e-9))
         yield CandidateModel(
             "asymmetric_viscous",
             j,

@@ -29,6 +29,9 @@ VARIANT_FACTOR = 1.5
 MAX_HOLDING_FREQUENCY = 20.0
 """Largest holding frequency [Hz]; above, the joint is elastic."""
 
+SCALES = (0.4, 2.5)
+"""Plausible coefficients of the torque of a width: another width of the grid has larger ones."""
+
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Torque of a link that moves freely inside its backlash gap."""
@@ -62,7 +65,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 _columns,
                 {"width": width, "hold": holding_frequency},
                 parameters=lambda c: {"width": float(width * c[0])},
-                is_plausible=is_between(0.4, 2.5),
+                is_plausible=is_between(*SCALES),
                 variants=variants,
             )
 

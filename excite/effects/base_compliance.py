@@ -48,6 +48,9 @@ FREQUENCY_RATIO_FACTOR = 1.15
 """Factor between neighbouring ratios of the frequencies about the second and the first axis."""
 MAX_FREQUENCY_RATIO = 2.0
 """Largest ratio of these frequencies."""
+MAX_SCALE, MAX_OPPOSED = 4.0, 0.3
+"""Largest plausible coefficient of the response to a force, by errors of the robot's inertia, and
+the largest one against the force, over the largest along it."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -224,7 +227,7 @@ def _upright_frequency_ratio(
 
 def _follows_force(c: FloatArray) -> bool:
     """Check that the base moves in the direction of the force."""
-    return bool(c.max() > 0.0 and c.min() > -0.3 * c.max() and c.max() < 4.0)
+    return bool(0.0 < c.max() < MAX_SCALE and c.min() > -MAX_OPPOSED * c.max())
 
 
 BASE_COMPLIANCE = Effect(

@@ -36,6 +36,11 @@ STIFFNESS_RATIO = 1.1
 DAMPING_RATIOS = (0.07, 0.25)
 """Damping ratios of the initial grid. Gears have a few per cent; the second, wide one locates a
 resonance that lies between two grid frequencies, from where it is optimised."""
+MIN_SCALE, MAX_SCALE = 0.3, 3.0
+"""Plausible coefficients of the torque of a stiffness: links may be that much heavier or lighter."""
+MIN_STIFF_SCALE = 0.01
+"""Smallest coefficient of the stiffest spring of the grid: it stands for up to 100 times stiffer
+ones, whose deflection has the same form."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -91,7 +96,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         inertia: float,
         inertial_stiffness: float,
         starts_at_rest: float,
-        min_coefficient: float,
+        min_scale: float,
         damping: float = DAMPING_RATIOS[0],
     ) -> Callable[[float], CandidateModel]:
         def model(stiffness: float) -> CandidateModel:
@@ -106,9 +111,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                     stiffness,
                     FREQUENCY_FACTOR**2,
                     (
-                        family(
-                            joint, inertia, inertial_stiffness, starts_at_rest, min_coefficient, z
-                        )
+                        family(joint, inertia, inertial_stiffness, starts_at_rest, min_scale, z)
                         for z in neighbouring_damping_ratios(damping)
                     ),
                 )
@@ -121,7 +124,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 parameters=named_coefficients(stiffness=stiffness)
                 if resonates
                 else static_stiffness,
-                is_plausible=is_between(min_coefficient, 3.0),
+                is_plausible=is_between(min_scale, MAX_SCALE),
                 variants=variants,
             )
 
@@ -135,9 +138,10 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         for starts_at_rest in (0.0, 1.0) if in_motion else (0.0,):
             for damping in DAMPING_RATIOS:
                 yield from grid_candidates(
-                    grid[:-1], family(j, inertia, inertial_stiffness, starts_at_rest, 0.3, damping)
+                    grid[:-1],
+                    family(j, inertia, inertial_stiffness, starts_at_rest, MIN_SCALE, damping),
                 )
-        yield family(j, inertia, inertial_stiffness, 0.0, 0.01)(grid[-1])
+        yield family(j, inertia, inertial_stiffness, 0.0, MIN_STIFF_SCALE)(grid[-1])
 
 
 ELASTICITY = Effect(

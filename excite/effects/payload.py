@@ -16,6 +16,10 @@ from .recorded_motion import RecordedMotion
 MAX_CENTRE_DISTANCE = 1.5
 """Largest distance of a payload's centre of mass from its link's frame [m]."""
 
+MAX_INDEFINITENESS = 0.05
+"""Largest magnitude of a negative eigenvalue of its pseudo-inertia over the largest one: noise
+makes that of a compact load indefinite."""
+
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Regressor columns of a link's first inertial parameters."""
@@ -37,7 +41,7 @@ def _is_physically_consistent(c: FloatArray) -> bool:
     if len(c) == 4:
         return True
     values = np.linalg.eigvalsh(pseudo_inertia(c))
-    return bool(values[0] > -0.05 * values[-1])
+    return bool(values[0] > -MAX_INDEFINITENESS * values[-1])
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:

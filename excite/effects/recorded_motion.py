@@ -292,6 +292,11 @@ class RecordedMotion:
         """Interpolate from the kept rows to every sample: (N, k) -> (M, k)."""
         return np.column_stack([np.interp(self.times, self.time, x) for x in rows.T])
 
+    def at_rows(self, x: FloatArray, of: Grid = Grid.RECORDED) -> FloatArray:
+        """Interpolate from the grid of x to the kept rows: (M, k) or (C, k) -> (N, k)."""
+        times = self.segment.start + np.arange(len(x)) / self.band.rate_of(of)
+        return np.column_stack([np.interp(self.time, times, column) for column in x.T])
+
     def upsample(self, x: FloatArray) -> FloatArray:
         """Interpolate from the coarse grid to every sample: (C, k) -> (M, k)."""
         t = np.arange(len(x)) / self.band.rate_of(Grid.COARSE)

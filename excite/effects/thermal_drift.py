@@ -23,6 +23,10 @@ from .recorded_motion import RecordedMotion
 MAX_COLD_EXCESS = 3.0
 """Largest excess of the initial friction over its mean, over the mean: a cold joint, not one that
 has not yet broken away."""
+MAX_WARM_EXCESS = 5.0
+"""Largest growth of friction over its initial value: heat may press a bearing or a seal."""
+TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)
+"""Grid of time constants, over the longest run."""
 MIN_TEMPERATURE_RANGE = 1.0
 """Range of temperatures from which a dependence is fitted [°C], as sensors are quantised."""
 
@@ -165,11 +169,11 @@ def _by_time(
         return replace(
             candidate,
             is_plausible=is_between(
-                max(-1.0 / (largest - mean), -MAX_COLD_EXCESS / mean), 5.0 / largest
+                max(-1.0 / (largest - mean), -MAX_COLD_EXCESS / mean), MAX_WARM_EXCESS / largest
             ),
         )
 
-    constants = (np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist()
+    constants = (np.array(TIME_CONSTANTS) * length).tolist()
     yield from grid_candidates(constants, model)
     if power > 0.0:
         yield from grid_candidates(constants, lambda constant: model(constant, by_losses=True))

@@ -8,6 +8,9 @@ from .._types import FloatArray
 from .effect import CandidateModel, Effect, is_between, single_joint_columns
 from .recorded_motion import RecordedMotion
 
+CHANGES = (-0.7, 2.0)
+"""Plausible relative changes of a gain: a wrong torque constant, gear ratio or unit is a factor."""
+
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Torque of the base model."""
@@ -24,7 +27,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             j,
             _columns,
             parameters=lambda c: {"gain": 1.0 / (1.0 + float(c[0]))},
-            is_plausible=is_between(-0.7, 2.0),
+            is_plausible=is_between(*CHANGES),
         )
 
 

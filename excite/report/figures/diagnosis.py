@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...diagnosis.diagnosis import Diagnosis
+from ...diagnosis.estimates import QUANTILE
 from ...effects.recorded_motion import split_by_motion
 from ...identification.identification import Prediction
 from ..torque_budget import JointBudget, effect_words
@@ -34,8 +35,6 @@ _LABELLED_WIDTH = 0.07
 """Width of a part over the base model's error from which its share is written on it."""
 _WHISKER_PLACES = (0.37, 0.43, 0.49)
 """Where below the middle of a bar the whiskers of its parts are, so that they cross no label."""
-_INTERVAL = 1.645
-"""Standard deviations of a 90 % interval on either side."""
 _END = 1.08
 """End of the axis of the torque budget; larger errors are cut off there."""
 LOGARITHMIC_QUANTITY = "travel since the reversal"
@@ -101,7 +100,7 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
             text = f"−{100.0 * size:.0f} %"
             axes.text(at + 0.5 * size, y, text, ha="center", va="center", color="white", fontsize=8)
         at += size
-        reach, place = _INTERVAL * part.std * removed, y + _WHISKER_PLACES[k % 3]
+        reach, place = QUANTILE * part.std * removed, y + _WHISKER_PLACES[k % 3]
         ends = max(at - reach, remaining), min(at + reach, 1.0)
         axes.plot(ends, (place, place), color=INK, linewidth=0.8, marker="|", markersize=3.0)
     if budget.is_improved:
@@ -150,7 +149,7 @@ def draw_effect_curves(findings: Sequence[Mapping[str, Any]], units: Mapping[str
         curve = finding["curve"]
         x, torque, std = (np.array(curve[key], float) for key in ("x", "torque", "std"))
         axes.axhline(0.0, color=GREY, linewidth=0.5)
-        low, high = torque - _INTERVAL * std, torque + _INTERVAL * std
+        low, high = torque - QUANTILE * std, torque + QUANTILE * std
         axes.fill_between(x, low, high, color=BLUE, alpha=0.22, linewidth=0)
         axes.plot(x, torque, color=BLUE, linewidth=1.1)
         axes.set_title(short(finding["joint"], 20), loc="left", fontweight="bold", pad=3)

@@ -7,14 +7,18 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from shared_inputs import INPUTS, needs_inputs
+from synthetic_recordings import FRICTION_WIDTH, random_fourier, synthetic_recording
 
 from excite import api
 from excite.api.identification_result import IdentificationResult
+from excite.identification import consistency, identification
 from excite.identification.link_estimates import link_estimates
+from excite.identification.regression import IdentificationModel
 from excite.identification.urdf_export import identified_urdf
-from excite.robot import inertial_parameters
+from excite.robot import base_parameters, inertial_parameters
 from excite.robot.limits import resolve
 from excite.robot.robot import load, locate
 
@@ -84,3 +88,20 @@ def test_meshes_are_found_from_the_new_place(tmp_path):
         "package://arm/arm.stl",
         "absent.stl",
     ]
+
+
+def test_masses_that_no_torque_shows_are_uncertain_next_to_an_unknown_tool():
+    """The tool presses bodies against the edge of the consistent set, which shows no mass."""
+    robot = load("ur5e")
+    table = resolve(robot)
+    parameters = inertial_parameters.standard_parameters(robot, table)
+    base = base_parameters.find(robot, parameters, table)
+    model = IdentificationModel(robot, parameters, base, np.full(robot.n, FRICTION_WIDTH))
+    truth = consistency.consistent_nominal(parameters)
+    tool = pin.Inertia(2.0, np.array([0.0, 0.0, 0.1]), 1e-3 * np.eye(3))
+    truth[10 * (robot.n - 1) : 10 * robot.n] += tool.toDynamicParameters()
+    recording = synthetic_recording(model, truth, random_fourier(robot.n), 2, 0.1)
+    result = identification.identify(robot, parameters, base, [recording])
+    links = link_estimates(parameters, result.posterior, result.prior)
+    for link, mass in zip(links, truth[: 10 * robot.n : 10], strict=True):
+        assert abs(link.mass - mass) < 3.0 * link.mass_deviation

@@ -196,7 +196,7 @@ class _Search:
             kept = [i for i, c in enumerate(columns) if c is None or c.joints != (joint,)]
             key = UNMODELLED, joint
             shapes = (*(self._shapes[i] for i in kept), flexible.model)
-            addition = self._judged(key, self._fit(shapes), flexible.model)
+            addition = self._judged(key, self._fit(shapes), flexible.model, None)
             if addition is not None:
                 self.model, self._shapes = addition.joint, shapes
                 factor = addition.evidence.log_bayes_factor
@@ -290,10 +290,19 @@ class _Search:
             better = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
             if better.values != shape.values:
                 shape, extended = better, self._fit((*self._shapes, better))
-        return self._judged(key, extended, shape)
+        return self._judged(key, extended, shape, self.model)
 
-    def _judged(self, key: Key, extended: JointModel, shape: CandidateModel) -> _Addition | None:
-        """Judge an effect of a joint model; None if it is to be left out again."""
+    def _judged(
+        self, key: Key, extended: JointModel, shape: CandidateModel, before: JointModel | None
+    ) -> _Addition | None:
+        """Judge an effect of a joint model; None if it is to be left out again.
+
+        Args:
+            key: The effect.
+            extended: The joint model with it.
+            shape: Its shape.
+            before: The joint model that it has to surpass, if any.
+        """
         members = posterior.effect_groups(extended).get(key)
         if members is None:
             return None
@@ -307,7 +316,7 @@ class _Search:
         if (
             evidence.is_needed
             and _is_plausible(extended, members)
-            and cross_validation.pays(extended, members, (), replaced, self.model)
+            and cross_validation.pays(extended, members, (), replaced, before)
         ):
             return _Addition(key, shape, extended, evidence)
         return None
@@ -331,7 +340,8 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     """Return the flexible model that explains a joint better than its rare effects and ripple.
 
     Torque of another form may have been taken apart by several effects of the joint alone, each of
-    which explains a part of it, so that no flexible model has enough evidence jointly with them.
+    which explains less than half of it, so that no flexible model has enough evidence jointly with
+    them.
 
     Args:
         model: The joint model.
@@ -348,9 +358,14 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     count = len(named_effects) + sum(m.effect == "torque_ripple" for m in shapes)
     if count < 2:
         return None
-    kept = [i for i in range(len(model.models)) if i not in replaced]
-    reduced = model.keeping(kept)
+
+    def without(left_out: Collection[int]) -> JointModel:
+        return model.keeping([i for i in range(len(model.models)) if i not in left_out])
+
+    reduced = without(replaced)
     named = posterior.log_bayes_factor(model, reduced)
+    if max(posterior.log_bayes_factor(model, without([i])) for i in replaced) > 0.5 * named:
+        return None  # one of them is most of it
     sigma = reduced.regression.residual_rms(reduced.solution)
     flexible = flexible_models(model.motions, sigma, [joint])
     # a smooth curve of the position is a spring

@@ -9,7 +9,7 @@ whose weight is reduced until it costs at most a hundredth of a unit of log-like
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -84,7 +84,8 @@ class ConsistentEstimate:
 
     Attributes:
         psi: ψ̂. Shape (P,).
-        covariance: Posterior covariance of ψ̂, (RᵀR + 2γG)⁻¹ at the solution. Shape (P, P).
+        covariance: Posterior covariance of ψ̂, (RᵀR + 2γG)⁻¹ with the metric of `local_prior`.
+            Shape (P, P).
         misfit: ½‖R(Bψ̂ − θ̂)‖²: log-likelihood lost to consistency and the prior.
         distance: Squared distance d(ψ̂, ψ₀)².
         steps: Number of Newton steps.
@@ -129,6 +130,29 @@ def prior_information(parameters: Parameters, prior: Prior) -> FloatArray:
     ):
         out[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = 2.0 * prior.inertial_weight * G
     return out
+
+
+def local_prior(parameters: Parameters, prior: Prior, psi: FloatArray) -> Prior:
+    """Return the prior whose information is that of its curvature about an estimate ψ̂.
+
+    The curvature of a quadratic distance is the metric at the nominal body, that of the others the
+    metric at the body itself. The latter has no bound where the data press a body against the edge
+    of the consistent set, as if what they do not show were known there. The metric is therefore
+    that of the mean of the body and the nominal body, each scaled to the larger of both masses.
+
+    Args:
+        parameters: Standard parameters.
+        prior: The prior.
+        psi: ψ̂, physically consistent. Shape (P,).
+    """
+    if prior.distance in (Distance.PULLBACK, Distance.EUCLIDEAN):
+        return prior
+    bodies, nominal = inertial_rows(parameters, psi), inertial_rows(parameters, prior.nominal)
+    local = psi.copy()
+    mass = np.maximum(bodies[:, :1], nominal[:, :1])
+    mean = 0.5 * mass * (bodies / bodies[:, :1] + nominal / nominal[:, :1])
+    local[: 10 * parameters.bodies] = mean.ravel()
+    return replace(prior, nominal=local)
 
 
 def base_prior_information(parameters: Parameters, base: Base, prior: Prior) -> FloatArray:
@@ -266,11 +290,15 @@ def maximum_a_posteriori(
             ):
                 break
             psi = _line_search(problem, psi, step, decrement, weight)
-    hessian = problem.derivatives(psi, 0.0)[1]
+    spread = prior_information(parameters, local_prior(parameters, prior, psi))
     misfit = root @ psi - target
     distance = problem.penalty(psi) / prior.inertial_weight if prior.inertial_weight else 0.0
     return ConsistentEstimate(
-        psi, symmetric_pseudo_inverse(hessian), 0.5 * float(misfit @ misfit), distance, steps
+        psi,
+        symmetric_pseudo_inverse(problem.information + spread),
+        0.5 * float(misfit @ misfit),
+        distance,
+        steps,
     )
 
 

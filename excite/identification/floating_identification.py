@@ -172,10 +172,11 @@ class FloatingIdentification:
         """Return for each link the share of its inertial parameters that the data decide.
 
         It is 1 − tr(C G)/tr(C₀ G) with the posterior covariance C of its ten parameters, the
-        covariance C₀ that the prior alone gives them, and the metric G at the body: 0 where the
-        prior decides all of them. Symmetry is part of the prior.
+        covariance C₀ that the prior alone gives them, and the metric G of `local_prior`: 0 where
+        the prior decides all of them. Symmetry is part of the prior.
         """
-        parameters, prior = self.model.parameters, self._local_prior()
+        parameters = self.model.parameters
+        prior = consistency.local_prior(parameters, self.prior, self.psi)
         before = consistency.symmetric_pseudo_inverse(
             consistency.prior_information(parameters, prior) + self.symmetry.T @ self.symmetry
         )
@@ -191,17 +192,7 @@ class FloatingIdentification:
     def links(self) -> list[LinkEstimate]:
         """Return mass and centre of mass of each link."""
         further = self.symmetry.T @ self.symmetry
-        return link_estimates(self.model.parameters, self.posterior, self._local_prior(), further)
-
-    def _local_prior(self) -> Prior:
-        """Prior whose information is that of its curvature at ψ̂.
-
-        The curvature of the log-det divergence is the metric at the body itself, that of the
-        quadratic distances the metric at the nominal body.
-        """
-        if self.prior.distance in (Distance.PULLBACK, Distance.EUCLIDEAN):
-            return self.prior
-        return dataclasses.replace(self.prior, nominal=self.psi)
+        return link_estimates(self.model.parameters, self.posterior, self.prior, further)
 
 
 def identify(

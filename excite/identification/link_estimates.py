@@ -79,19 +79,18 @@ def link_estimates(
         prior: The prior of that estimate.
         further: Information of other prior knowledge. Shape (P, P).
     """
-    information = consistency.prior_information(parameters, prior)
+    local = consistency.local_prior(parameters, prior, posterior.psi)
+    information = consistency.prior_information(parameters, local)
     before = consistency.symmetric_pseudo_inverse(
         information if further is None else information + further
     )
     rows = consistency.inertial_rows(parameters, posterior.psi)
-    nominal = consistency.inertial_rows(parameters, prior.nominal)
     out = []
     for i, (name, phi) in enumerate(zip(parameters.links, rows, strict=True)):
         block = slice(10 * i, 10 * i + 4)
         after = posterior.covariance[block, block]
         gradients = _gradients(phi)
-        # the prior's spread is that of the nominal body
-        spread = np.diag(_gradients(nominal[i]) @ before[block, block] @ _gradients(nominal[i]).T)
+        spread = np.diag(gradients @ before[block, block] @ gradients.T)
         variance = np.diag(gradients @ after @ gradients.T)
         share = np.clip(1.0 - variance / np.maximum(spread, 1e-300), 0.0, 1.0)
         deviation = np.sqrt(np.maximum(variance, 0.0))

@@ -186,3 +186,20 @@ def test_no_whole_period_is_lost_to_rounding(planned, stated_period):
     torque = dataclasses.replace(periodic, tau=np.zeros_like(periodic.q))
     mean = segments.average_periods(torque, *torque.repetition)
     assert mean is not None and mean.periods == 4
+
+
+@pytest.mark.parametrize("stated_period", [True, False])
+@pytest.mark.parametrize("periods", [2, 3, 10])
+def test_rows_of_whole_periods_and_nothing_else_are_all_averaged(stated_period, periods):
+    """Their last row is one step before the end of the last period."""
+    t = np.arange(round(4.0 * periods * RATE)) / RATE
+    phase = np.pi / 2.0 * t
+    q = np.column_stack([np.sin(phase) + 0.4 * np.cos(3.0 * phase), np.cos(2.0 * phase)])
+    q += 1e-6 * np.random.default_rng(0).standard_normal(q.shape)
+    recording = Recording("r.csv", ("joint_1", "joint_2"), t, q, tau=np.zeros_like(q))
+    if stated_period:
+        periodic = periodicity.check_repetition(stated(recording, 4.0))
+    else:
+        periodic = periodicity.with_detected_period(recording)
+    mean = segments.average_periods(periodic, *periodic.repetition)
+    assert mean is not None and mean.periods == periods

@@ -181,7 +181,8 @@ def average_periods(
     first = float(
         recording.t[min(int(np.searchsorted(recording.t, window[0] - 1e-9)), len(recording) - 1)]
     )
-    last = min(window[1], float(recording.t[-1]) + 1.0 / recording.rate)
+    # a window may end with the last row of a period, one step before the next one begins
+    last = min(window[1], float(recording.t[-1])) + 1.0 / recording.rate
     samples = round(period * recording.rate)
     if samples < MIN_ROWS or (last - first) / period + 1e-6 < 2.0:
         return None

@@ -53,6 +53,9 @@ less than 1e-7 of its length."""
 CONVERGED = 1e-9
 """Relative change of the period in a Gauss-Newton step after which it is not refined further
 [1]."""
+PERIOD_ERROR = 0.01
+"""Error of a period that is found, over the step, by which no row is lost: it is of the order of
+1e-3 where the recording has a few thousand rows."""
 MIN_PERIOD = 1.0
 """Shortest period of the search where none is stated [s]."""
 MAX_PERIOD = 60.0
@@ -139,7 +142,7 @@ def _with_stated_period(repetition: Repetition, period: float) -> Repetition:
 def _is_confirmed(recording: Recording, period: float, window: tuple[float, float] | None) -> bool:
     """Return True if the motion repeats in the stated window, or the recording is shorter than two
     periods and cannot contradict it."""
-    if recording.t[-1] - recording.t[0] < 2.0 * period:
+    if recording.t[-1] - recording.t[0] + recording.step < 2.0 * period:
         return True
     if window is None or _contradicts(recording, period, window):
         return False
@@ -231,8 +234,9 @@ def _worst_difference(
 
 
 def _rows_between(recording: Recording, start: float, end: float) -> slice:
-    """Rows with start ≤ t ≤ end."""
+    """Rows with start ≤ t ≤ end, within the error of a period that is found."""
     first = int(np.searchsorted(recording.t, start))
+    end += PERIOD_ERROR * recording.step
     return slice(first, max(first, int(np.searchsorted(recording.t, end, side="right"))))
 
 
@@ -280,7 +284,7 @@ def _one_period_later(recording: Recording, period: float, rows: slice) -> _Late
     later = t[rows] + period
     after = np.clip(np.searchsorted(t, later), 1, len(t) - 1)
     spacing = t[after] - t[after - 1]
-    known = (later <= t[-1] + 1e-9) & (spacing < 2.5 * recording.step)
+    known = (later <= t[-1] + PERIOD_ERROR * recording.step) & (spacing < 2.5 * recording.step)
     weight = np.clip((later - t[after - 1]) / spacing, 0.0, 1.0)
     return _LaterTimes(after, weight[:, None], known)
 
@@ -324,7 +328,8 @@ def _whole_periods(
 
     A ramp joins the motion smoothly: its last rows repeat in position, yet not in torque.
     """
-    length = period * int((window[1] - window[0]) / period + 1e-6)
+    # the last row of a period is one step before its end
+    length = period * int((window[1] - window[0] + recording.step) / period + 1e-6)
     slack = window[1] - window[0] - length
     if length < 2.0 * period or slack < recording.step:
         return window

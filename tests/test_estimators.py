@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import signal
+from scipy.interpolate import CubicSpline
 from synthetic_recordings import (
     FRICTION_WIDTH,
     PERIOD,
@@ -16,7 +18,7 @@ from synthetic_recordings import (
 )
 
 from excite._types import FloatArray
-from excite.identification import estimators, friction_width, regression, segments
+from excite.identification import estimators, friction_width, regression, segments, torque_delay
 from excite.identification.estimators import Method
 from excite.identification.regression import IdentificationModel, TorqueEquations
 from excite.recordings import Recording
@@ -54,6 +56,8 @@ def test_ordinary_least_squares_agrees_with_lstsq(model, truth):
     stacked = equations.regressor.reshape(-1, model.base.count)
     expected = np.linalg.lstsq(stacked, equations.torque.ravel(), rcond=None)[0]
     assert np.allclose(estimate.theta, expected, rtol=1e-8)
+    weighted = estimators.estimate(equations, Method.WLS)
+    np.testing.assert_allclose(estimate.noise, weighted.noise, rtol=0.05)
 
 
 def test_white_noise_gives_the_covariance_of_weighted_least_squares(model, truth):
@@ -134,3 +138,31 @@ def test_friction_widths_are_estimated(model, truth):
     wide = dataclasses.replace(model, widths=np.full(2, 0.02))
     fitted = friction_width.fit_widths(wide, regression.build_equations(wide, parts, 20.0), parts)
     assert np.all(np.abs(np.log(fitted.widths / FRICTION_WIDTH)) < np.log(1.6))
+
+
+@pytest.mark.parametrize("rates", [(1000.0, 100.0), (100.0, 1000.0)])
+def test_the_delay_of_recordings_of_different_rates_is_found(model, truth, rates):
+    """Each recording has a torque that is 4 ms late."""
+    fourier, late = random_fourier(2), 4e-3
+    parts = []
+    for rate in rates:
+        recording = synthetic_recording(model, truth, fourier, 2, 0.05, rate)
+        torque = CubicSpline(recording.t, recording.torque)(recording.t - late)
+        parts.append(dataclasses.replace(recording, tau=torque, source=f"{rate:g}.csv"))
+    extracted = segments.extract_segments(parts)
+    equations = regression.build_equations(model, extracted, 20.0)
+    delay = torque_delay.estimate_delay(equations, estimators.estimate(equations))
+    np.testing.assert_allclose(delay.seconds, late, rtol=0.05)
+
+
+def test_the_standard_error_of_a_delay_holds_under_coloured_noise(model, truth):
+    errors = []
+    for seed in range(12):
+        recording = synthetic_recording(model, truth, random_fourier(2, seed), 2, 0.0, 250.0)
+        white = np.random.default_rng(seed).normal(size=recording.torque.shape)
+        noise = signal.lfilter([0.2], [1.0, -0.98], white, axis=0)
+        noisy = dataclasses.replace(recording, tau=recording.torque + noise)
+        equations = equations_of(model, noisy)
+        delay = torque_delay.estimate_delay(equations, estimators.estimate(equations))
+        errors.append(delay.seconds / delay.deviation)
+    assert 0.5 < float(np.std(errors)) < 1.5

@@ -67,7 +67,8 @@ class Estimate:
         information_root: R with RᵀR the inverse of the covariance of θ̂. Shape (r, p).
         covariance: Covariance of θ̂, ∞ on the diagonal where a parameter takes part in a direction
             that is not excited. Shape (p, p).
-        noise_root: C with noise covariance Σ = C Cᵀ over the joints. Shape (n, n) [N m].
+        noise_root: C with noise covariance Σ = C Cᵀ over the joints by which rows were weighted; 1
+            for `Method.OLS`. Shape (n, n) [N m].
         noise_spectrum: Spectrum of the weighted residuals.
         residual: τ − Γ θ̂. Shape (N, n) [N m].
         degrees_of_freedom: Number of rows minus number of parameters.
@@ -89,6 +90,9 @@ class Estimate:
     @property
     def noise(self) -> FloatArray:
         """Standard deviation of the residual per joint. Shape (n,) [N m]."""
+        if self.method is Method.OLS:  # all rows have the weight 1, whatever their noise
+            freedom = self.degrees_of_freedom / self.residual.shape[1]
+            return np.sqrt(np.sum(self.residual**2, axis=0) / freedom)
         return np.sqrt(np.sum(self.noise_root**2, axis=1))
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray
-from .estimators import Estimate, least_squares
+from . import estimators
+from .estimators import Estimate
 from .lowpass import Grid, LowPassFilter
 from .regression import TorqueEquations
 
@@ -42,22 +43,18 @@ def estimate_delay(equations: TorqueEquations, estimate: Estimate) -> TorqueDela
         equations: The equations.
         estimate: Estimate of their parameters, which predicts τ̂.
     """
-    equations = (
-        equations if len(equations) <= MAX_DELAY_ROWS else equations.rows(slice(0, MAX_DELAY_ROWS))
-    )
     n, p = equations.n, equations.regressor.shape[2]
-    slope = np.zeros_like(equations.torque)
+    columns = np.zeros((len(equations), n, n))
     fitted = equations.predicted(estimate.theta)
     for stretch, periods in zip(equations.stretches(), equations.periods, strict=True):
-        part = fitted[stretch]
-        band = LowPassFilter(
-            0.499 * equations.rate, equations.rate, len(part), periodic=periods > 0
-        )
-        slope[stretch] = band.filter(part, Grid.RECORDED, 1)
-    columns = np.zeros((len(slope), n, n))
-    columns[:, range(n), range(n)] = -slope
+        part, time = fitted[stretch], equations.time[stretch]
+        rate = (len(part) - 1) / float(time[-1] - time[0])
+        band = LowPassFilter(0.499 * rate, rate, len(part), periodic=periods > 0)
+        columns[stretch, range(n), range(n)] = -band.filter(part, Grid.RECORDED, 1)
     extended = dataclasses.replace(
         equations, regressor=np.concatenate([equations.regressor, columns], axis=2)
     )
-    fit = least_squares(extended, estimate.noise_root)
-    return TorqueDelay(fit.theta[p:], np.linalg.norm(fit.half[p:], axis=1))
+    if len(extended) > MAX_DELAY_ROWS:
+        extended = extended.rows(slice(0, MAX_DELAY_ROWS))
+    fit = estimators.estimate(extended)
+    return TorqueDelay(fit.theta[p:], np.sqrt(np.diag(fit.covariance)[p:]))

@@ -16,6 +16,7 @@ from excite.cli.main import main
 from excite.designer.payload_weighting import payload_deviation
 from excite.errors import UnusableInput
 from excite.payload.equations import frame_map
+from excite.payload.estimate import CENTRE_DEVIATION, PayloadData, physical_payload
 from excite.payload.shape import parse_shape
 from excite.payload.snippets import snippets
 from excite.recordings import Recording, Sidecar
@@ -281,3 +282,22 @@ def test_options_of_a_design_for_a_payload_are_checked(tmp_path, capsys):
         assert main(["design", ROBOT, *options, "-o", str(tmp_path / "out"), "-q"]) == 2
         error = capsys.readouterr().err
         assert problem in error and error.count("\n") == 1
+
+
+def test_a_stated_centre_is_known_to_its_deviation_and_says_nothing_of_the_mass():
+    shape = parse_shape("box:0.3,0.3,0.3@0,0,0.1")
+    rng = np.random.default_rng(0)
+    spread = np.array([0.05, 0.1, 0.1, 0.1])  # of the data: mass [kg] and first moments [kg m]
+    information = np.zeros((10, 10))
+    information[range(4), range(4)] = spread**-2.0
+    errors = []
+    for _ in range(100):
+        centre = shape.centre + CENTRE_DEVIATION * rng.normal(size=3)
+        body = pin.Inertia(2.0, centre, 0.03 * np.eye(3))
+        measured = body.toDynamicParameters()
+        measured[:4] += spread * rng.normal(size=4)
+        estimate = physical_payload(PayloadData(measured, information, 1e4), shape)
+        assert estimate["mass"].std == pytest.approx(0.05, rel=0.02)
+        found = [estimate[f"centre_{axis}"] for axis in "xyz"]
+        errors.append([(q.value - c) / q.std for q, c in zip(found, centre, strict=True)])
+    np.testing.assert_allclose(np.std(errors), 1.0, atol=0.15)

@@ -35,8 +35,8 @@ CENTRE_DEVIATION = 5e-3
 """Standard deviation of a stated centre [m]."""
 SMALLEST_MASS = 1e-3
 """Mass that the prior has at least [kg]."""
-UNSHOWN_VARIANCE = 1e12
-"""Variance that stands for an infinite one."""
+UNSHOWN_INFORMATION = 1e-14
+"""Least information of a direction in coordinates of unit information: rounding leaves no more."""
 _UNITS = np.array([pseudo_inertia(unit) for unit in np.eye(LINK_PARAMETERS)])
 QUANTITIES = (
     ("mass", "kg"),
@@ -194,18 +194,18 @@ def physical_payload(
         mass: Its mass, if it was weighed [kg].
         rule: When the data decide a quantity.
     """
-    information, target = _with_mass(data, mass)
-    shape, phi0 = _start(target, information, shape, mass)
+    information, target = _with_stated(data, mass)
+    shape, phi0 = _start(target, shape, mass)
     phi = phi0.copy()
     for _ in range(PRIOR_ITERATIONS):
+        information, target = _with_stated(data, mass, shape.centre, float(phi[0]))
         phi = _physical_body(information, target, phi0, 0.5 / shape.deviation**2, phi)
         moved = _shaped(phi, shape, mass)
         if np.linalg.norm(moved - phi0) < 1e-9 * np.linalg.norm(moved):
             break
         phi0 = moved
     prior = _prior_information(phi, shape, mass)
-    unknown = np.eye(LINK_PARAMETERS) / UNSHOWN_VARIANCE
-    covariance = np.asarray(np.linalg.inv(information + prior + unknown), float)
+    covariance = _inverse(information + prior)
     quantile = student_quantile(data.degrees_of_freedom)
     quantities = _quantities(phi, covariance, prior, quantile, rule, mass)
     return PayloadEstimate(phi, covariance, quantities, None, data, np.zeros(0))
@@ -226,19 +226,46 @@ def _data_estimate(equations: PayloadEquations) -> tuple[Estimate, FloatArray]:
     return out, theta
 
 
-def _with_mass(data: PayloadData, mass: float | None) -> tuple[FloatArray, FloatArray]:
-    """Information of the data, with a stated mass, and the parameters of its minimum."""
+def _inverse(information: FloatArray) -> FloatArray:
+    """Invert an information matrix; directions without information get a very large variance."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-12))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    half = scale[:, None] * vectors / np.sqrt(np.maximum(values, UNSHOWN_INFORMATION))
+    return np.asarray(half @ half.T)
+
+
+def _with_stated(
+    data: PayloadData,
+    mass: float | None,
+    centre: FloatArray | None = None,
+    amount: float = SMALLEST_MASS,
+) -> tuple[FloatArray, FloatArray]:
+    """Information of the data and of a stated mass and centre, and the parameters of its minimum.
+
+    A stated centre c says that h − m c is zero with a deviation of m times that of the centre, and
+    nothing about the mass m.
+
+    Args:
+        data: What the data say.
+        mass: The stated mass [kg]; None: none.
+        centre: The stated centre of mass, shape (3,) [m]; None: none.
+        amount: The mass by which the deviation is multiplied [kg].
+    """
     information = data.information.copy()
     score = information @ data.theta
     if mass is not None:
         weight = 1.0 / (MASS_DEVIATION * mass) ** 2
         information[0, 0] += weight
         score[0] += weight * mass
+    if centre is not None:
+        offset = np.zeros((3, LINK_PARAMETERS))
+        offset[:, 0], offset[:, 1:4] = -centre, np.eye(3)
+        information += offset.T @ offset / (amount * CENTRE_DEVIATION) ** 2
     return information, np.asarray(np.linalg.lstsq(information, score, rcond=1e-12)[0], float)
 
 
 def _start(
-    target: FloatArray, information: FloatArray, shape: PayloadShape | None, mass: float | None
+    target: FloatArray, shape: PayloadShape | None, mass: float | None
 ) -> tuple[PayloadShape, FloatArray]:
     """The shape, and a body of it with the mass and the centre that the data suggest."""
     amount = float(mass if mass is not None else max(float(target[0]), SMALLEST_MASS))
@@ -277,10 +304,6 @@ def _prior_information(phi: FloatArray, shape: PayloadShape, mass: float | None)
     if free:
         U = np.column_stack(free)
         G = G - G @ U @ np.linalg.solve(U.T @ G @ U, U.T @ G)
-    if shape.centre is not None:
-        # a stated centre is known to a few millimetres, whatever the shape
-        for k in range(3):
-            G[1 + k, 1 + k] += 1.0 / (phi[0] * CENTRE_DEVIATION) ** 2
     return np.asarray(G)
 
 

@@ -46,7 +46,8 @@ def pays(
 ) -> bool:
     """Tell whether effects lower the error on recordings to which they are not fitted.
 
-    An effect that acts only for some time cannot be judged in this way, and passes.
+    Of an effect that acts for some of the time, its own fold says nothing, but the others are
+    predicted better by what is fitted without its torque.
 
     Args:
         model: A joint model that has them.
@@ -56,8 +57,6 @@ def pays(
         before: The joint model to which they were added, which they have to surpass as well: a wave
             that it had may be gone, and be worth more.
     """
-    if any(model.models[e].interval is not None for e in effects):
-        return True
     without, with_ = _log_errors(model, [{*left_out, *effects}, {*left_out, *replaced}]).sum(axis=1)
     least = without if before is None else min(without, _log_errors(before, [()]).sum())
     return bool(with_ < least)
@@ -120,7 +119,6 @@ def _spoiling_group(
         for entry in evidence
         if not set(entry.effects) <= set(left_out)
         and joint in [j for e in entry.effects for j in model.regression.joints_of(e)]
-        and all(model.models[e].interval is None for e in entry.effects)
     ]
     if not groups:
         return frozenset()

@@ -6,7 +6,7 @@ by dynamics that the model lacks:
 
     τ_e = T (1 + Σ_m a_m φ_m) + b₁ Ṫ/ω + b₂ T̈/ω²,   T = Σ_k c_k C_k,   a, b ~ N(0, η²)
 
-ω and ω² are the RMS values of Ṫ and T̈ over that of T, in all motions. Without the discrepancy the
+ω and ω² are the RMS values of Ṫ and T̈ over that of T, in each motion. Without the discrepancy the
 difference, which grows with the effect, would be taken for further effects.
 """
 
@@ -62,15 +62,12 @@ def with_form_error(
             factors = [np.cos(np.pi * m * place) for m in range(1, POSITION_WAVES + 1)]
             factors += [np.cos(np.pi * m * rate) for m in range(1, SPEED_WAVES + 1)]
             varied = total[:, :, None] * np.column_stack(factors)[:, None, :]
-        derivatives = np.stack(_derivatives(motion, total)[1:], axis=2) / sizes
-        return np.concatenate([torque, varied, derivatives], axis=2)
-
-    # one unit for all motions: a lag is the same in each
-    squares = np.zeros(1 + DERIVATIVES)
-    for motion in motions:
-        total = model.torque_columns(motion, model) @ coefficients
-        squares += [np.sum(x**2) for x in _derivatives(motion, total)]
-    sizes = np.sqrt(np.maximum(squares[1:] / max(squares[0], 1e-300), 1e-300))
+        derivatives, size = [total], np.sqrt(np.mean(total**2))
+        while len(derivatives) <= DERIVATIVES:
+            slope = np.gradient(derivatives[-1], motion.time, axis=0)
+            rms = np.sqrt(np.mean(slope**2))
+            derivatives.append(slope * size / max(rms, 1e-300))
+        return np.concatenate([torque, varied, np.stack(derivatives[1:], axis=2)], axis=2)
 
     return replace(
         model,
@@ -79,14 +76,6 @@ def with_form_error(
         nonnegative=(*(model.nonnegative or (False,) * k), *(False,) * count),
         form_columns=count,
     )
-
-
-def _derivatives(motion: RecordedMotion, torque: FloatArray) -> list[FloatArray]:
-    """Return a torque of a motion and its time derivatives, each of shape (N, n)."""
-    out = [torque]
-    for _ in range(DERIVATIVES):
-        out.append(np.gradient(out[-1], motion.time, axis=0))
-    return out
 
 
 def without_form_error(model: CandidateModel) -> CandidateModel:

@@ -34,6 +34,9 @@ from .identification_result import (
     RecordingSource,
     TrajectorySources,
     read_recording,
+    recording_doubts,
+    robot_of_torque,
+    with_torque_doubts,
     with_trajectory,
 )
 from .robots import RobotSource, load_robot, resolve_limits
@@ -82,6 +85,11 @@ class PayloadResult(SavedResult):
             return None
         return "different" if p_value < DIFFERENT_MOUNTING else "same"
 
+    @property
+    def doubts(self) -> list[dict[str, Any]]:
+        """Unrepaired doubts about the recordings, with the recording that each is about."""
+        return recording_doubts([*self.carrying, *self.empty])
+
     def document(self) -> dict[str, Any]:
         """Return the content of `payload.json`."""
         estimate = self.estimate
@@ -107,6 +115,7 @@ class PayloadResult(SavedResult):
             "residual": dict(zip(self.robot.joints, estimate.residual.tolist(), strict=True)),
             "band_hz": self.hertz,
             "snippets": snippets(estimate.body, self.link),
+            **({"doubts": self.doubts} if self.doubts else {}),
         }
 
     def html(self) -> str:
@@ -179,18 +188,17 @@ def identify_payload(
 
     def read(paths: Sequence[RecordingSource]) -> list[Recording]:
         recordings = [read_recording(p, loaded, limits=table, columns=columns) for p in paths]
-        if static:  # the rests are found in the recording
-            return recordings
-        return [
-            with_detected_period(with_trajectory(recording, trajectory, required=False))
-            for recording in recordings
-        ]
+        if not static:  # the rests are found in the recording
+            recordings = [with_trajectory(r, trajectory, required=False) for r in recordings]
+        recordings = [with_torque_doubts(recording, loaded, table) for recording in recordings]
+        return recordings if static else [with_detected_period(r) for r in recordings]
 
     logger.info(f"reading {len(carrying)} recordings with and {len(sources)} without the payload")
     loaded_recordings, empty_recordings = read(carrying), read(sources)
     both = {r.source for r in loaded_recordings} & {r.source for r in empty_recordings}
     if both:
         raise UnusableInput(f"{min(both)}: is both with and without the payload; name it once")
+    loaded = robot_of_torque(loaded, [*loaded_recordings, *empty_recordings])
     standard = inertial_parameters.standard_parameters(loaded, table)
     base = base_parameters.find(loaded, standard, table)
     identification = IdentificationModel(loaded, standard, base, np.full(loaded.n, COULOMB_WIDTH))

@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from identified_models import write_model
 from synthetic_recordings import perturbed_parameters, random_fourier, write_recording
 
 import excite
@@ -170,6 +171,25 @@ def test_torque_in_another_unit_is_doubted(empty, tmp_path, capsys):
     document = json.loads((tmp_path / "out" / "payload.json").read_text(encoding="utf-8"))
     assert {doubt["recording"] for doubt in document["doubts"]} == set(files)
     assert "Do not use this payload" in (tmp_path / "out" / "report.html").read_text("utf-8")
+
+
+def test_recordings_of_a_model_are_those_in_its_folder(empty, tmp_path, monkeypatch):
+    carrying = recording_with(BODY, 2)
+    (tmp_path / "model").mkdir()
+    model = write_model(tmp_path / "model", ROBOT)  # of monday.csv
+    write_recording(carrying, tmp_path / "monday.csv")  # another recording of this name
+    there = write_recording(empty, tmp_path / "model" / "monday.csv")
+    monkeypatch.chdir(tmp_path)
+    result = excite.identify_payload(ROBOT, [carrying], model=model)
+    assert result.document()["without"] == [str(there)]
+    assert result.estimate["mass"].value == pytest.approx(BODY.mass, rel=0.01)
+
+
+def test_a_recording_of_a_model_may_be_a_folder(tmp_path):
+    model = write_model(tmp_path, ROBOT)
+    (tmp_path / "monday.csv").mkdir()
+    with pytest.raises(UnusableInput, match=r"monday.csv: is a folder without metadata.yaml"):
+        excite.identify_payload(ROBOT, [recording_with(BODY, 2)], model=model)
 
 
 def test_shapes_have_the_moments_of_uniform_bodies(tmp_path):

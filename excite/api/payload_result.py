@@ -266,6 +266,9 @@ def _model_of(path: Path, robot: Robot) -> IdentifiedModel:
 def _recordings_of(path: Path) -> list[Path]:
     """Paths of the recordings that a model was fitted to.
 
+    They are sought in the folder of the model first: another folder may hold other recordings of
+    the same names.
+
     Raises:
         UnusableInput: The file is no model, or a recording is no longer in its place.
     """
@@ -275,7 +278,8 @@ def _recordings_of(path: Path) -> list[Path]:
     out = []
     for name in content.get("recordings", []):
         stated = Path(str(name))
-        place = next((p for p in (stated, path.parent / stated.name) if p.is_file()), None)
+        places = (path.parent / stated, path.parent / stated.name, stated)
+        place = next((p for p in places if p.exists()), None)
         if place is None:
             raise UnusableInput(
                 f"{path}: its recording {name} is not in its place; give the recordings without "

@@ -14,7 +14,7 @@ from ..errors import UnusableInput
 from ..robot.samples import Samples
 from . import encoder_resolution
 from .block import QUANTITIES
-from .remark import Remark
+from .remark import Remark, shown_time
 from .sidecar import Sidecar
 from .time_axis import gap_free_slices, mean_step
 
@@ -132,10 +132,14 @@ class Recording:
             )
         if periodic is not None and not (periodic[0] < self.t[-1] and periodic[1] > self.t[0]):
             raise UnusableInput(
-                f"{stated_by}: no row of {self.source} is between {periodic[0]:g} and "
-                f"{periodic[1]:g} s; "
-                f"it runs from {self.t[0]:g} to {self.t[-1]:g} s"
+                f"{stated_by}: no row of {self.source} is between {shown_time(periodic[0])} and "
+                f"{shown_time(periodic[1])} s; it runs from {self._span}"
             )
+
+    @property
+    def _span(self) -> str:
+        """First and last time, for messages."""
+        return f"{shown_time(self.t[0])} to {shown_time(self.t[-1])} s"
 
     @property
     def doubts(self) -> tuple[Remark, ...]:
@@ -219,8 +223,8 @@ class Recording:
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
             raise UnusableInput(
-                f"{self.source}: has no rows from {start:g} to {end:g} s; it runs from "
-                f"{self.t[0]:g} to {self.t[-1]:g} s"
+                f"{self.source}: has no rows from {shown_time(start)} to {shown_time(end)} s; it "
+                f"runs from {self._span}"
             )
         remarks = tuple(
             r

@@ -10,7 +10,7 @@ import numpy as np
 from .._types import FloatArray
 from ..errors import UnusableInput
 from .block import Block
-from .remark import Remark, RemarkKind
+from .remark import Remark, RemarkKind, shown_time
 
 STEP_TOLERANCE = 0.02
 """Relative deviation from the usual time step up to which a step counts as even [1]."""
@@ -85,8 +85,9 @@ def sort_rows(source: str, block: Block) -> tuple[Block, list[Remark]]:
         is_restart = -steps[worst] > MAX_DELAYED_STEPS * usual
         if is_restart and len(delayed) <= max(1, len(steps) // 100):
             raise UnusableInput(
-                f"{source}: time goes back from {block.t[worst]:.6g} to {block.t[worst + 1]:.6g} "
-                "s; are these two recordings? Give each its own file"
+                f"{source}: time goes back from {shown_time(block.t[worst])} to "
+                f"{shown_time(block.t[worst + 1])} s; are these two recordings? Give each its own "
+                "file"
             )
         start, end = float(block.t[delayed[0]]), float(block.t[delayed[-1]])
         block = block.rows(np.argsort(block.t, kind="stable"))

@@ -16,11 +16,12 @@ from synthetic_recordings import (
 )
 
 from excite._types import FloatArray
+from excite.errors import UnusableInput
 from excite.identification import consistency, identification
 from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.inertia_distance import Distance
 from excite.identification.regression import IdentificationModel
-from excite.recordings import Recording
+from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.trajectory.fourier import FourierSeries
 
@@ -170,6 +171,14 @@ def test_the_reduced_estimate_keeps_unidentified_directions_nominal(model, truth
         for psi in (result.reduced.psi, truth)
     )
     assert change < true_change
+
+
+def test_a_validation_recording_of_short_stretches_is_refused(model, truth):
+    whole = synthetic_recording(model, truth, random_fourier(2, 5), 3, 0.3)
+    rows = np.concatenate([np.arange(12) + 32 * k for k in range(4)])
+    short = dataclasses.replace(whole.rows(rows), source="short.csv", sidecar=Sidecar())
+    with pytest.raises(UnusableInput, match=r"short.csv: has no gap-free stretch that is long"):
+        identify(model, whole, short)
 
 
 def test_torque_of_the_emps_pulses_is_predicted_to_five_percent():

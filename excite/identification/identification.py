@@ -565,7 +565,7 @@ def _predict(
 ) -> Prediction:
     """Predict the torque at every row of a recording, without averaging periods."""
     if equations is None:
-        parts = list(segments.extract_segments([recording], average=False))
+        parts = segments.usable_segments([recording], average=False)
         if shift is not None:
             parts = [_aligned(segment, shift) for segment in parts]
         cutoff = min(hertz, MAX_BAND_SHARE * min(segment.rate for segment in parts))

@@ -77,6 +77,7 @@ def read(
     window = RowWindow(ordered, remarks=tuple(remarks))
     grid = find_grid(str(path), ordered.t)
     recording = data_quality.check_and_repair(context, window, grid, complete=True)
+    recording.require_segment()
     stated = recording.sidecar
     if stated.period is not None:
         stated_by = str(sidecar.sidecar_path(path))

@@ -245,6 +245,17 @@ class Recording:
                 run_in = min(max(self.run_in - rows.start, 0), count)
                 yield dataclasses.replace(self.rows(rows), run_in=run_in)
 
+    def require_segment(self) -> None:
+        """Check that there is a segment that can be filtered.
+
+        Raises:
+            UnusableInput: All segments have fewer than MIN_ROWS rows.
+        """
+        if next(self.segments(), None) is None:
+            raise UnusableInput(
+                f"{self.source}: has no {MIN_ROWS} rows without a gap; record again"
+            )
+
     def samples(self, cutoff: float = DEFAULT_CUTOFF_HZ) -> Samples:
         """Compute positions, velocities and accelerations of all segments.
 
@@ -259,6 +270,7 @@ class Recording:
         """
         from scipy import signal  # slow to import
 
+        self.require_segment()
         dt = self.step
         is_slow = cutoff * dt >= MAX_CUTOFF_PER_RATE  # nothing above the cutoff is sampled
         filtered = [
@@ -269,10 +281,6 @@ class Recording:
             )
             for segment in self.segments()
         ]
-        if not filtered:
-            raise UnusableInput(
-                f"{self.source}: has no {MIN_ROWS} rows without a gap; record again"
-            )
         dq = [np.gradient(q, dt, axis=0) for q in filtered]
         ddq = [np.gradient(v, dt, axis=0) for v in dq]
         return Samples(np.concatenate(filtered), np.concatenate(dq), np.concatenate(ddq))

@@ -192,6 +192,13 @@ def test_a_recording_of_a_model_may_be_a_folder(tmp_path):
         excite.identify_payload(ROBOT, [recording_with(BODY, 2)], model=model)
 
 
+def test_the_band_is_one_that_a_slow_recording_without_payload_permits(empty):
+    slow = dataclasses.replace(empty.rows(slice(None, None, 10)), row_times=empty.t[::10])
+    result = excite.identify_payload(ROBOT, [recording_with(BODY, 2)], empty=[slow])
+    assert result.hertz <= 0.4 * slow.rate
+    assert result.estimate["mass"].value == pytest.approx(BODY.mass, rel=0.02)
+
+
 def test_shapes_have_the_moments_of_uniform_bodies(tmp_path):
     box, cylinder = parse_shape("box:0.1,0.2,0.3"), parse_shape("cylinder:0.1,0.4@0,0,0.2")
     np.testing.assert_allclose(np.diag(box.second), np.array([0.1, 0.2, 0.3]) ** 2 / 12.0)

@@ -231,7 +231,7 @@ def identify_payload(
             f"{(loaded_recordings if not together else empty_recordings)[0].source}: has no "
             "gap-free stretch that is long enough; record again"
         )
-    hertz = segments.torque_spectra(together, band).hertz
+    hertz = segments.torque_spectra(together, band, others=others).hertz
     logger.info(f"band {hertz:.3g} Hz: building the equations")
     equations = build_payload_equations(identification, place, groups, others, hertz)
     result = estimate_payload(equations, stated, mass)

@@ -571,7 +571,7 @@ def _predict(
         cutoff = min(hertz, MAX_BAND_SHARE * min(segment.rate for segment in parts))
         equations = regression.build_equations(model, parts, cutoff)
     noise_floor = segments.noise_floor(
-        list(segments.extract_segments([recording])), hertz, tapered=True
+        list(segments.extract_segments([recording])), equations.hertz, tapered=True
     )
     fitted, before = (
         equations.predicted(model.base.matrix @ parameters) for parameters in (psi, nominal)

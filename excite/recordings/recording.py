@@ -202,9 +202,10 @@ class Recording:
 
     @property
     def contacts(self) -> tuple[str, ...]:
-        """Frames of the contact wrenches of a floating base, "world" among them."""
+        """Frames of the contact wrenches of a floating base, "world" among them, by name."""
         prefix = "wrench."
-        return tuple(name[len(prefix) :] for name in self.signals if name.startswith(prefix))
+        frames = (name[len(prefix) :] for name in self.signals if name.startswith(prefix))
+        return tuple(sorted(frames))
 
     def wrench(self, frame: str) -> FloatArray:
         """Return the wrench at a frame. Shape (N, 6) [N, N m]."""

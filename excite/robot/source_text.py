@@ -32,7 +32,7 @@ EXPANSION = (
     "print(XacroDoc.from_file(sys.argv[1], resolve_packages=False).to_urdf_string())"
 )
 """Program that prints an expanded xacro. It runs in a process of its own, as a file's expressions
-can fail in any way or never end."""
+can fail in any way or never end, with -P, so that it imports no files of the current folder."""
 LONGEST_EXPANSION = 60.0
 """Time after which an expansion is given up [s]; the largest descriptions take a few seconds."""
 LONGEST_REASON = 300
@@ -147,7 +147,7 @@ def _expanded(path: Path) -> str:
         )
     try:
         done = subprocess.run(
-            [sys.executable, "-c", EXPANSION, str(path.resolve())],
+            [sys.executable, "-P", "-c", EXPANSION, str(path.resolve())],
             capture_output=True,
             text=True,
             encoding="utf-8",

@@ -158,6 +158,13 @@ def test_the_identified_urdf_keeps_comments_and_fixes_locked_joints(tmp_path):
     assert np.allclose(before, after, rtol=1e-9, atol=1e-9)
 
 
+def test_a_recording_is_fitted_once(folder, capsys, tmp_path):
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes((folder / "train.csv").read_bytes())
+    words = ("identify", "two_link", folder / "train.csv", copy, "-o", tmp_path / "out")
+    assert error_line(capsys, *words).endswith("and would count twice; name it once")
+
+
 def test_priors_and_bounds_are_respected(folder):
     bounds = folder / "bounds.toml"
     bounds.write_text("[links.link_2]\nmass = [2.2, 2.4]\n")

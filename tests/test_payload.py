@@ -199,6 +199,13 @@ def test_the_band_is_one_that_a_slow_recording_without_payload_permits(empty):
     assert result.estimate["mass"].value == pytest.approx(BODY.mass, rel=0.02)
 
 
+def test_a_recording_is_named_once(empty):
+    carrying = recording_with(BODY, 2)
+    again = dataclasses.replace(carrying, source="copy.csv")
+    with pytest.raises(UnusableInput, match=r"copy.csv: is the same recording as 2.csv and"):
+        excite.identify_payload(ROBOT, [carrying, again], empty=[empty])
+
+
 def test_shapes_have_the_moments_of_uniform_bodies(tmp_path):
     box, cylinder = parse_shape("box:0.1,0.2,0.3"), parse_shape("cylinder:0.1,0.4@0,0,0.2")
     np.testing.assert_allclose(np.diag(box.second), np.array([0.1, 0.2, 0.3]) ** 2 / 12.0)

@@ -21,7 +21,7 @@ from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
 from ..payload.shape import PayloadShape, parse_shape
 from ..payload.snippets import snippets
 from ..payload.static import estimate_static_payload, find_rests, model_rests
-from ..recordings import Recording
+from ..recordings import Recording, require_distinct
 from ..recordings.periodicity import with_detected_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import COULOMB_WIDTH
@@ -195,6 +195,8 @@ def identify_payload(
 
     logger.info(f"reading {len(carrying)} recordings with and {len(sources)} without the payload")
     loaded_recordings, empty_recordings = read(carrying), read(sources)
+    for group in (loaded_recordings, empty_recordings):
+        require_distinct(group, ())
     both = {r.source for r in loaded_recordings} & {r.source for r in empty_recordings}
     if both:
         raise UnusableInput(f"{min(both)}: is both with and without the payload; name it once")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -288,11 +289,18 @@ class Recording:
 
 
 def require_distinct(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
-    """Check that no validation recording is one of the fitted recordings.
+    """Check that no recording is fitted twice, and that no validation recording is a fitted one.
 
     Raises:
-        UnusableInput: Two recordings hold the same positions.
+        UnusableInput: Two fitted recordings hold the same values, or a validation recording has the
+            positions of a fitted one.
     """
+    for first, second in itertools.combinations(fitted, 2):
+        if _hold_same_values(first, second):
+            raise UnusableInput(
+                f"{second.source}: is the same recording as {first.source} and would count twice; "
+                "name it once"
+            )
     for validation in held_out:
         for training in fitted:
             if len(validation) == len(training) and np.array_equal(validation.q, training.q):
@@ -300,3 +308,18 @@ def require_distinct(fitted: Sequence[Recording], held_out: Sequence[Recording])
                     f"{validation.source}: is the same motion as {training.source}; validate with "
                     "another recording"
                 )
+
+
+def _hold_same_values(first: Recording, second: Recording) -> bool:
+    """True if all signals of two recordings are equal."""
+    values, others = _measured_values(first), _measured_values(second)
+    return values.keys() == others.keys() and all(
+        np.array_equal(value, others[name], equal_nan=True) for name, value in values.items()
+    )
+
+
+def _measured_values(recording: Recording) -> dict[str, FloatArray]:
+    """All signals of a recording by name."""
+    named = {name: getattr(recording, name) for name in (*QUANTITIES, "base")}
+    recorded = {name: value for name, value in named.items() if value is not None}
+    return {**recorded, **recording.signals}

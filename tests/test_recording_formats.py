@@ -121,13 +121,14 @@ def test_cells_that_begin_like_numbers_are_refused(two_link, tmp_path, cell):
 
 
 @pytest.mark.parametrize("compress", [True, False])
-@pytest.mark.parametrize("form", ["columns", "matrices", "by column"])
+@pytest.mark.parametrize("form", ["columns", "matrices", "by column", "names as bytes"])
 def test_archives_are_read(two_link, tmp_path, compress, form):
     columns = two_joint_motion()
     arrays: dict[str, FloatArray] = dict(columns)
     if form != "columns":
         order = JOINTS[::-1]
-        arrays = {"t": columns["t"], "joints": np.array(["other", *order])}
+        names = np.array(["other", *order], "S" if form == "names as bytes" else "U")
+        arrays = {"t": columns["t"], "joints": names}
         for name in ("q", "dq", "tau"):
             value = np.column_stack([np.zeros(400), *(columns[f"{name}.{j}"] for j in order)])
             arrays[name] = (

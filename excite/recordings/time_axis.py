@@ -17,7 +17,7 @@ STEP_TOLERANCE = 0.02
 MAX_FILLED_STEPS = 5
 """Number of usual steps above which a step is a gap; fewer missing rows are interpolated."""
 MAX_STEP = 0.5
-"""Longest plausible time step of a recording [s]: 2 rows a second."""
+"""Time step from which time is in another unit [s]: 2 rows a second, or 2 kHz in ms."""
 MIN_STEP = 1e-6
 """Shortest plausible time step of a recording [s]: a million rows a second."""
 UNITS = (("ms", 1e3, 2e2), ("µs", 1e6, 2e5), ("ns", 1e9, np.inf))
@@ -118,14 +118,14 @@ def find_grid(source: str, t: FloatArray) -> TimeGrid:
         t: Increasing times. Shape (N,) [s].
 
     Raises:
-        UnusableInput: The median is longer than 0.5 s, which is another unit of time, or shorter
-            than 1 µs; or more than 1 % of the steps are gaps, as where stamps are those of arrival.
+        UnusableInput: The median is 0.5 s or longer, which is another unit of time, or shorter than
+            1 µs; or more than 1 % of the steps are gaps, as where stamps are those of arrival.
     """
     steps = np.diff(t)
     if not len(steps):
         raise UnusableInput(f"{source}: has {len(t)} rows with distinct times; record more")
     usual = float(np.median(steps))
-    if usual > MAX_STEP:
+    if usual >= MAX_STEP:
         unit, factor = next((u, f) for u, f, largest in UNITS if usual <= largest)
         raise UnusableInput(
             f"{source}: the usual time step is {usual:g}; is time in {unit}? Divide it by "

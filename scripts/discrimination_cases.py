@@ -306,7 +306,7 @@ def renewed(path: Path) -> None:
     question = OpenClass(**entry["question"] | {"names": tuple(entry["question"]["names"])})
     machine = robot.load(folder / "robot.urdf")
     table = limits.resolve(machine)
-    train, _ = motion_samples(folder / "train.csv", machine)
+    train = motion_samples(folder / "train.csv", machine)[:2]
     diagnosis = folder / "before" / "diagnosis.json"
     questions = read_questions(diagnosis, machine, table, DesignOptions()).with_given([train])
     options = DesignOptions(

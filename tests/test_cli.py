@@ -154,6 +154,20 @@ def test_identifiability_of_a_trajectory_and_of_a_recording_agree(capsys, design
     assert abs(counts[0] - counts[1]) <= 1
 
 
+def test_torque_without_gravity_identifies_fewer_directions(capsys, designed, tmp_path):
+    path, counts = tmp_path / "motion.csv", []
+    path.write_bytes((designed / "trajectory.csv").read_bytes())
+    for effort in ("torque", "without gravity"):
+        stated = {"schema": "excite.recording/1", "effort": effort}
+        path.with_suffix(".json").write_text(json.dumps(stated), encoding="utf-8")
+        code, out, err = run(
+            capsys, "identifiability", "two_link", path, "-o", tmp_path / "out", "--json"
+        )
+        assert code == 0, err
+        counts.append(sum(d["identifiable"] for d in json.loads(out)["directions"]))
+    assert counts[1] < counts[0]
+
+
 @pytest.fixture(scope="module")
 def validated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("validated")

@@ -436,6 +436,12 @@ def test_triangles_without_area_are_removed(tmp_path):
     assert distance(mesh, 2.0) == pytest.approx((2.3, 2.3), abs=1e-4)
 
 
+def test_reading_a_mesh_imports_no_file_of_the_current_folder(tmp_path, monkeypatch):
+    (tmp_path / "coal.py").write_text("raise SystemExit('a file of the current folder ran')")
+    monkeypatch.chdir(tmp_path)
+    touched(shape(tmp_path, stl(TETRAHEDRON[FACES])))
+
+
 def test_mirrored_meshes_are_read(tmp_path):
     mesh = shape(tmp_path, stl(TETRAHEDRON[FACES]), (-1.0, 1.0, 1.0))
     assert mesh.triangles().reshape(-1, 3).min() == pytest.approx(-0.2)

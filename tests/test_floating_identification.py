@@ -237,6 +237,27 @@ def test_joint_torque_is_predicted_with_the_recorded_wrenches(folder):
     assert (error < 0.2 * np.std(measured[inner], axis=0) + 0.5).all()
 
 
+def test_the_order_of_wrench_columns_does_not_matter(folder):
+    header, *rows = (folder / "validation_feet.csv").read_text(encoding="utf-8").splitlines()
+    backward = folder / "backward.csv"
+    backward.write_text("\n".join(",".join(line.split(",")[::-1]) for line in (header, *rows)))
+    files = (folder / "plate_feet.csv", folder / "validation_feet.csv", backward)
+    result = identify_floating(
+        folder / "biped.urdf", files[:1], validate=files[1:], gamma=10.0, offsets=True
+    )
+    first, second = result.identification.validations
+    np.testing.assert_array_equal(first.fitted, second.fitted)
+    result.save(folder / "ordered")
+    model = folder / "ordered" / "model.json"
+    expected = predict(model, files[1]).values
+    np.testing.assert_array_equal(predict(model, backward).values, expected)
+    document = json.loads(model.read_text(encoding="utf-8"))
+    for key in ("contacts", "offsets"):
+        document["floating_base"][key].reverse()  # as of a fit to columns in this order
+    model.write_text(json.dumps(document), encoding="utf-8")
+    np.testing.assert_allclose(predict(model, files[1]).values, expected, atol=1e-8)
+
+
 def test_the_commands_write_their_files(folder, capsys):
     urdf, plate_csv = folder / "biped.urdf", folder / "plate.csv"
     out = folder / "cli"

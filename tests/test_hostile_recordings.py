@@ -138,6 +138,7 @@ def test_implausible_time_is_named_by_row(value, part, two_link, tmp_path):
     [
         (1e-12, "more than a million rows a second"),
         (1e3, "is time in ms"),
+        (50.0, "is time in ms"),  # of 2 kHz
         (0.0, "rows"),
         (-1.0, "rows"),
         (1e30, "column t"),

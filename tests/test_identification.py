@@ -16,11 +16,12 @@ from synthetic_recordings import (
 )
 
 from excite._types import FloatArray
+from excite.errors import UnusableInput
 from excite.identification import consistency, identification
 from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.inertia_distance import Distance
 from excite.identification.regression import IdentificationModel
-from excite.recordings import Recording
+from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.trajectory.fourier import FourierSeries
 
@@ -170,6 +171,46 @@ def test_the_reduced_estimate_keeps_unidentified_directions_nominal(model, truth
         for psi in (result.reduced.psi, truth)
     )
     assert change < true_change
+
+
+def slow_and_fast(model: IdentificationModel, truth: FloatArray) -> list[Recording]:
+    """Recordings at 20 and at 500 Hz."""
+    return [
+        dataclasses.replace(
+            synthetic_recording(model, truth, random_fourier(2, seed), 8, 0.1, rate),
+            source=f"{rate:g}.csv",
+        )
+        for seed, rate in ((5, 20.0), (2, 500.0))
+    ]
+
+
+def test_the_band_is_one_that_the_slowest_recording_permits(model, truth):
+    slow, fast = slow_and_fast(model, truth)
+    result = identification.identify(
+        model.robot, model.parameters, model.base, [fast, slow], (), IdentificationOptions()
+    )
+    assert 5.0 < result.spectra.hertz <= 0.4 * slow.rate
+    with pytest.raises(UnusableInput, match=r"--band 15: .* 10 Hz at 20.csv; lower it, or leave"):
+        identification.identify(
+            *(model.robot, model.parameters, model.base, [fast, slow], ()),
+            IdentificationOptions(band=15.0),
+        )
+
+
+def test_a_slow_validation_recording_is_compared_below_its_own_band(model, truth):
+    slow, fast = slow_and_fast(model, truth)
+    result = identify(model, fast, slow)
+    (prediction,) = result.validations
+    assert result.spectra.hertz > 0.5 * slow.rate
+    assert np.all(prediction.error() < 1.5 * prediction.noise_floor)
+
+
+def test_a_validation_recording_of_short_stretches_is_refused(model, truth):
+    whole = synthetic_recording(model, truth, random_fourier(2, 5), 3, 0.3)
+    rows = np.concatenate([np.arange(12) + 32 * k for k in range(4)])
+    short = dataclasses.replace(whole.rows(rows), source="short.csv", sidecar=Sidecar())
+    with pytest.raises(UnusableInput, match=r"short.csv: has no gap-free stretch that is long"):
+        identify(model, whole, short)
 
 
 def test_torque_of_the_emps_pulses_is_predicted_to_five_percent():

@@ -113,6 +113,17 @@ def test_torque_is_predicted_at_the_times_of_the_recording(folder):
         assert np.sqrt(np.mean(left**2)) < 0.35
 
 
+def test_torque_is_predicted_at_unix_times(folder, tmp_path):
+    header, *rows = (folder / "other.csv").read_text(encoding="utf-8").splitlines()
+    stamps = [f"{1_765_000_000.25 + 0.002 * k:.3f}" for k in range(len(rows))]
+    shifted = [",".join([t, *row.split(",")[1:]]) for t, row in zip(stamps, rows, strict=True)]
+    recording, predicted = tmp_path / "unix.csv", tmp_path / "tau.csv"
+    recording.write_text("\n".join([header, *shifted]) + "\n", encoding="utf-8")
+    assert run("predict", folder / "out" / "model.json", recording, "-o", predicted) == 0
+    lines = predicted.read_text(encoding="utf-8").splitlines()[1:]
+    assert [float(line.split(",")[0]) for line in lines] == [float(t) for t in stamps]
+
+
 def test_the_identified_urdf_gives_the_torque_of_the_model(folder):
     fitted = identified_model.read_model(folder / "out" / "model.json")
     again = robot.load(str(folder / "out" / "identified.urdf"))
@@ -145,6 +156,13 @@ def test_the_identified_urdf_keeps_comments_and_fixes_locked_joints(tmp_path):
         dynamics.regressor(again, exported, samples) @ exported.nominal,
     )
     assert np.allclose(before, after, rtol=1e-9, atol=1e-9)
+
+
+def test_a_recording_is_fitted_once(folder, capsys, tmp_path):
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes((folder / "train.csv").read_bytes())
+    words = ("identify", "two_link", folder / "train.csv", copy, "-o", tmp_path / "out")
+    assert error_line(capsys, *words).endswith("and would count twice; name it once")
 
 
 def test_priors_and_bounds_are_respected(folder):

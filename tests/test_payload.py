@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import xml.etree.ElementTree as ElementTree
@@ -9,6 +10,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from identified_models import write_model
 from synthetic_recordings import perturbed_parameters, random_fourier, write_recording
 
 import excite
@@ -38,7 +40,9 @@ BODY = pin.Inertia(
 ROBOT = "ur5e"
 
 
-def recording_with(body: pin.Inertia | None, seed: int, motion: int = 3) -> Recording:
+def recording_with(
+    body: pin.Inertia | None, seed: int, motion: int = 3, effort: str | None = None
+) -> Recording:
     """Return a recording of a robot with a payload, load friction and noise."""
     machine = robot.load(ROBOT)
     table = limits.resolve(machine)
@@ -49,6 +53,8 @@ def recording_with(body: pin.Inertia | None, seed: int, motion: int = 3) -> Reco
     t = np.arange(round(PERIODS * PERIOD * RATE) + 1) / RATE
     s = random_fourier(machine.n, motion, period=PERIOD).samples(t)
     copy = machine.model.copy()
+    if effort == "without gravity":
+        copy.gravity.linear = np.zeros(3)
     for i in range(standard.bodies):
         copy.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
     data = copy.createData()
@@ -58,7 +64,7 @@ def recording_with(body: pin.Inertia | None, seed: int, motion: int = 3) -> Reco
     torque = rigid + drive["rotor_inertia"] * s.ddq + drive["viscous"] * s.dq
     torque += drive["coulomb"] * sign + drive["offset"] + LOAD_FRICTION * sign * np.abs(rigid)
     torque += NOISE * np.random.default_rng(seed).normal(size=torque.shape)
-    sidecar = Sidecar(period=PERIOD, periodic=(0.0, float(t[-1])))
+    sidecar = Sidecar(period=PERIOD, periodic=(0.0, float(t[-1])), effort=effort)
     return Recording(
         f"{seed}.csv", machine.joints, t, s.q, tau=torque, sidecar=sidecar, row_times=t
     )
@@ -135,6 +141,70 @@ def test_a_stated_mass_and_shape_are_used(empty):
     assert stated.estimate["mass"].std < free.estimate["mass"].std
     assert stated.estimate["ixx"].std < free.estimate["ixx"].std
     assert stated.document()["shape"] == "box:0.12,0.15,0.18"
+
+
+def test_torque_without_gravity_shows_the_payload_by_its_inertia():
+    carrying, bare = (
+        recording_with(body, seed, effort="without gravity")
+        for body, seed in ((BODY, 2), (None, 1))
+    )
+    mass = excite.identify_payload(ROBOT, [carrying], empty=[bare]).estimate["mass"]
+    assert abs(mass.value - BODY.mass) < 4.0 * mass.std
+    assert mass.shown and mass.std < 0.1
+
+
+def test_torque_without_gravity_is_not_mixed_with_torque_with_it(empty):
+    carrying = recording_with(BODY, 2, effort="without gravity")
+    with pytest.raises(UnusableInput, match=r"2.csv: holds torque without gravity but 1.csv does"):
+        excite.identify_payload(ROBOT, [carrying], empty=[empty])
+
+
+def test_torque_in_another_unit_is_doubted(empty, tmp_path, capsys):
+    files = []
+    for recording in (recording_with(BODY, 2), empty):
+        wrong = dataclasses.replace(recording, tau=1e3 * recording.torque)
+        files.append(str(write_recording(wrong, tmp_path / recording.source)))
+    arguments = ["payload", ROBOT, "--with", files[0], "--without", files[1]]
+    assert main([*arguments, "-o", str(tmp_path / "out")]) == 0
+    shown = capsys.readouterr()
+    assert shown.err.count("is it in mN m, not N m?") > 1
+    assert "do not use this payload: the recordings are doubted" in shown.out
+    document = json.loads((tmp_path / "out" / "payload.json").read_text(encoding="utf-8"))
+    assert {doubt["recording"] for doubt in document["doubts"]} == set(files)
+    assert "Do not use this payload" in (tmp_path / "out" / "report.html").read_text("utf-8")
+
+
+def test_recordings_of_a_model_are_those_in_its_folder(empty, tmp_path, monkeypatch):
+    carrying = recording_with(BODY, 2)
+    (tmp_path / "model").mkdir()
+    model = write_model(tmp_path / "model", ROBOT)  # of monday.csv
+    write_recording(carrying, tmp_path / "monday.csv")  # another recording of this name
+    there = write_recording(empty, tmp_path / "model" / "monday.csv")
+    monkeypatch.chdir(tmp_path)
+    result = excite.identify_payload(ROBOT, [carrying], model=model)
+    assert result.document()["without"] == [str(there)]
+    assert result.estimate["mass"].value == pytest.approx(BODY.mass, rel=0.01)
+
+
+def test_a_recording_of_a_model_may_be_a_folder(tmp_path):
+    model = write_model(tmp_path, ROBOT)
+    (tmp_path / "monday.csv").mkdir()
+    with pytest.raises(UnusableInput, match=r"monday.csv: is a folder without metadata.yaml"):
+        excite.identify_payload(ROBOT, [recording_with(BODY, 2)], model=model)
+
+
+def test_the_band_is_one_that_a_slow_recording_without_payload_permits(empty):
+    slow = dataclasses.replace(empty.rows(slice(None, None, 10)), row_times=empty.t[::10])
+    result = excite.identify_payload(ROBOT, [recording_with(BODY, 2)], empty=[slow])
+    assert result.hertz <= 0.4 * slow.rate
+    assert result.estimate["mass"].value == pytest.approx(BODY.mass, rel=0.02)
+
+
+def test_a_recording_is_named_once(empty):
+    carrying = recording_with(BODY, 2)
+    again = dataclasses.replace(carrying, source="copy.csv")
+    with pytest.raises(UnusableInput, match=r"copy.csv: is the same recording as 2.csv and"):
+        excite.identify_payload(ROBOT, [carrying, again], empty=[empty])
 
 
 def test_shapes_have_the_moments_of_uniform_bodies(tmp_path):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_fixtures import read_with_warnings, two_joint_motion, write_columns
 from shared_inputs import INPUTS, needs_inputs
 
 from excite import api, recordings
@@ -90,6 +91,14 @@ def test_positions_wrapped_to_half_turns_are_unwrapped():
     )
     assert sum("whole turn" in text for text in texts) == 5
     assert (result.identification.validations[0].relative() < UR5E_ERROR).all()
+
+
+def test_unix_times_are_legible_in_remarks(two_link, tmp_path):
+    columns = two_joint_motion()
+    columns["t"] += 1_765_000_000.0
+    columns["q.joint_1"][250] = 2.5
+    _, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert "at 1765000002.5 s) are removed as glitches" in texts[0]
 
 
 def test_degrees_are_neither_unwrapped_nor_glitches(two_link, tmp_path):

@@ -121,13 +121,14 @@ def test_cells_that_begin_like_numbers_are_refused(two_link, tmp_path, cell):
 
 
 @pytest.mark.parametrize("compress", [True, False])
-@pytest.mark.parametrize("form", ["columns", "matrices", "by column"])
+@pytest.mark.parametrize("form", ["columns", "matrices", "by column", "names as bytes"])
 def test_archives_are_read(two_link, tmp_path, compress, form):
     columns = two_joint_motion()
     arrays: dict[str, FloatArray] = dict(columns)
     if form != "columns":
         order = JOINTS[::-1]
-        arrays = {"t": columns["t"], "joints": np.array(["other", *order])}
+        names = np.array(["other", *order], "S" if form == "names as bytes" else "U")
+        arrays = {"t": columns["t"], "joints": names}
         for name in ("q", "dq", "tau"):
             value = np.column_stack([np.zeros(400), *(columns[f"{name}.{j}"] for j in order)])
             arrays[name] = (
@@ -184,6 +185,31 @@ def test_recordings_of_ur_rtde(tmp_path, separator):
         json.dumps({"schema": "excite.recording/1", "drive_gain": gains})
     )
     assert (recordings.read(path, robot).torque[:, 2] == 12.0 * columns["actual_current_2"]).all()
+
+
+def test_columns_of_rtde_that_the_user_names_come_first(tmp_path):
+    robot = load("ur5e")
+    columns = rtde()
+    phase = np.outer(columns["timestamp"], np.ones(6))
+    for name, values in (("actual_current_as_torque", phase), ("joint_torque", np.sin(phase))):
+        columns |= {f"{name}_{i}": values[:, i] for i in range(6)}
+    path = write_columns(tmp_path / "r.csv", columns)
+    stated = {f"tau.{joint}": f"joint_torque_{i}" for i, joint in enumerate(robot.joints)}
+    stated |= {"t": "timestamp", f"q.{robot.joints[1]}": "target_q_1"}
+    for named in (stated, {name: stated[name] for name in stated if name.startswith("tau")}):
+        recording = recordings.read(path, robot, columns=named)
+        assert (recording.tau[:, 4] == columns["joint_torque_4"]).all()
+        assert (recording.q[:, 0] == columns["actual_q_0"]).all()
+        assert (recording.current[:, 5] == columns["actual_current_5"]).all()
+    assert (recordings.read(path, robot, columns=stated).t == columns["timestamp"]).all()
+
+
+def test_moving_joints_of_rtde_can_be_named(tmp_path):
+    robot = load("ur5e", joints=("elbow_joint", "wrist_1_joint"))
+    path = write_columns(tmp_path / "r.csv", rtde())
+    stated = {"t": "timestamp", "q.elbow_joint": "actual_q_2", "q.wrist_1_joint": "actual_q_3"}
+    recording = recordings.read(path, robot, columns=stated)
+    assert (recording.q[:, 1] == rtde()["actual_q_3"]).all()
 
 
 def test_repeated_states_of_rtde_are_dropped(tmp_path):

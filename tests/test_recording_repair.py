@@ -79,6 +79,12 @@ def test_few_missing_rows_are_filled_and_more_are_a_gap(two_link, tmp_path, dama
     ] == [200]
 
 
+def test_rows_with_a_gap_in_every_sixteen_are_refused(two_link, tmp_path, damage):
+    which = np.concatenate([np.arange(12) + 32 * k for k in range(4)])
+    path = write_columns(tmp_path / "r.csv", damage.rows(which).columns)
+    assert_refused(path, two_link, "no 16 rows without a gap; record again")
+
+
 def test_rows_without_a_time_are_dropped(two_link, tmp_path, damage):
     damage.columns["t"][[100, 101]] = np.nan
     recording, texts = damage.read(tmp_path, two_link)

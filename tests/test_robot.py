@@ -26,6 +26,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from excite.errors import ExciteWarning, UnusableInput
+from excite.identification.urdf_export import identified_urdf
 from excite.robot import inertial_parameters
 from excite.robot.dynamics import regressor
 from excite.robot.limits import resolve
@@ -158,6 +159,34 @@ def test_locking_the_master_locks_its_mimic_where_it_belongs():
     )
 
 
+def test_identified_urdf_holds_a_chain_of_locked_mimics_where_they_follow(tmp_path: Path):
+    def follows(master: str, multiplier: float) -> str:
+        return LIMIT + f'<mimic joint="{master}" multiplier="{multiplier}"/>'
+
+    path, exported = tmp_path / "chain.urdf", tmp_path / "identified.urdf"
+    place, across = (0.3, 0.0, 0.0), (0, 1, 0)
+    path.write_text(
+        document(
+            *(link(name, 1.0, (0.1, 0.0, 0.0)) for name in ("base", "l1", "l2", "l3", "l4")),
+            joint("j1", "base", "l1", axis=across),
+            joint("j2", "l1", "l2", xyz=place, axis=across),
+            joint("j3", "l2", "l3", xyz=place, axis=across, inside=follows("j2", 0.5)),
+            joint("j4", "l3", "l4", xyz=place, axis=across, inside=follows("j3", 2.0)),
+        ),
+        encoding="utf-8",
+    )
+    robot = load(str(path), lock={"j2": 0.8})
+    standard = inertial_parameters.standard_parameters(robot, resolve(robot))
+    text = identified_urdf(robot, standard, standard.nominal, np.full(1, 0.01))
+    exported.write_text(text, encoding="utf-8")
+    places = []
+    for model in (robot.model, load(str(exported)).model):
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, np.array([0.3]))
+        places.append(data.oMf[model.getFrameId("l4")].homogeneous)
+    np.testing.assert_allclose(*places, atol=1e-9)
+
+
 def test_fixed_links_keep_their_mass():
     parts = [
         link("base"),
@@ -252,8 +281,7 @@ BROKEN = {
     "a model": ('{"format": "excite.model/1"}', "not a URDF", "first comes"),
     "other root": ("<model/>", "<model>", "give a URDF"),
     "xacro inside": (pendulum().replace("0.3", "${length}"), "xacro", "expand it"),
-    "floating": (pendulum(kind="floating"), "'swing'", "'floating'"),
-    "planar": (pendulum(kind="planar"), "'swing'", "'planar'"),
+    "unknown type": (pendulum(kind="screw"), "'swing' is of type 'screw'", "correct its type"),
     "nothing moves": (pendulum(kind="fixed"), "no movable joint", "needs at least one"),
     "no links": (document(), "thing.urdf", ""),
     "no mass": (pendulum(body='<link name="arm"/>'), "'swing' moves no mass", "<inertial>"),

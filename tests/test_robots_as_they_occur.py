@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import LIMIT, document, joint, link, loaded, pendulum, text_of
+from identified_models import read_model, write_model
 from shared_inputs import INPUTS, needs_inputs
 
 from excite.cli.main import main
@@ -302,6 +303,35 @@ def test_foreign_elements_of_an_undeclared_prefix_are_ignored(text):
         assert loaded(text).joints == ("swing",)
 
 
+@pytest.mark.parametrize("quote", ['"', "'"])
+def test_a_default_namespace_is_ignored(tmp_path, quote):
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        '<?xml version="1.0"?>\n<!-- from elsewhere -->\n'
+        + pendulum().replace("<robot ", f"<robot xmlns={quote}http://drake.mit.edu{quote} ", 1)
+    )
+    assert load(str(path)).joints == ("swing",)
+    identified = read_model(write_model(tmp_path, str(path)))  # whose URDF is read again
+    assert identified.robot.joints == ("swing",)
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_joint_of_several_degrees_of_freedom_is_held(kind):
+    parts = (
+        *(link("world"), link("base"), link("arm", 2.0, (0.3, 0.0, 0.0)), link("tool", 1.0)),
+        joint("stand", "world", "base", kind, inside="", axis=(0, 0, 0)),
+        joint("swing", "base", "arm", axis=(0, 1, 0)),
+    )
+    held = "the {0} joint '{1}' is held: its link is fixed where it begins"
+    with pytest.warns(ExciteWarning) as caught:
+        robot = loaded(document(*parts, joint("hold", "arm", "tool", kind, (0.5, 0.0, 0.0))))
+    assert [str(entry.message).split(": ", 1)[1] for entry in caught] == [
+        held.format(kind, name) for name in ("stand", "hold")
+    ]
+    assert robot.joints == ("swing",)
+    assert robot.model.inertias[1].mass == pytest.approx(3.0)
+
+
 @pytest.mark.skipif(find_spec("xacrodoc") is not None, reason="xacrodoc expands the file")
 @pytest.mark.parametrize(
     ("name", "target"),
@@ -319,7 +349,9 @@ def test_the_remedy_for_a_xacro_writes_to_another_file(tmp_path, name, target):
 
 
 @pytest.mark.skipif(find_spec("xacrodoc") is None, reason="needs xacrodoc")
-def test_a_xacro_is_expanded(tmp_path):
+def test_a_xacro_is_expanded(tmp_path, monkeypatch):
+    (tmp_path / "xacrodoc.py").write_text("raise SystemExit('a file of the current folder ran')")
+    monkeypatch.chdir(tmp_path)
     path = tmp_path / "arm.urdf.xacro"
     text = pendulum(inside=LIMIT).replace(
         "<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 import warnings
 from collections.abc import Sequence
@@ -178,6 +180,29 @@ def test_positions_alone_and_incomplete_arrays(two_link, tmp_path):
         warnings.simplefilter("always")
         recording = recordings.read(write(tmp_path / "gone", {"/joint_states": rows}), two_link)
     assert len(caught) == 2 and recording.dq is not None and np.isfinite(recording.dq).all()
+
+
+@pytest.mark.parametrize("hashes", range(4))
+def test_messages_with_efforts_precede_those_with_velocities(tmp_path, hashes):
+    """Whatever the order of a set, which the seed of Python's hashes decides."""
+    rows = [
+        (t, message(t, JOINTS, Q[k], *((DQ[k],) if k % 2 else ([], TAU[k]))))
+        for k, t in enumerate(T)
+    ]
+    path = write(tmp_path / "bag", {"/joint_states": rows})
+    program = (
+        "import sys; from pathlib import Path; from excite import load_robot, read_recording; "
+        "r = read_recording(Path(sys.argv[1]), load_robot('two_link')); "
+        "print(r.tau is None, r.dq is None)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program, str(path)],
+        env={**os.environ, "PYTHONHASHSEED": str(hashes)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["False", "True"]
 
 
 def test_broken_bags_are_refused(two_link, tmp_path):

@@ -48,7 +48,7 @@ from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
 from . import identification_result
 from .discriminating_design import DiagnosisQuestions, read_questions
-from .identification_result import reference_samples, with_trajectory
+from .identification_result import reference_samples, robot_of_torque, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
 from .task_design import TaskDesign, read_task
@@ -377,7 +377,7 @@ def design(
     if chosen.payload_link is not None and (for_task is not None or discriminate is not None):
         name = "--for" if discriminate is None else "--discriminate"
         raise UnusableInput(f"{name} and --for-payload are two criteria; choose one")
-    recorded = [motion_samples(Path(path), loaded)[0] for path in given]
+    recorded = [motion_samples(Path(path), loaded)[:2] for path in given]
     questions = None
     if discriminate is not None:
         questions = read_questions(Path(discriminate), loaded, table, chosen).with_given(recorded)
@@ -509,7 +509,7 @@ def motion_samples(
     robot: Robot,
     executed: Sequence[str | Path] = (),
     columns: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[Samples, Trajectory | None]:
+) -> tuple[Samples, Robot, Trajectory | None]:
     """Read the samples of a trajectory, or of a recording, at REFERENCE_RATE.
 
     Of a recording with a periodic window, only the samples within the window are used. The window
@@ -522,7 +522,8 @@ def motion_samples(
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
 
     Returns:
-        The samples, and the trajectory; None for a recording.
+        The samples, the robot whose dynamics their torque contains, and the trajectory; None for a
+        recording.
 
     Raises:
         UnusableInput: The file cannot be used, or moves other joints.
@@ -531,22 +532,29 @@ def motion_samples(
         recording = with_detected_period(
             with_trajectory(recordings.read(path, robot, columns=columns), executed)
         )
-        return reference_samples(recording), None
+        return reference_samples(recording), robot_of_torque(robot, [recording]), None
     trajectory = trajectory_file.read_trajectory(path)
     if trajectory.joints != robot.joints:
         raise UnusableInput(
             f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; "
             "choose them with --joints"
         )
-    return trajectory.motion.samples(
+    samples = trajectory.motion.samples(
         trajectory.motion.grid(identification_result.REFERENCE_RATE)
-    ), trajectory
+    )
+    return samples, robot, trajectory
 
 
 def _information(
-    recorded: Sequence[Samples], robot: Robot, limits: Limits, options: DesignOptions
+    recorded: Sequence[tuple[Samples, Robot]], robot: Robot, limits: Limits, options: DesignOptions
 ) -> FloatArray | None:
     """Return a root of the information of earlier recordings in standard parameters.
+
+    Args:
+        recorded: Samples of each recording, and the robot whose dynamics its torque contains.
+        robot: The robot.
+        limits: Its limits.
+        options: Options of the design.
 
     Returns:
         R with information matrix RᵀR, shape (m, P); None without recordings.
@@ -556,7 +564,8 @@ def _information(
     standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     noise = torque_noise_levels(limits, options.noise)
     roots = [
-        identifiability.information_root(robot, standard, samples, noise) for samples in recorded
+        identifiability.information_root(measured, standard, samples, noise)
+        for samples, measured in recorded
     ]
     return np.vstack(roots)
 

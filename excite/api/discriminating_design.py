@@ -89,18 +89,19 @@ class DiagnosisQuestions:
     omitted: tuple[str, ...]
     noise: tuple[float, ...] | None = None
 
-    def with_given(self, given: Sequence[Samples]) -> DiagnosisQuestions:
+    def with_given(self, given: Sequence[tuple[Samples, Robot]]) -> DiagnosisQuestions:
         """Return the questions with the motions of earlier recordings.
 
         Args:
-            given: Their samples at `REFERENCE_RATE`.
+            given: Their samples at `REFERENCE_RATE`, and the robots whose dynamics their torques
+                contain.
         """
         constants = self.explanations.constants
         motions = []
-        for samples in given:
+        for samples, robot in given:
             for start in range(0, len(samples), MAX_GIVEN_ROWS):
                 part = samples.rows(slice(start, start + MAX_GIVEN_ROWS))
-                Y = regressor(constants.robot, constants.parameters, part)
+                Y = regressor(robot, constants.parameters, part)
                 motions.append(
                     SampledMotion(part.q, part.dq, part.ddq, Y, len(part) / REFERENCE_RATE)
                 )

@@ -451,7 +451,7 @@ def read_both(
             for recordings_of_set, is_fitted in zip(sets, (require_trajectory, False), strict=True)
         ]
     train_set, held_out_set = (
-        [_checked(recording, robot, limits) for recording in recordings_of_set]
+        [with_torque_doubts(recording, robot, limits) for recording in recordings_of_set]
         for recordings_of_set in sets
     )
     return train_set, held_out_set
@@ -466,7 +466,7 @@ def recording_doubts(read: Sequence[Recording]) -> list[dict[str, Any]]:
     ]
 
 
-def _checked(recording: Recording, robot: Robot, limits: Limits) -> Recording:
+def with_torque_doubts(recording: Recording, robot: Robot, limits: Limits) -> Recording:
     """Return the recording with the doubts about its torque."""
     return torque_check.check_torque(recording, robot_of_torque(robot, [recording]), limits)
 

@@ -21,7 +21,7 @@ from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
 from ..payload.shape import PayloadShape, parse_shape
 from ..payload.snippets import snippets
 from ..payload.static import estimate_static_payload, find_rests, model_rests
-from ..recordings import Recording
+from ..recordings import Recording, require_distinct
 from ..recordings.periodicity import with_detected_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import COULOMB_WIDTH
@@ -34,6 +34,9 @@ from .identification_result import (
     RecordingSource,
     TrajectorySources,
     read_recording,
+    recording_doubts,
+    robot_of_torque,
+    with_torque_doubts,
     with_trajectory,
 )
 from .robots import RobotSource, load_robot, resolve_limits
@@ -82,6 +85,11 @@ class PayloadResult(SavedResult):
             return None
         return "different" if p_value < DIFFERENT_MOUNTING else "same"
 
+    @property
+    def doubts(self) -> list[dict[str, Any]]:
+        """Unrepaired doubts about the recordings, with the recording that each is about."""
+        return recording_doubts([*self.carrying, *self.empty])
+
     def document(self) -> dict[str, Any]:
         """Return the content of `payload.json`."""
         estimate = self.estimate
@@ -107,6 +115,7 @@ class PayloadResult(SavedResult):
             "residual": dict(zip(self.robot.joints, estimate.residual.tolist(), strict=True)),
             "band_hz": self.hertz,
             "snippets": snippets(estimate.body, self.link),
+            **({"doubts": self.doubts} if self.doubts else {}),
         }
 
     def html(self) -> str:
@@ -179,18 +188,19 @@ def identify_payload(
 
     def read(paths: Sequence[RecordingSource]) -> list[Recording]:
         recordings = [read_recording(p, loaded, limits=table, columns=columns) for p in paths]
-        if static:  # the rests are found in the recording
-            return recordings
-        return [
-            with_detected_period(with_trajectory(recording, trajectory, required=False))
-            for recording in recordings
-        ]
+        if not static:  # the rests are found in the recording
+            recordings = [with_trajectory(r, trajectory, required=False) for r in recordings]
+        recordings = [with_torque_doubts(recording, loaded, table) for recording in recordings]
+        return recordings if static else [with_detected_period(r) for r in recordings]
 
     logger.info(f"reading {len(carrying)} recordings with and {len(sources)} without the payload")
     loaded_recordings, empty_recordings = read(carrying), read(sources)
+    for group in (loaded_recordings, empty_recordings):
+        require_distinct(group, ())
     both = {r.source for r in loaded_recordings} & {r.source for r in empty_recordings}
     if both:
         raise UnusableInput(f"{min(both)}: is both with and without the payload; name it once")
+    loaded = robot_of_torque(loaded, [*loaded_recordings, *empty_recordings])
     standard = inertial_parameters.standard_parameters(loaded, table)
     base = base_parameters.find(loaded, standard, table)
     identification = IdentificationModel(loaded, standard, base, np.full(loaded.n, COULOMB_WIDTH))
@@ -223,7 +233,7 @@ def identify_payload(
             f"{(loaded_recordings if not together else empty_recordings)[0].source}: has no "
             "gap-free stretch that is long enough; record again"
         )
-    hertz = segments.torque_spectra(together, band).hertz
+    hertz = segments.torque_spectra(together, band, others=others).hertz
     logger.info(f"band {hertz:.3g} Hz: building the equations")
     equations = build_payload_equations(identification, place, groups, others, hertz)
     result = estimate_payload(equations, stated, mass)
@@ -258,6 +268,9 @@ def _model_of(path: Path, robot: Robot) -> IdentifiedModel:
 def _recordings_of(path: Path) -> list[Path]:
     """Paths of the recordings that a model was fitted to.
 
+    They are sought in the folder of the model first: another folder may hold other recordings of
+    the same names.
+
     Raises:
         UnusableInput: The file is no model, or a recording is no longer in its place.
     """
@@ -267,7 +280,8 @@ def _recordings_of(path: Path) -> list[Path]:
     out = []
     for name in content.get("recordings", []):
         stated = Path(str(name))
-        place = next((p for p in (stated, path.parent / stated.name) if p.is_file()), None)
+        places = (path.parent / stated, path.parent / stated.name, stated)
+        place = next((p for p in places if p.exists()), None)
         if place is None:
             raise UnusableInput(
                 f"{path}: its recording {name} is not in its place; give the recordings without "

@@ -41,5 +41,6 @@ def csv_text(columns: Sequence[str], time: FloatArray, values: FloatArray) -> st
     """
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerow(["t", *columns])
-    np.savetxt(stream, np.column_stack([time, values]), fmt="%.9g", delimiter=",")
+    formats = ["%s", *["%.9g"] * len(columns)]  # %s: as many digits as the time has
+    np.savetxt(stream, np.column_stack([time, values]), fmt=formats, delimiter=",")
     return stream.getvalue()

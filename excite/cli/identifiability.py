@@ -28,11 +28,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
     output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
-    standard = inertial_parameters.standard_parameters(robot, limits, shared.drive(arguments))
-    base = base_parameters.find(robot, standard, limits)
-    samples, trajectory = motion_samples(
+    samples, robot, trajectory = motion_samples(
         Path(arguments.motion), robot, arguments.trajectory, shared.columns(arguments)
     )
+    standard = inertial_parameters.standard_parameters(robot, limits, shared.drive(arguments))
+    base = base_parameters.find(robot, standard, limits)
     stated = shared.noise(arguments, robot)
     noise = (
         torque_noise_levels(limits, stated) if trajectory is None or stated else trajectory.noise

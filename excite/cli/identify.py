@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from . import floating_identify
 from . import options as shared
-from .outcome import Outcome, with_files, written_lines
+from .outcome import Outcome, doubt_line, with_files, written_lines
 
 TORQUE_OPTIONS = ("prior", "align", "hausman", "simulate", "refine", "check_lmi", "band")
 """Options that need recorded torque."""
@@ -203,17 +202,8 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
             "(--align removes the delay)"
         )
     if result.doubts:
-        lines.append(_doubt_line(result.doubts))
+        lines.append(doubt_line(result.doubts, "model"))
     return "\n".join([*lines, *facts, *written_lines(written)])
-
-
-def _doubt_line(doubts: Sequence[Mapping[str, Any]]) -> str:
-    """Say that the result rests on recordings that are doubted."""
-    subjects = ", ".join(sorted({str(doubt["kind"]) for doubt in doubts}))
-    return (
-        f"do not use this model: the recordings are doubted ({len(doubts)} warnings: {subjects}); "
-        "correct them and identify again"
-    )
 
 
 def _summary(prediction: Prediction, robot: Robot) -> str:

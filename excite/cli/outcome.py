@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,3 +18,17 @@ def with_files(document: dict[str, Any], paths: Iterable[Path]) -> dict[str, Any
 def written_lines(paths: Iterable[Path]) -> list[str]:
     """Return one line for each file that was written."""
     return [f"wrote {path}" for path in paths]
+
+
+def doubt_line(doubts: Sequence[Mapping[str, Any]], subject: str) -> str:
+    """Say that a result rests on recordings that are doubted.
+
+    Args:
+        doubts: Doubts about the recordings, at least one.
+        subject: The result: "model".
+    """
+    kinds = ", ".join(sorted({str(doubt["kind"]) for doubt in doubts}))
+    return (
+        f"do not use this {subject}: the recordings are doubted ({len(doubts)} warnings: {kinds}); "
+        "correct them and identify again"
+    )

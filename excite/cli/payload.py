@@ -9,7 +9,7 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.payload_result import PAYLOAD_FILES
 from . import options as shared
-from .outcome import Outcome, with_files, written_lines
+from .outcome import Outcome, doubt_line, with_files, written_lines
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
@@ -45,5 +45,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         lines.append(f"  {quantity.name:10}{text}")
     if result.mounting == "different":
         lines.append("the payload differs between the recordings: it was mounted differently")
+    if result.doubts:
+        lines.append(doubt_line(result.doubts, "payload"))
     lines += written_lines(written)
     return 0, with_files(result.document(), written), "\n".join(lines)

@@ -1,6 +1,6 @@
 """Child process of `mesh_file` that reads mesh files with Assimp.
 
-    python -m excite.collision.assimp_process
+    python -P excite/collision/assimp_process.py
 
 Assimp crashes, hangs or allocates without bound on some corrupted files; in a process of its own it
 cannot take the caller down. Standard input: a JSON list of paths. Standard output, for each path in

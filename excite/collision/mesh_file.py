@@ -88,8 +88,9 @@ def _key(file: str) -> tuple[str, int, int]:
 
 
 def _read_with_assimp(files: Sequence[str]) -> Iterator[TriangleMesh]:
-    """Read files with Assimp in a child process."""
-    command = [sys.executable, "-m", "excite.collision.assimp_process"]
+    """Read files with Assimp in a child process, which imports no files of the current folder."""
+    program = Path(__file__).with_name("assimp_process.py")
+    command = [sys.executable, "-P", str(program)]
     try:
         done = subprocess.run(
             command,

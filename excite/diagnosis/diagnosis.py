@@ -192,6 +192,7 @@ def diagnose(
         )
     pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
+    segments.require_sampled([*pieces[0], *pieces[1]], hertz)
     settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
     psi = joint_model.initial_parameters(identified)

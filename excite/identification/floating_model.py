@@ -135,7 +135,7 @@ class FloatingIdentifiedModel:
         """Rows of the contact wrenches, which the joint torques need not hold. Shape (N, r)."""
         if not self.contacts:
             return np.zeros(rigid.shape)
-        if stretch.contacts == self.contacts:
+        if stretch.contacts == tuple(sorted(self.contacts)):
             wrench: FloatArray = np.hstack([stretch.wrench(name) for name in self.contacts])
             if len(self.offset):
                 wrench = wrench - self.offset

@@ -565,13 +565,13 @@ def _predict(
 ) -> Prediction:
     """Predict the torque at every row of a recording, without averaging periods."""
     if equations is None:
-        parts = list(segments.extract_segments([recording], average=False))
+        parts = segments.usable_segments([recording], average=False)
         if shift is not None:
             parts = [_aligned(segment, shift) for segment in parts]
         cutoff = min(hertz, MAX_BAND_SHARE * min(segment.rate for segment in parts))
         equations = regression.build_equations(model, parts, cutoff)
     noise_floor = segments.noise_floor(
-        list(segments.extract_segments([recording])), hertz, tapered=True
+        list(segments.extract_segments([recording])), equations.hertz, tapered=True
     )
     fitted, before = (
         equations.predicted(model.base.matrix @ parameters) for parameters in (psi, nominal)

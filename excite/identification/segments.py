@@ -279,15 +279,35 @@ class TorqueSpectra:
     hertz: float
 
 
+def require_sampled(segments: Sequence[RecordingSegment], hertz: float) -> None:
+    """Check that every segment is sampled fast enough for a stated cutoff frequency.
+
+    Args:
+        segments: Segments of recordings.
+        hertz: Cutoff frequency [Hz].
+
+    Raises:
+        UnusableInput: A segment has no more than two samples per period of the cutoff frequency.
+    """
+    slowest = min(segments, key=lambda segment: segment.rate)
+    if hertz >= 0.5 * slowest.rate:
+        raise UnusableInput(
+            f"--band {hertz:g}: must be below half of the recording's rate, which is "
+            f"{0.5 * slowest.rate:.4g} Hz at {slowest.source}; lower it, or leave that one out"
+        )
+
+
 def torque_spectra(
     segments: Sequence[RecordingSegment],
     hertz: float | None = None,
     carried: Callable[[RecordingSegment], float] | None = None,
+    others: Sequence[RecordingSegment] = (),
 ) -> TorqueSpectra:
     """Compute the spectra of the longest segment and choose the cutoff frequency by them.
 
-    The cutoff is 20 Hz, higher if the motion is faster, lower if noise covers the torque before or
-    if positions do not carry the accelerations (`position_bandwidth`).
+    The cutoff is 20 Hz, higher if the motion is faster, lower if noise covers the torque before, if
+    positions do not carry the accelerations (`position_bandwidth`), or as the rate of the slowest
+    segment requires.
     The noise spectrum is that of the deviations between periods if there are any, else the median
     density above half of the Nyquist frequency.
 
@@ -296,9 +316,16 @@ def torque_spectra(
         hertz: Cutoff frequency to use instead [Hz].
         carried: Returns the highest frequency up to which a segment's positions carry its
             accelerations [Hz]; None: not limited.
+        others: Further segments that are filtered likewise, of which only the rate counts.
+
+    Raises:
+        UnusableInput: A segment is too slow for `hertz`.
     """
     from scipy import signal  # slow to import
 
+    if hertz is not None:
+        require_sampled([*segments, *others], hertz)
+    slowest = min(segment.rate for segment in (*segments, *others))
     longest = leading_segments([max(segments, key=len)], CHUNK_SAMPLES)[0]
     rate, size = longest.rate, _welch_window(longest)
     frequency, torque = signal.welch(longest.torque, rate, nperseg=size, axis=0, detrend="linear")
@@ -311,7 +338,7 @@ def torque_spectra(
     else:
         noise = np.tile(np.median(torque[frequency >= 0.25 * rate], axis=0), (len(frequency), 1))
     motion = motion_bandwidth(longest)
-    chosen = _chosen_cutoff(frequency, torque, noise, motion, rate) if hertz is None else hertz
+    chosen = _chosen_cutoff(frequency, torque, noise, motion, slowest) if hertz is None else hertz
     if hertz is None and carried is not None:
         chosen = min(chosen, max(carried(longest), usable_from_hertz([longest])))
     return TorqueSpectra(frequency, torque, noise, motion, chosen)
@@ -348,7 +375,10 @@ def _welch_window(segment: RecordingSegment) -> int:
 def _chosen_cutoff(
     frequency: FloatArray, torque: FloatArray, noise: FloatArray, motion: float, rate: float
 ) -> float:
-    """Cutoff frequency by the bandwidth of the motion and the frequency at which noise prevails."""
+    """Cutoff frequency by the bandwidth of the motion and the frequency at which noise prevails.
+
+    `rate`: the lowest sample rate [Hz].
+    """
     lowest = min(max(TORQUE_BANDWIDTH_RATIO * motion, 5.0), MAX_BAND_HZ, 0.4 * rate)
     above = (torque > MIN_TORQUE_TO_NOISE_POWER * noise).any(axis=1)
     noisy_from = float(frequency[np.flatnonzero(above)[-1]]) if above.any() else lowest

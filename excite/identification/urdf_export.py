@@ -101,11 +101,15 @@ def _lock_joints(root: ElementTree.Element, robot: Robot) -> None:
     """Fix the joints that do not move, at the position they were locked at, and their mimics."""
     locked: Mapping[str, float] = robot.options["locked"]  # type: ignore[assignment]
     kept = {*robot.joints, *(f.entry.name for f in robot.followers)}
-    for joint in root.findall("joint"):
-        name = str(joint.get("name"))
-        if joint.get("type") == "fixed" or name in kept:
-            continue
-        _make_fixed(joint, _locked_position(root, joint, locked))
+    joints = [
+        joint
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed" and joint.get("name") not in kept
+    ]
+    # all positions first: a joint that is fixed follows none any more
+    positions = [_locked_position(root, joint, locked) for joint in joints]
+    for joint, position in zip(joints, positions, strict=True):
+        _make_fixed(joint, position)
 
 
 def _locked_position(

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .block import Block
-from .remark import Remark, RemarkKind
+from .remark import Remark, RemarkKind, shown_time
 from .time_axis import MAX_DELAYED_STEPS, MAX_FILLED_STEPS
 
 MIN_STEPPED_ROWS = 3
@@ -46,8 +46,8 @@ def remove_clock_steps(block: Block) -> tuple[Block, list[Remark]]:
         t[last + 1 :] += back + usual
         keep[last + 1 : last + 2 + MAX_FILLED_STEPS] = False
         text = (
-            f"the clock steps back by {back + usual:.3g} s at {block.t[last]:.6g} s; later rows "
-            f"are shifted by that, and the recording is cut there"
+            f"the clock steps back by {back + usual:.3g} s at {shown_time(block.t[last])} s; later "
+            "rows are shifted by that, and the recording is cut there"
         )
         start, end = float(block.t[last + 1]), float(block.t[last])
         remarks.append(Remark(RemarkKind.CLOCK_STEP, text, start=start, end=end, repaired=True))

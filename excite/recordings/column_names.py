@@ -95,6 +95,8 @@ def find_columns(
 ) -> ColumnLayout:
     """Find the columns of a robot in a header, named `<prefix>.<joint>` or as by RTDE.
 
+    A column `<prefix>.<joint>` precedes RTDE's column of the same quantity.
+
     Args:
         source: Name of the file, for messages.
         header: Names of all columns.
@@ -112,7 +114,7 @@ def find_columns(
         raise UnusableInput(
             f"{source}: column '{repeated[0]}' occurs twice in the header; drop or rename one"
         )
-    if "timestamp" in header and f"{RTDE_POSITION}0" in header:
+    if _lacks_names_of_rtde(header, robot):
         return _find_rtde_columns(source, header, robot)
     if any(name not in header for name, _ in time):
         raise UnusableInput(
@@ -126,11 +128,7 @@ def find_columns(
                 f"joint '{joint}', name its column with --columns q.{joint}=COLUMN, "
                 "or leave it out with --joints"
             )
-    places = {
-        f"{prefix}.{joint}": (quantity, i)
-        for prefix, quantity in PREFIXES.items()
-        for i, joint in enumerate(robot.joints)
-    }
+    places = _named_columns(robot)
     signals = floating_signals.signal_columns(source, header) if floating else {}
     for signal, columns in signals.items():
         places |= {name: (signal, i) for i, name in enumerate(columns)}
@@ -158,29 +156,54 @@ def column_of(quantity: str, index: int, joints: Sequence[str]) -> str:
     return f"{quantity}.{floating_signals.COMPONENTS[index]}"
 
 
-def _find_rtde_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayout:
-    count = sum(
-        name.removeprefix(RTDE_POSITION).isdigit()
-        for name in header
-        if name.startswith(RTDE_POSITION)
+def _named_columns(robot: Robot) -> dict[str, tuple[str, int]]:
+    """Quantity and joint index of each column `<prefix>.<joint>`."""
+    return {
+        f"{prefix}.{joint}": (quantity, i)
+        for prefix, quantity in PREFIXES.items()
+        for i, joint in enumerate(robot.joints)
+    }
+
+
+def _rtde_joints(header: Sequence[str]) -> set[int]:
+    """Indices of the joints of which RTDE's columns hold positions."""
+    places = (name.removeprefix(RTDE_POSITION) for name in header if RTDE_POSITION in name)
+    return {int(place) for place in places if place.isdecimal()}
+
+
+def _lacks_names_of_rtde(header: Sequence[str], robot: Robot) -> bool:
+    """True for a header of RTDE in which not all positions are named `q.<joint>`."""
+    return (
+        ("timestamp" in header or "t" in header)
+        and bool(_rtde_joints(header))
+        and not all(f"q.{joint}" in header for joint in robot.joints)
     )
+
+
+def _find_rtde_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayout:
+    named = {i for i, joint in enumerate(robot.joints) if f"q.{joint}" in header}
+    count = len(_rtde_joints(header) | named)
     if count != robot.n:
         raise UnusableInput(
             f"{source}: records {count} joints without their names (actual_q_0, …), but {robot.n} "
             "of the robot move; "
             "use it with a robot whose joints all move, or rename the columns t,q.<joint>,…"
         )
-    places = {
-        f"{field}_{i}": (quantity, i) for field, quantity in RTDE.items() for i in range(robot.n)
+    places = _named_columns(robot) | {
+        f"{field}_{i}": (quantity, i)
+        for field, quantity in RTDE.items()
+        for i, joint in enumerate(robot.joints)
+        if f"{PREFIX_OF[quantity]}.{joint}" not in header
     }
     for i, joint in enumerate(robot.joints):
-        if f"{RTDE_POSITION}{i}" not in header:
+        if i not in named and f"{RTDE_POSITION}{i}" not in header:
             raise UnusableInput(
                 f"{source}: has no column '{RTDE_POSITION}{i}' for joint '{joint}'; record all of "
                 "actual_q"
             )
     names = [name for name in header if name in places]
-    return ColumnLayout(("timestamp", *names), tuple(places[name] for name in names), robot.n)
+    time = "t" if "t" in header else "timestamp"
+    return ColumnLayout((time, *names), tuple(places[name] for name in names), robot.n)
 
 
 def listed(names: Sequence[str], at_most: int = 8) -> str:

@@ -22,6 +22,7 @@ import numpy as np
 from .._types import FloatArray
 from ..errors import UnusableInput
 from .block import Block
+from .remark import shown_time
 
 POSE = tuple(f"base.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw"))
 """Columns of the pose of the base."""
@@ -106,7 +107,7 @@ def with_continuous_quaternions(source: str, block: Block) -> Block:
         row = known[np.argmax(wrong)]
         raise UnusableInput(
             f"{source}: base.qx … base.qw have the norm {norm[np.argmax(wrong)]:.3g} at "
-            f"t = {block.t[row]:.6g} s; give a unit quaternion, the real part in base.qw"
+            f"t = {shown_time(block.t[row])} s; give a unit quaternion, the real part in base.qw"
         )
     unit = quaternion[known] / norm[:, None]
     flips = np.einsum("ti,ti->t", unit[1:], unit[:-1]) < 0.0

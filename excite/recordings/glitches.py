@@ -11,7 +11,7 @@ from ..robot.robot import Robot
 from .block import Block
 from .missing_values import true_runs
 from .position_wraps import TURN, is_plausible
-from .remark import Remark, RemarkKind
+from .remark import Remark, RemarkKind, shown_time
 
 MAX_SPEED_RATIO = 2.0
 """Speed between two rows over the velocity limit that a joint cannot have [1]. Controllers stop a
@@ -140,7 +140,7 @@ def _jump_remarks(
     row = int(jumps[np.argmax(np.abs(q[jumps] - q[jumps - 1]))])
     speed = abs(q[row] - q[row - 1]) / max(t[row] - t[row - 1], 1e-12)
     text = (
-        f"joint '{joint}': position steps by {q[row] - q[row - 1]:.4g} at {t[row]:.4g} s, "
+        f"joint '{joint}': position steps by {q[row] - q[row - 1]:.4g} at {shown_time(t[row])} s, "
         f"{speed / velocity:.3g} times the velocity limit {velocity:.4g}, and at {len(jumps)} "
         "places in all; check the unit of time and position, and the velocity limit"
     )
@@ -181,7 +181,7 @@ def _mask(
         if name == "q"
         else f"they exceed {MAX_TORQUE_RATIO:g} times the torque limit {limit:.4g}"
     )
-    place = f"{count} readings of {name} (the first {sample:.4g} at {t[runs[0, 0]]:.4g} s)"
+    place = f"{count} readings of {name} (the first {sample:.4g} at {shown_time(t[runs[0, 0]])} s)"
     if count > MAX_GLITCH_SHARE * len(wrong):
         raise UnusableInput(
             f"{source}: joint '{joint}': {place} of {len(wrong)} are impossible, as {reason}; "

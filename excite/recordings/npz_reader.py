@@ -163,7 +163,7 @@ def _joint_names(path: Path, file: zipfile.ZipFile, names: list[str]) -> list[st
         _read_header(path, file, "joints", stream)
     with file.open("joints.npy") as stream:
         return [
-            str(name)
+            name.decode() if isinstance(name, bytes) else str(name)
             for name in np.atleast_1d(np.lib.format.read_array(stream, allow_pickle=False))
         ]
 

@@ -18,7 +18,7 @@ import numpy as np
 from .._types import BoolArray, FloatArray, IntArray
 from .missing_values import true_runs
 from .recording import MIN_ROWS, Recording
-from .remark import Remark, RemarkKind
+from .remark import Remark, RemarkKind, shown_time
 
 MAX_DIFFERENCE = 0.03
 """Largest |d| over the range of a joint at which the motion counts as repeated [1]. Industrial
@@ -190,7 +190,7 @@ def with_detected_period(recording: Recording) -> Recording:
 
 
 def _span(window: tuple[float, float]) -> str:
-    return f"{window[0]:.4g} to {window[1]:.4g} s"
+    return f"{shown_time(window[0])} to {shown_time(window[1])} s"
 
 
 def _with_repetition(recording: Recording, repetition: Repetition, text: str | None) -> Recording:

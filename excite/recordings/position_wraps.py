@@ -8,7 +8,7 @@ from .._types import FloatArray
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from .block import Block
-from .remark import Remark, RemarkKind
+from .remark import Remark, RemarkKind, shown_time
 
 TURN = 2.0 * np.pi
 """One turn [rad]."""
@@ -68,7 +68,7 @@ def unwrap_positions(
             plural = "s" if len(wraps) > 1 else ""
             done.append(
                 f"{len(wraps)} step{plural} of a whole turn from one row to the next "
-                f"(the first at {block.t[wraps[0]]:.4g} s) are unwrapped"
+                f"(the first at {shown_time(block.t[wraps[0]])} s) are unwrapped"
             )
         if turns:
             plural = "s" if abs(turns) > 1 else ""

@@ -26,7 +26,7 @@ from .clock_steps import remove_clock_steps
 from .data_quality import RecordingContext, RowWindow
 from .periodicity import check_repetition
 from .recording import Recording
-from .remark import Remark, RemarkKind
+from .remark import Remark, RemarkKind, shown_time
 from .time_axis import find_grid, sort_rows
 
 DELAY_ROWS = 128
@@ -77,6 +77,7 @@ def read(
     window = RowWindow(ordered, remarks=tuple(remarks))
     grid = find_grid(str(path), ordered.t)
     recording = data_quality.check_and_repair(context, window, grid, complete=True)
+    recording.require_segment()
     stated = recording.sidecar
     if stated.period is not None:
         stated_by = str(sidecar.sidecar_path(path))
@@ -195,8 +196,8 @@ def _windows(
         earliest = float(np.fmin.reduce(block.t, initial=np.inf))
         if earliest < done:
             raise UnusableInput(
-                f"{source}: time goes back to {earliest:.6g} s after {done:.6g} s; sort the rows, "
-                "or give each recording its own file"
+                f"{source}: time goes back to {shown_time(earliest)} s after {shown_time(done)} s; "
+                "sort the rows, or give each recording its own file"
             )
         ordered, remarks = sort_rows(source, block if kept is None else concatenate([kept, block]))
         pending += remarks

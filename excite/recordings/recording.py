@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -14,7 +15,7 @@ from ..errors import UnusableInput
 from ..robot.samples import Samples
 from . import encoder_resolution
 from .block import QUANTITIES
-from .remark import Remark
+from .remark import Remark, shown_time
 from .sidecar import Sidecar
 from .time_axis import gap_free_slices, mean_step
 
@@ -132,10 +133,14 @@ class Recording:
             )
         if periodic is not None and not (periodic[0] < self.t[-1] and periodic[1] > self.t[0]):
             raise UnusableInput(
-                f"{stated_by}: no row of {self.source} is between {periodic[0]:g} and "
-                f"{periodic[1]:g} s; "
-                f"it runs from {self.t[0]:g} to {self.t[-1]:g} s"
+                f"{stated_by}: no row of {self.source} is between {shown_time(periodic[0])} and "
+                f"{shown_time(periodic[1])} s; it runs from {self._span}"
             )
+
+    @property
+    def _span(self) -> str:
+        """First and last time, for messages."""
+        return f"{shown_time(self.t[0])} to {shown_time(self.t[-1])} s"
 
     @property
     def doubts(self) -> tuple[Remark, ...]:
@@ -198,9 +203,10 @@ class Recording:
 
     @property
     def contacts(self) -> tuple[str, ...]:
-        """Frames of the contact wrenches of a floating base, "world" among them."""
+        """Frames of the contact wrenches of a floating base, "world" among them, by name."""
         prefix = "wrench."
-        return tuple(name[len(prefix) :] for name in self.signals if name.startswith(prefix))
+        frames = (name[len(prefix) :] for name in self.signals if name.startswith(prefix))
+        return tuple(sorted(frames))
 
     def wrench(self, frame: str) -> FloatArray:
         """Return the wrench at a frame. Shape (N, 6) [N, N m]."""
@@ -219,8 +225,8 @@ class Recording:
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
             raise UnusableInput(
-                f"{self.source}: has no rows from {start:g} to {end:g} s; it runs from "
-                f"{self.t[0]:g} to {self.t[-1]:g} s"
+                f"{self.source}: has no rows from {shown_time(start)} to {shown_time(end)} s; it "
+                f"runs from {self._span}"
             )
         remarks = tuple(
             r
@@ -241,6 +247,17 @@ class Recording:
                 run_in = min(max(self.run_in - rows.start, 0), count)
                 yield dataclasses.replace(self.rows(rows), run_in=run_in)
 
+    def require_segment(self) -> None:
+        """Check that there is a segment that can be filtered.
+
+        Raises:
+            UnusableInput: All segments have fewer than MIN_ROWS rows.
+        """
+        if next(self.segments(), None) is None:
+            raise UnusableInput(
+                f"{self.source}: has no {MIN_ROWS} rows without a gap; record again"
+            )
+
     def samples(self, cutoff: float = DEFAULT_CUTOFF_HZ) -> Samples:
         """Compute positions, velocities and accelerations of all segments.
 
@@ -255,6 +272,7 @@ class Recording:
         """
         from scipy import signal  # slow to import
 
+        self.require_segment()
         dt = self.step
         is_slow = cutoff * dt >= MAX_CUTOFF_PER_RATE  # nothing above the cutoff is sampled
         filtered = [
@@ -265,21 +283,24 @@ class Recording:
             )
             for segment in self.segments()
         ]
-        if not filtered:
-            raise UnusableInput(
-                f"{self.source}: has no {MIN_ROWS} rows without a gap; record again"
-            )
         dq = [np.gradient(q, dt, axis=0) for q in filtered]
         ddq = [np.gradient(v, dt, axis=0) for v in dq]
         return Samples(np.concatenate(filtered), np.concatenate(dq), np.concatenate(ddq))
 
 
 def require_distinct(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
-    """Check that no validation recording is one of the fitted recordings.
+    """Check that no recording is fitted twice, and that no validation recording is a fitted one.
 
     Raises:
-        UnusableInput: Two recordings hold the same positions.
+        UnusableInput: Two fitted recordings hold the same values, or a validation recording has the
+            positions of a fitted one.
     """
+    for first, second in itertools.combinations(fitted, 2):
+        if _hold_same_values(first, second):
+            raise UnusableInput(
+                f"{second.source}: is the same recording as {first.source} and would count twice; "
+                "name it once"
+            )
     for validation in held_out:
         for training in fitted:
             if len(validation) == len(training) and np.array_equal(validation.q, training.q):
@@ -287,3 +308,18 @@ def require_distinct(fitted: Sequence[Recording], held_out: Sequence[Recording])
                     f"{validation.source}: is the same motion as {training.source}; validate with "
                     "another recording"
                 )
+
+
+def _hold_same_values(first: Recording, second: Recording) -> bool:
+    """True if all signals of two recordings are equal."""
+    values, others = _measured_values(first), _measured_values(second)
+    return values.keys() == others.keys() and all(
+        np.array_equal(value, others[name], equal_nan=True) for name, value in values.items()
+    )
+
+
+def _measured_values(recording: Recording) -> dict[str, FloatArray]:
+    """All signals of a recording by name."""
+    named = {name: getattr(recording, name) for name in (*QUANTITIES, "base")}
+    recorded = {name: value for name, value in named.items() if value is not None}
+    return {**recorded, **recording.signals}

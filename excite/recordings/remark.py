@@ -41,6 +41,11 @@ class RemarkKind(Enum):
     POSITION = "position"
 
 
+def shown_time(time: float) -> str:
+    """Format a time of a recording for a message [s]: to 1 ms, also where it is a Unix time."""
+    return f"{round(time, 3):.13g}"
+
+
 @dataclass(frozen=True)
 class Remark:
     """A property or a fault of a recording.

@@ -69,8 +69,9 @@ def read_blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
     from the first message used. `effort` is torque unless the sidecar states "effort": "current".
     Messages without one of the joints, such as those of a gripper on the same topic, are skipped.
     Where some messages hold positions, velocities and efforts and others fewer of them, as of a
-    second publisher that fills in positions, only the complete ones are used. Where no message
-    names all joints, as with one publisher a joint, the messages are merged.
+    second publisher that fills in positions, only the complete ones are used; without any, those
+    with positions and efforts. Where no message names all joints, as with one publisher a joint,
+    the messages are merged.
 
     Args:
         path: A rosbag2 folder or a file of a bag.
@@ -174,7 +175,8 @@ def _read_messages(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> Ite
     if not complete and set(robot.joints) <= set().union(*(names for names, _ in contents)):
         yield _merge_joints(path, bag, topic, robot, sidecar)
         return
-    table = _Table(path, robot, effort, max(complete, key=len, default=frozenset({"position"})))
+    recorded = max(complete, key=_usefulness, default=frozenset({"position"}))
+    table = _Table(path, robot, effort, recorded)
     for message, received in bag.messages(topic):
         table.add(message, received)
         if len(table.times) == BLOCK_ROWS:
@@ -193,6 +195,11 @@ def _message_contents(bag: _Bag, topic: str) -> set[tuple[frozenset[str], frozen
 def _filled_fields(message: Any) -> frozenset[str]:
     """Fields of a message that hold values."""
     return frozenset(field for field in FIELDS if len(getattr(message, field)))
+
+
+def _usefulness(fields: frozenset[str]) -> tuple[bool, bool, int]:
+    """Rank of a message's fields, different for different fields: positions, then efforts."""
+    return "position" in fields, "effort" in fields, len(fields)
 
 
 def _merge_joints(path: Path, bag: _Bag, topic: str, robot: Robot, sidecar: Sidecar) -> Block:

@@ -9,7 +9,7 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from .block import Block
 from .missing_values import true_runs
-from .remark import Remark, RemarkKind
+from .remark import Remark, RemarkKind, shown_time
 
 ANGLE_TOLERANCE = 1e-4
 """Motion below which a revolute joint stands still, and resolution above which its position is
@@ -179,7 +179,8 @@ def check_frozen_position(block: Block, robot: Robot, i: int) -> Remark | None:
 def _frozen_remark(block: Block, joint: str, name: str, rows: slice) -> Remark:
     start, end = float(block.t[rows.start]), float(block.t[rows.stop - 1])
     text = (
-        f"joint '{joint}': {name} is constant from {start:.4g} to {end:.4g} s while the joint moves"
+        f"joint '{joint}': {name} is constant from {shown_time(start)} to {shown_time(end)} s "
+        "while the joint moves"
     )
     return Remark(RemarkKind.FROZEN, text, joint, start, end)
 

@@ -10,14 +10,14 @@ import numpy as np
 from .._types import FloatArray
 from ..errors import UnusableInput
 from .block import Block
-from .remark import Remark, RemarkKind
+from .remark import Remark, RemarkKind, shown_time
 
 STEP_TOLERANCE = 0.02
 """Relative deviation from the usual time step up to which a step counts as even [1]."""
 MAX_FILLED_STEPS = 5
 """Number of usual steps above which a step is a gap; fewer missing rows are interpolated."""
 MAX_STEP = 0.5
-"""Longest plausible time step of a recording [s]: 2 rows a second."""
+"""Time step from which time is in another unit [s]: 2 rows a second, or 2 kHz in ms."""
 MIN_STEP = 1e-6
 """Shortest plausible time step of a recording [s]: a million rows a second."""
 UNITS = (("ms", 1e3, 2e2), ("µs", 1e6, 2e5), ("ns", 1e9, np.inf))
@@ -85,8 +85,9 @@ def sort_rows(source: str, block: Block) -> tuple[Block, list[Remark]]:
         is_restart = -steps[worst] > MAX_DELAYED_STEPS * usual
         if is_restart and len(delayed) <= max(1, len(steps) // 100):
             raise UnusableInput(
-                f"{source}: time goes back from {block.t[worst]:.6g} to {block.t[worst + 1]:.6g} "
-                "s; are these two recordings? Give each its own file"
+                f"{source}: time goes back from {shown_time(block.t[worst])} to "
+                f"{shown_time(block.t[worst + 1])} s; are these two recordings? Give each its own "
+                "file"
             )
         start, end = float(block.t[delayed[0]]), float(block.t[delayed[-1]])
         block = block.rows(np.argsort(block.t, kind="stable"))
@@ -117,14 +118,14 @@ def find_grid(source: str, t: FloatArray) -> TimeGrid:
         t: Increasing times. Shape (N,) [s].
 
     Raises:
-        UnusableInput: The median is longer than 0.5 s, which is another unit of time, or shorter
-            than 1 µs; or more than 1 % of the steps are gaps, as where stamps are those of arrival.
+        UnusableInput: The median is 0.5 s or longer, which is another unit of time, or shorter than
+            1 µs; or more than 1 % of the steps are gaps, as where stamps are those of arrival.
     """
     steps = np.diff(t)
     if not len(steps):
         raise UnusableInput(f"{source}: has {len(t)} rows with distinct times; record more")
     usual = float(np.median(steps))
-    if usual > MAX_STEP:
+    if usual >= MAX_STEP:
         unit, factor = next((u, f) for u, f, largest in UNITS if usual <= largest)
         raise UnusableInput(
             f"{source}: the usual time step is {usual:g}; is time in {unit}? Divide it by "

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..recordings.remark import shown_time
+
 MAX_SHOWN_ODDS = 1000.0
 """Odds beyond which they are not written out [1]."""
 
@@ -79,4 +81,4 @@ def value_with_error(value: float, std: float | None, unit: str) -> str:
 
 def seconds_between(start: float, end: float) -> str:
     """Format an interval of time: '1 to 1.12'."""
-    return f"{number(start)} to {number(end)}"
+    return f"{shown_time(start)} to {shown_time(end)}"

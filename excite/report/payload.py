@@ -37,7 +37,11 @@ def payload_page(document: Mapping[str, Any]) -> str:
     content = ReportContent(
         title=f"Payload of {document['robot']['name']}",
         subtitle=f"The body attached to {link}, in the frame of that link.",
-        banners=[Banner(verdict, "good" if mass["shown"] else "warn"), *_mounting(document)],
+        banners=[
+            *_doubts(document),
+            Banner(verdict, "good" if mass["shown"] else "warn"),
+            *_mounting(document),
+        ],
         cards=[
             (f"{number(mass['value'])} kg", "mass"),
             (f"{10 - len(hidden)} of 10", "quantities decided by the recordings"),
@@ -56,6 +60,15 @@ def payload_page(document: Mapping[str, Any]) -> str:
         footer=f"excite {package_versions()['excite']}",
     )
     return render("summary", content)
+
+
+def _doubts(document: Mapping[str, Any]) -> list[Banner]:
+    """Unrepaired doubts about the recordings, with which the payload says little."""
+    doubts = [f"{Path(d['recording']).name}: {d['text']}" for d in document.get("doubts", [])]
+    if not doubts:
+        return []
+    text = "Do not use this payload: the recordings are doubted."
+    return [Banner(text, "bad"), *(Banner(doubt, "warn") for doubt in doubts)]
 
 
 def _mounting(document: Mapping[str, Any]) -> list[Banner]:

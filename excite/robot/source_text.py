@@ -20,6 +20,10 @@ READ_ELEMENTS = ("link", "joint")
 """Children of <robot> that are read."""
 IGNORED_ELEMENTS = ("visual",)
 """Elements inside these that are not."""
+HELD = ("floating", "planar")
+"""Types of joints of several degrees of freedom."""
+HELD_TYPE = re.compile(rf"""(<joint\b[^>]*\stype\s*=\s*)(["'])(?:{"|".join(HELD)})\2""")
+"""A joint's tag up to its type, if it is one of these."""
 XACRO = "xacro"
 """Word that the prefix or the namespace of xacro's elements contains."""
 DECLARED_XACRO = re.compile(r"""\sxmlns:xacro\s*=\s*["']([^"']*)""")
@@ -28,7 +32,7 @@ EXPANSION = (
     "print(XacroDoc.from_file(sys.argv[1], resolve_packages=False).to_urdf_string())"
 )
 """Program that prints an expanded xacro. It runs in a process of its own, as a file's expressions
-can fail in any way or never end."""
+can fail in any way or never end, with -P, so that it imports no files of the current folder."""
 LONGEST_EXPANSION = 60.0
 """Time after which an expansion is given up [s]; the largest descriptions take a few seconds."""
 LONGEST_REASON = 300
@@ -70,14 +74,14 @@ def read_robot(path: Path) -> Conversion:
 @lru_cache(maxsize=8)
 def _read_version(path: Path, modified: int, size: int) -> Conversion:
     """Read a version of a file, which its time of modification and its size tell from others."""
-    raw = xml_file.read_text(path, "a URDF")
+    raw = xml_file.without_default_namespace(xml_file.read_text(path, "a URDF"))
     if raw.strip() and not raw.lstrip("\ufeff \t\r\n").startswith("<"):
         raise UnusableInput(
             f"{path}: is not a URDF; first comes the robot's URDF or a name that 'excite robots' "
             "lists"
         )
     if path.suffix == ".xacro":
-        return Conversion(_expanded(path), ())
+        return _held(path, _expanded(path))
     root = xml_file.parse_text(path, raw)
     if root.tag == "mujoco":
         return convert_mjcf(path)
@@ -86,7 +90,20 @@ def _read_version(path: Path, modified: int, size: int) -> Conversion:
             f"{path}: its root is <{root.tag}>, not <robot>; give a URDF or an MJCF"
         )
     namespaces = {XACRO, *DECLARED_XACRO.findall(raw)}
-    return Conversion(_expanded(path) if _is_xacro(root, namespaces) else raw, ())
+    return _held(path, _expanded(path) if _is_xacro(root, namespaces) else raw)
+
+
+def _held(path: Path, text: str) -> Conversion:
+    """Fix the joints of several degrees of freedom where they begin, as the free joints of an
+    MJCF."""
+    root = xml_file.parse_text(path, text)
+    remarks = (
+        f"{path}: the {joint.get('type')} joint '{joint.get('name')}' is held: its link is fixed "
+        "where it begins"
+        for joint in root.findall("joint")
+        if joint.get("type") in HELD
+    )
+    return Conversion(HELD_TYPE.sub(r"\1\2fixed\2", text), tuple(remarks))
 
 
 def _is_xacro(root: ElementTree.Element, namespaces: set[str]) -> bool:
@@ -130,7 +147,7 @@ def _expanded(path: Path) -> str:
         )
     try:
         done = subprocess.run(
-            [sys.executable, "-c", EXPANSION, str(path.resolve())],
+            [sys.executable, "-P", "-c", EXPANSION, str(path.resolve())],
             capture_output=True,
             text=True,
             encoding="utf-8",

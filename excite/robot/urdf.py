@@ -362,7 +362,7 @@ def _joint(source: str, element: ElementTree.Element) -> JointEntry | None:
     if kind not in MOVABLE:
         raise UnusableInput(
             f"{source}: {owner} is of type '{kind}'; only {', '.join(MOVABLE)} and fixed joints "
-            "are known"
+            "are known; correct its type"
         )
     limit, dynamics, mimic = element.find("limit"), element.find("dynamics"), element.find("mimic")
     unusable: dict[str, str] = {}

@@ -42,6 +42,9 @@ PREFIX = re.compile(r"(?<=[<\s/])([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s/>=])"
 DECLARATION = re.compile(r"\sxmlns:([A-Za-z_][\w.-]*)\s*=")
 ROOT_NAME = re.compile(r"\A(?:\ufeff|\s|<\?.*?\?>|<!--.*?-->)*<[A-Za-z_][\w.:-]*", re.DOTALL)
 """Everything before the root element's attributes."""
+ROOT_TAG = re.compile(ROOT_NAME.pattern + "[^>]*", re.DOTALL)
+"""Everything up to the end of the root element's tag."""
+DEFAULT_NAMESPACE = re.compile(r"""\sxmlns\s*=\s*("[^"]*"|'[^']*')""")
 
 
 class _BoundedBuilder(ElementTree.TreeBuilder):
@@ -149,6 +152,12 @@ def undeclared_prefixes(text: str) -> list[str]:
     used = dict.fromkeys(prefix for tag in tags for prefix in PREFIX.findall(tag))
     declared = {"xml", "xmlns"} | {name for tag in tags for name in DECLARATION.findall(tag)}
     return [prefix for prefix in used if prefix not in declared]
+
+
+def without_default_namespace(text: str) -> str:
+    """The text of an XML file whose root element declares no default namespace, so that its
+    elements have plain names."""
+    return ROOT_TAG.sub(lambda match: DEFAULT_NAMESPACE.sub("", match[0]), text, count=1)
 
 
 def parse_text(path: Path, text: str, *, keep_comments: bool = False) -> ElementTree.Element:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from ..errors import UnusableInput
 from ..robot.inertial_parameters import ranges, spread_poses
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from . import urdf_geometry
 from .distance_query import Body, BodyPair, DistanceQuery, group_bodies
 from .geometry import Shape, ShapeKind
 
@@ -198,24 +199,30 @@ def build(
         recipe,
         assumed_floor,
     )
-    candidates = tuple(BodyPair(*indices, margin) for indices in _movable_pairs(unpaired))
-    pairs, excepted = _classify_pairs(dataclasses.replace(unpaired, pairs=candidates))
-    return dataclasses.replace(unpaired, pairs=tuple(pairs), excepted=tuple(excepted))
+    candidates, left_out = _movable_pairs(unpaired)
+    pairs, excepted = _classify_pairs(dataclasses.replace(unpaired, pairs=tuple(candidates)))
+    return dataclasses.replace(unpaired, pairs=tuple(pairs), excepted=(*left_out, *excepted))
 
 
-def _movable_pairs(cell: Cell) -> Iterator[tuple[int, int]]:
-    """Indices of bodies that move relative to each other, without neighbouring links and disabled
-    pairs."""
-    parents = list(cell.robot.model.parents)
+def _movable_pairs(cell: Cell) -> tuple[list[BodyPair], list[ExceptedPair]]:
+    """Return the pairs of bodies that move relative to each other, those of them apart that are
+    neighbouring links or disabled."""
+    pairs, excepted = list[BodyPair](), list[ExceptedPair]()
     disabled = {frozenset(pair) for pair in cell.disabled}
+    neighbours = urdf_geometry.neighbouring_links(
+        cell.robot.source, {body.name for body in cell.bodies if body.is_link}
+    )
     for (i, first), (k, second) in itertools.combinations(enumerate(cell.bodies), 2):
-        a, b = first.joint, second.joint
-        # surroundings are no neighbour of the first moving link, unlike fixed links of the base
-        are_neighbours = (parents[a] == b or parents[b] == a) and not (
-            first.is_surrounding or second.is_surrounding
-        )
-        if a != b and not are_neighbours and frozenset((first.name, second.name)) not in disabled:
-            yield i, k
+        if first.joint == second.joint:
+            continue
+        names = frozenset((first.name, second.name))
+        if names in disabled:
+            excepted.append(ExceptedPair(first.name, second.name, "allowed to touch"))
+        elif names in neighbours:
+            excepted.append(ExceptedPair(first.name, second.name, "joined by one joint"))
+        else:
+            pairs.append(BodyPair(i, k, cell.margin))
+    return pairs, excepted
 
 
 def _classify_pairs(cell: Cell) -> tuple[list[BodyPair], list[ExceptedPair]]:

@@ -297,6 +297,41 @@ def test_links_close_by_construction_get_a_reduced_margin():
     assert any("close by construction" in pair.why for pair in cell.excepted)
 
 
+def test_contact_between_two_configurations_of_the_grid_is_no_exception(tmp_path):
+    """A thin post of the base in reach of the second of two links, which a grid of poses misses."""
+    shapes = (((0.005, 0.005, 0.3), (0.61, 0.2, 0.15)), ((0.4, 0.005, 0.05), (0.2, 0.0, 0.2)))
+    post, rod = (
+        f'<collision><origin xyz="{x} {y} {z}"/><geometry><box size="{a} {b} {c}"/></geometry>'
+        "</collision></link>"
+        for (a, b, c), (x, y, z) in shapes
+    )
+    urdf = tmp_path / "scara.urdf"
+    urdf.write_text(
+        document(
+            link("l0", 1.0).replace("</link>", post),
+            link("l1", 1.0),
+            link("l2", 1.0).replace("</link>", rod),
+            joint("a", "l0", "l1"),
+            joint("b", "l1", "l2", xyz=(0.4, 0, 0)),
+        )
+    )
+    robot = load(str(urdf))
+    cell = scene_file.build_cell(robot, resolve(robot), Scene(floor=False))
+    assert [cell.names(pair) for pair in cell.pairs] == ["l0 – l2"]
+    assert not cell.excepted
+
+
+def test_links_that_never_touch_are_excepted():
+    robot = load("ur10e")
+    cell = scene_file.build_cell(robot, resolve(robot), Scene())
+    never = [pair for pair in cell.excepted if pair.why.startswith("never in contact")]
+    assert {(pair.first, pair.second) for pair in never} == {
+        ("base_link", "upper_arm_link"),
+        ("forearm_link", "wrist_2_link"),
+        ("wrist_1_link", "wrist_3_link"),
+    }
+
+
 def test_hulls_replace_loose_covers(tmp_path):
     """Two flat plates pass each other at less distance than their capsules would."""
     plate = Path(octahedron(tmp_path / "plate.obj", 0.5))

@@ -15,7 +15,7 @@ from ..errors import UnusableInput
 from ..robot.inertial_parameters import ranges, spread_poses
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from . import urdf_geometry
+from . import contact_exclusion, urdf_geometry
 from .distance_query import Body, BodyPair, DistanceQuery, group_bodies
 from .geometry import Shape, ShapeKind
 
@@ -40,7 +40,8 @@ CONSTANT_DISTANCE = 1e-4
 """Variation over all poses below which a distance does not depend on the motion [m]: right angles
 that a URDF rounds to four decimals tilt a link of 1 m by 0.05 mm."""
 GRID_STEPS = 24
-"""Configurations per joint at which links with up to two joints between them are evaluated."""
+"""Configurations per joint at which links with up to two joints between them are evaluated, for
+their usual distance."""
 MESH_GRID_STEPS = 9
 """The same for meshes, whose distances take longer."""
 
@@ -256,10 +257,14 @@ def _classify_pairs(cell: Cell) -> tuple[list[BodyPair], list[ExceptedPair]]:
             if with_surroundings or distances.min() > NEAR_RATIO * pair.margin
             else _grid_distances(cell, query, k)
         )
-        distances = distances if grid is None else grid
-        median = float(np.median(distances))
+        median = float(np.median(distances if grid is None else grid))
         has_mesh = bodies[0].has_mesh or bodies[1].has_mesh
-        if grid is not None and grid.min() > (MIN_MESH_DISTANCE if has_mesh else MIN_LINK_DISTANCE):
+        least_allowed = MIN_MESH_DISTANCE if has_mesh else MIN_LINK_DISTANCE
+        if (
+            grid is not None
+            and min(distances.min(), grid.min()) > least_allowed
+            and contact_exclusion.excludes_contact(cell.robot, cell.limits, *bodies)
+        ):
             excepted.append(ExceptedPair(*names, "never in contact within the joint limits"))
         elif with_surroundings or median > (NEAR_RATIO if grid is not None else 1.0) * pair.margin:
             kept.append(pair)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
 import math
 import re
@@ -11,7 +13,9 @@ import numpy as np
 import pytest
 import ruckig
 import yaml
+from conftest import document, joint, link
 
+import excite
 from excite import exporters
 from excite.errors import UnusableInput
 from excite.exporters import csv_json, ros2, urscript, vendor_table
@@ -297,6 +301,34 @@ def test_a_wrong_number_of_joints_is_refused(name: str, wrong: int, tmp_path: Pa
     for part in (str(tmp_path / "out"), name, "joint_1, joint_2", "--joints"):
         assert part in text
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", [*vendor_table.profiles(), "urscript"])
+def test_a_sliding_joint_is_refused_where_numbers_are_angles(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UnusableInput, match="joint 'joint_2' slides; lock it"):
+        exporters.write(trajectory_for(name), name, tmp_path / "out", sliding=["joint_2"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_kinds_of_joints_are_those_of_the_urdf(tmp_path: Path) -> None:
+    """An arm of five joints, of which the third slides, with a motion that breaks its limits."""
+    urdf = tmp_path / "arm.urdf"
+    bodies = [link(f"l{k}", 1.0, (0.1, 0.2, 0.3)) for k in range(6)]
+    joints = [
+        joint(f"joint_{k}", f"l{k - 1}", f"l{k}", "prismatic" if k == 3 else "revolute")
+        for k in range(1, 6)
+    ]
+    urdf.write_text(document(*bodies, *joints), encoding="utf-8")
+    robot = {
+        **complete_motion(5).robot,
+        "source": str(urdf),
+        "sha256": hashlib.sha256(urdf.read_bytes()).hexdigest(),
+    }
+    trajectory = dataclasses.replace(complete_motion(5), robot=robot)
+    stated = exporters.write(trajectory, "json", tmp_path / "trajectory.json")
+    with pytest.raises(UnusableInput, match="joint 'joint_3' slides; lock it"):
+        excite.export(stated, "vendor:xarm", tmp_path / "out", force=True)
+    excite.export(stated, "csv", tmp_path / "out", force=True)
 
 
 def test_unusable_options_are_refused(tmp_path: Path) -> None:

@@ -246,8 +246,9 @@ def export(
     kinds = content.design.get("drive", inertial_parameters.DRIVE)
     standard = inertial_parameters.standard_parameters(loaded, truth, kinds)
     torque = nominal_torque(loaded, standard)
+    sliding = [entry.name for entry in loaded.entries if entry.kind == "prismatic"]
     written = exporters.write(
-        content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal
+        content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal, sliding=sliding
     )
     steps = next_steps(content, str(trajectory), format, written, goal, speed)
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced, tuple(steps))

@@ -289,6 +289,32 @@ def test_quintic_interpolation_of_knots_follows_the_motion(tmp_path: Path) -> No
         np.testing.assert_allclose(between, trajectory.motion.at(t[[i]] + 0.01)[0], atol=1e-8)
 
 
+def test_interpolation_between_points_keeps_the_limits_and_the_path(tmp_path: Path) -> None:
+    """Ramps reach an acceleration of 5, which the quintic of 50 Hz exceeds between two points."""
+    wide, path = complete_motion(2), tmp_path / "m.yaml"
+    bound = float(np.abs(wide.motion.at(np.linspace(0.0, wide.motion.duration, 50001), 2)).max())
+    narrow = dataclasses.replace(
+        wide, limits=dataclasses.replace(wide.limits, acceleration=np.full(2, 1.003 * bound))
+    )
+    t, q, dq, ddq = ros2.read(exporters.write(narrow, "ros2-joint-trajectory", path))
+    assert t[1] == pytest.approx(0.01)
+    for i in range(len(t) - 1):
+        a, b = (np.vstack([c[k] for c in (q, dq, ddq)]) for k in (i, i + 1))
+        h = t[i + 1] - t[i]
+        around = [quintic(h, s, a, b) for s in (0.49 * h, 0.5 * h, 0.51 * h)]
+        assert np.abs(np.diff(around, 2, axis=0) / (0.01 * h) ** 2).max() <= 1.003 * bound
+    slow = dataclasses.replace(
+        wide, limits=dataclasses.replace(wide.limits, velocity=np.full(2, 2.5))
+    )
+    for trajectory, reason in (
+        (wide, "interpolation of joint 'joint_1' leaves the path by"),
+        (slow, "interpolated velocity of joint 'joint_1' is up to"),
+    ):
+        with pytest.raises(UnusableInput, match=f"--rate 1: the {reason}.*use --rate 50$"):
+            exporters.write(trajectory, "ros2-follow-joint-trajectory", path, rate=1.0)
+        exporters.write(trajectory, "ros2-follow-joint-trajectory", path, rate=50.0)
+
+
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [("ur-csv", 7), ("urscript", 2), ("franka-csv", 6), ("vendor:abb-egm", 7), ("vendor:xarm", 2)],

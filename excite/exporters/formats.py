@@ -72,10 +72,12 @@ def _registry() -> dict[str, _Format]:
             csv_json.read_json,
         ),
         "ros2-joint-trajectory": _Format(
-            "ROS 2 trajectory_msgs/JointTrajectory, 50 Hz knots", ros2.render_trajectory, ros2.read
+            "ROS 2 trajectory_msgs/JointTrajectory, 50 Hz knots or denser",
+            ros2.render_trajectory,
+            ros2.read,
         ),
         "ros2-follow-joint-trajectory": _Format(
-            "ROS 2 goal of control_msgs/FollowJointTrajectory, 50 Hz knots",
+            "ROS 2 goal of control_msgs/FollowJointTrajectory, 50 Hz knots or denser",
             ros2.render_goal,
             ros2.read,
         ),

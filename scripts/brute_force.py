@@ -53,19 +53,17 @@ class PairDistance:
 class DistanceJudge:
     """Distances of all pairs of bodies that can move relative to each other.
 
-    Pairs that the cell leaves out are included.
+    Pairs that the cell leaves out by their distances are included.
     """
 
     def __init__(self, cell: Cell) -> None:
         self.robot, bodies = cell.robot, cell.bodies
         known = {(pair.first, pair.second): pair.margin for pair in cell.pairs}
-        disabled = {frozenset(pair) for pair in cell.disabled}
-        disabled |= {
-            frozenset((shape.first, shape.second))
-            for shape in cell.excepted
-            if shape.why.startswith("always")
+        left_out = {
+            (pair.first, pair.second)
+            for pair in cell.excepted
+            if pair.why.startswith(("always", "allowed", "joined"))
         }
-        parents = list(cell.robot.model.parents)
         self.names, self.margins, shapes, owners = (
             list[str](),
             list[float](),
@@ -75,10 +73,7 @@ class DistanceJudge:
         starts = np.cumsum([0, *(len(body.shapes) for body in bodies)]).tolist()
         for i, j in itertools.combinations(range(len(bodies)), 2):
             a, b = bodies[i], bodies[j]
-            hinged = (parents[a.joint] == b.joint or parents[b.joint] == a.joint) and not (
-                a.is_surrounding or b.is_surrounding
-            )
-            if a.joint == b.joint or hinged or frozenset((a.name, b.name)) in disabled:
+            if a.joint == b.joint or (a.name, b.name) in left_out:
                 continue
             combinations = list(
                 itertools.product(range(starts[i], starts[i + 1]), range(starts[j], starts[j + 1]))

@@ -14,6 +14,7 @@ import pytest
 from conftest import LIMIT, QUICK, loaded, pendulum
 
 from excite import _json
+from excite.api.verification_result import VerificationResult
 from excite.designer import certificate as certificate_module
 from excite.designer import constraint_margins, pipeline, ramps
 from excite.designer.certificate import Certificate
@@ -546,6 +547,11 @@ def test_derived_limits_do_not_restrict_the_periodic_part(two_link, table):
     motion = delivery.design.motion
     t = motion.grid(2000)
     assert (1.2 * np.abs(motion.at(t, 2)).max(axis=0) <= derived.acceleration * (1 + 1e-2)).all()
+    titles = {margin.limit: margin.title for margin in delivery.certificate.margins}
+    assert titles["acceleration"] == "acceleration (ramps)"
+    assert titles["velocity"] == "velocity"
+    verification = VerificationResult(delivery.certificate, delivery.trajectory, two_link, derived)
+    assert "\nacceleration (ramps) joint_" in verification.text()
 
 
 def test_oversampling_of_the_certificate_is_accurate():

@@ -231,6 +231,38 @@ def test_neighbouring_links_are_no_pair():
     assert {cell.names(pair) for pair in cell.pairs} == {"base_link – link_2"}
 
 
+def test_links_beyond_a_locked_joint_are_no_neighbours():
+    robot = load("ur5e", joints=["elbow_joint"], lock={"wrist_2_joint": 1.57})
+    cell = scene_file.build_cell(robot, resolve(robot), Scene(floor=False))
+    names = {cell.names(pair) for pair in cell.pairs}
+    assert {"upper_arm_link – wrist_1_link", "upper_arm_link – wrist_2_link"} <= names
+    listed = names | {f"{pair.first} – {pair.second}" for pair in cell.excepted}
+    fixed = [body.name for body in cell.bodies if body.joint == 0]
+    moving = [body.name for body in cell.bodies if body.joint > 0]
+    assert listed == {f"{first} – {second}" for first in fixed for second in moving}
+
+
+def test_only_links_that_one_joint_joins_are_neighbours(tmp_path):
+    """A frame without shape may be between them, a tool or another link with a shape may not."""
+    ball = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
+    parts = [link(f"l{k}", 1.0).replace("</link>", ball + "</link>") for k in range(3)]
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(
+        document(
+            *(*parts, link("frame"), link("flange")),
+            joint("mount", "l0", "frame", "fixed", xyz=(0, 0, 0.2)),
+            joint("a", "frame", "l1", axis=(0, 1, 0)),
+            joint("weld", "l1", "l2", "fixed", xyz=(-0.2, 0, 0)),
+            joint("end", "l1", "flange", "fixed", xyz=(0.2, 0, 0)),
+        )
+    )
+    robot = load(str(urdf))
+    tool = Shape("tool", ShapeKind.SPHERE, (0.05,), link="flange")
+    cell = scene_file.build_cell(robot, resolve(robot), Scene((tool,), floor=False))
+    assert {cell.names(pair) for pair in cell.pairs} == {"l0 – l2", "l0 – tool"}
+    assert [(pair.first, pair.second) for pair in cell.excepted] == [("l0", "l1")]
+
+
 def test_default_floor_is_below_the_fixed_links():
     cell = two_links(floor=None)
     height = next(body.placements[0].translation[2] for body in cell.bodies if body.name == "floor")
@@ -253,6 +285,7 @@ def test_pairs_disabled_by_srdf_are_excluded(tmp_path):
         robot, resolve(robot), Scene(floor=False, disabled=urdf_geometry.disabled_pairs(srdf))
     )
     assert not cell.pairs
+    assert ("base_link", "link_2", "allowed to touch") in map(dataclasses.astuple, cell.excepted)
     assert clearance_builder.build_constraint(cell) is None
 
 
@@ -262,6 +295,41 @@ def test_links_close_by_construction_get_a_reduced_margin():
     close = next(pair for pair in cell.pairs if cell.names(pair) == "iiwa_link_5 – iiwa_link_7")
     assert 0.0 < close.margin < 0.02
     assert any("close by construction" in pair.why for pair in cell.excepted)
+
+
+def test_contact_between_two_configurations_of_the_grid_is_no_exception(tmp_path):
+    """A thin post of the base in reach of the second of two links, which a grid of poses misses."""
+    shapes = (((0.005, 0.005, 0.3), (0.61, 0.2, 0.15)), ((0.4, 0.005, 0.05), (0.2, 0.0, 0.2)))
+    post, rod = (
+        f'<collision><origin xyz="{x} {y} {z}"/><geometry><box size="{a} {b} {c}"/></geometry>'
+        "</collision></link>"
+        for (a, b, c), (x, y, z) in shapes
+    )
+    urdf = tmp_path / "scara.urdf"
+    urdf.write_text(
+        document(
+            link("l0", 1.0).replace("</link>", post),
+            link("l1", 1.0),
+            link("l2", 1.0).replace("</link>", rod),
+            joint("a", "l0", "l1"),
+            joint("b", "l1", "l2", xyz=(0.4, 0, 0)),
+        )
+    )
+    robot = load(str(urdf))
+    cell = scene_file.build_cell(robot, resolve(robot), Scene(floor=False))
+    assert [cell.names(pair) for pair in cell.pairs] == ["l0 – l2"]
+    assert not cell.excepted
+
+
+def test_links_that_never_touch_are_excepted():
+    robot = load("ur10e")
+    cell = scene_file.build_cell(robot, resolve(robot), Scene())
+    never = [pair for pair in cell.excepted if pair.why.startswith("never in contact")]
+    assert {(pair.first, pair.second) for pair in never} == {
+        ("base_link", "upper_arm_link"),
+        ("forearm_link", "wrist_2_link"),
+        ("wrist_1_link", "wrist_3_link"),
+    }
 
 
 def test_hulls_replace_loose_covers(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
 import math
 import re
@@ -11,7 +13,9 @@ import numpy as np
 import pytest
 import ruckig
 import yaml
+from conftest import document, joint, link
 
+import excite
 from excite import exporters
 from excite.errors import UnusableInput
 from excite.exporters import csv_json, ros2, urscript, vendor_table
@@ -285,6 +289,32 @@ def test_quintic_interpolation_of_knots_follows_the_motion(tmp_path: Path) -> No
         np.testing.assert_allclose(between, trajectory.motion.at(t[[i]] + 0.01)[0], atol=1e-8)
 
 
+def test_interpolation_between_points_keeps_the_limits_and_the_path(tmp_path: Path) -> None:
+    """Ramps reach an acceleration of 5, which the quintic of 50 Hz exceeds between two points."""
+    wide, path = complete_motion(2), tmp_path / "m.yaml"
+    bound = float(np.abs(wide.motion.at(np.linspace(0.0, wide.motion.duration, 50001), 2)).max())
+    narrow = dataclasses.replace(
+        wide, limits=dataclasses.replace(wide.limits, acceleration=np.full(2, 1.003 * bound))
+    )
+    t, q, dq, ddq = ros2.read(exporters.write(narrow, "ros2-joint-trajectory", path))
+    assert t[1] == pytest.approx(0.01)
+    for i in range(len(t) - 1):
+        a, b = (np.vstack([c[k] for c in (q, dq, ddq)]) for k in (i, i + 1))
+        h = t[i + 1] - t[i]
+        around = [quintic(h, s, a, b) for s in (0.49 * h, 0.5 * h, 0.51 * h)]
+        assert np.abs(np.diff(around, 2, axis=0) / (0.01 * h) ** 2).max() <= 1.003 * bound
+    slow = dataclasses.replace(
+        wide, limits=dataclasses.replace(wide.limits, velocity=np.full(2, 2.5))
+    )
+    for trajectory, reason in (
+        (wide, "interpolation of joint 'joint_1' leaves the path by"),
+        (slow, "interpolated velocity of joint 'joint_1' is up to"),
+    ):
+        with pytest.raises(UnusableInput, match=f"--rate 1: the {reason}.*use --rate 50$"):
+            exporters.write(trajectory, "ros2-follow-joint-trajectory", path, rate=1.0)
+        exporters.write(trajectory, "ros2-follow-joint-trajectory", path, rate=50.0)
+
+
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [("ur-csv", 7), ("urscript", 2), ("franka-csv", 6), ("vendor:abb-egm", 7), ("vendor:xarm", 2)],
@@ -297,6 +327,34 @@ def test_a_wrong_number_of_joints_is_refused(name: str, wrong: int, tmp_path: Pa
     for part in (str(tmp_path / "out"), name, "joint_1, joint_2", "--joints"):
         assert part in text
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", [*vendor_table.profiles(), "urscript"])
+def test_a_sliding_joint_is_refused_where_numbers_are_angles(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UnusableInput, match="joint 'joint_2' slides; lock it"):
+        exporters.write(trajectory_for(name), name, tmp_path / "out", sliding=["joint_2"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_kinds_of_joints_are_those_of_the_urdf(tmp_path: Path) -> None:
+    """An arm of five joints, of which the third slides, with a motion that breaks its limits."""
+    urdf = tmp_path / "arm.urdf"
+    bodies = [link(f"l{k}", 1.0, (0.1, 0.2, 0.3)) for k in range(6)]
+    joints = [
+        joint(f"joint_{k}", f"l{k - 1}", f"l{k}", "prismatic" if k == 3 else "revolute")
+        for k in range(1, 6)
+    ]
+    urdf.write_text(document(*bodies, *joints), encoding="utf-8")
+    robot = {
+        **complete_motion(5).robot,
+        "source": str(urdf),
+        "sha256": hashlib.sha256(urdf.read_bytes()).hexdigest(),
+    }
+    trajectory = dataclasses.replace(complete_motion(5), robot=robot)
+    stated = exporters.write(trajectory, "json", tmp_path / "trajectory.json")
+    with pytest.raises(UnusableInput, match="joint 'joint_3' slides; lock it"):
+        excite.export(stated, "vendor:xarm", tmp_path / "out", force=True)
+    excite.export(stated, "csv", tmp_path / "out", force=True)
 
 
 def test_unusable_options_are_refused(tmp_path: Path) -> None:

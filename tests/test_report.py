@@ -13,6 +13,7 @@ import pytest
 
 from excite.collision import continuous_check, scene_file
 from excite.designer import criteria, identifiability, ramps
+from excite.designer.certificate import Certificate, LimitMargin, promised_share
 from excite.designer.constraint_margins import MotionConstraints
 from excite.report import DesignRecord, design_page, identifiability_page
 from excite.report.design import relative_margins
@@ -192,6 +193,42 @@ def test_design_report_stands_alone_and_answers_every_question() -> None:
     for key in ("limits", "torque", "spectrum", "parts", "parameters", "more", "path", "history"):
         assert "<svg" in section(page, key), key
     assert len(page.encode()) < 1_500_000
+
+
+def test_the_closest_limit_is_that_of_the_certificate() -> None:
+    """Velocities have the same margins as positions, 30 % of which are promised."""
+    trajectory, *context = parts("ur10e")
+    promising = dataclasses.replace(
+        trajectory, design={**trajectory.design, "margin": {"velocity": 0.3}}
+    )
+    page = design_page(promising, *context, record())
+    assert answer(page, "limits") == (
+        "Yes; closest is the velocity of wrist_3_joint at 1.50 s, with a margin of 45 %, "
+        "30 % promised."
+    )
+    certificate = Certificate(
+        tuple(
+            LimitMargin(
+                *(m[key] for key in ("limit", "joint", "time", "value", "bound", "margin")),
+                promised_share(promising, m["limit"]),
+            )
+            for m in trajectory.margins
+        ),
+        {},
+        (),
+    )
+    assert certificate.verdict_lines()[1] == (
+        "limits: certified; nearest: velocity of wrist_3_joint, 1.5 of 3 at 1.500 s "
+        "(45 % free, 30 % promised)"
+    )
+
+
+def test_limits_of_the_ramps_alone_are_marked() -> None:
+    trajectory, *context = parts("ur10e")
+    margins = [{**m, "ramps_only": True} for m in trajectory.margins]
+    page = design_page(dataclasses.replace(trajectory, margins=margins), *context, record())
+    assert "velocity (ramps)" in section(page, "limits")
+    assert "velocity (ramps)" not in section(page_of(), "limits")
 
 
 def test_answers_are_computed_from_the_data() -> None:

@@ -25,8 +25,12 @@ from conftest import (
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+<<<<<<< HEAD
 from excite.errors import ExciteWarning, UnusableInput
 from excite.identification.urdf_export import identified_urdf
+=======
+from excite.errors import UnusableInput
+>>>>>>> 2d22fb125823c4f747e7c6d42ebde1780458ce5f
 from excite.robot import inertial_parameters
 from excite.robot.dynamics import regressor
 from excite.robot.limits import resolve
@@ -223,9 +227,12 @@ def test_joint_whose_range_excludes_neutral_rests_at_its_nearest_bound():
     assert locked["panda_joint4"] == pytest.approx(-0.0698)
 
 
-def test_locking_outside_the_limits_warns_with_the_joint():
-    with pytest.warns(ExciteWarning, match="'joint_2' is locked at 9"):
+def test_locking_outside_the_limits_is_refused_with_the_joint():
+    with pytest.raises(
+        UnusableInput, match=r"--lock joint_2=9: .* limits of the joint, -2\.6 to 2\.6"
+    ):
         load("two_link", lock={"joint_2": 9.0})
+    assert load("two_link", lock={"joint_2": 2.60004}).options["locked"] == {"joint_2": 2.60004}
 
 
 def test_order_of_joints_is_the_models_whatever_was_asked():

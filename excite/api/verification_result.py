@@ -58,14 +58,14 @@ class VerificationResult:
         margins = self.certificate.margins
         limit, joint = (
             max(width, *(len(getattr(m, name)) + 1 for m in margins))
-            for name, width in (("limit", 13), ("joint", 25))
+            for name, width in (("title", 13), ("joint", 25))
         )
         rows = [
             f"{'limit':{limit}}{'joint':{joint}}{'worst':>12}{'bound':>12}{'free':>9}"
             f"{'time [s]':>10}"
         ]
         rows += [
-            f"{m.limit:{limit}}{m.joint:{joint}}{m.value:12.5g}{m.bound:12.5g}"
+            f"{m.title:{limit}}{m.joint:{joint}}{m.value:12.5g}{m.bound:12.5g}"
             f"{certificates.format_percent(m.free_share):>9}{m.time:10.3f}"
             for m in self.certificate.margins
         ]
@@ -246,8 +246,9 @@ def export(
     kinds = content.design.get("drive", inertial_parameters.DRIVE)
     standard = inertial_parameters.standard_parameters(loaded, truth, kinds)
     torque = nominal_torque(loaded, standard)
+    sliding = [entry.name for entry in loaded.entries if entry.kind == "prismatic"]
     written = exporters.write(
-        content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal
+        content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal, sliding=sliding
     )
     steps = next_steps(content, str(trajectory), format, written, goal, speed)
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced, tuple(steps))

@@ -40,6 +40,11 @@ class Body:
     is_surrounding: bool
 
     @property
+    def is_link(self) -> bool:
+        """True for a link of the robot, False for a tool or an object of the surroundings."""
+        return self.name == self.shapes[0].link
+
+    @property
     def has_mesh(self) -> bool:
         """True if one of its shapes is a mesh."""
         return any(shape.kind is ShapeKind.MESH for shape in self.shapes)

@@ -1,19 +1,19 @@
-"""Collision shapes of the links of a URDF, and pairs of links that an SRDF disables."""
+"""Collision shapes of the links of a URDF, its neighbouring links, and pairs of links that an SRDF
+disables."""
 
 from __future__ import annotations
 
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from .. import physical_ranges as ranges
 from ..errors import ExciteWarning, UnusableInput
 from ..physical_ranges import Range
-from ..robot import source_text, xml_file
+from ..robot import source_text, urdf, xml_file
 from ..robot.robot import locate
-from ..robot.urdf import numbers
 from . import mesh_file
 from .geometry import SIZE_KEYS, Shape, ShapeKind
 
@@ -87,6 +87,30 @@ def missing_meshes(source: str, packages: Sequence[str] = ()) -> list[tuple[str,
     return out
 
 
+def neighbouring_links(source: str, links: Collection[str]) -> set[frozenset[str]]:
+    """Find the pairs of links that one movable joint joins.
+
+    Fixed joints to links without shapes, such as flanges and joint frames, may be between them, but
+    no link with a shape, and no second movable joint, even if it is locked.
+
+    Args:
+        source: Path of a URDF or name of a built-in robot.
+        links: Names of the links that have shapes.
+    """
+    joints = {joint.child: joint for joint in urdf.read(locate(source)).placements}
+    out = set[frozenset[str]]()
+    for link in links:
+        parent, movable = link, 0
+        while parent in joints and movable <= 1:
+            movable += joints[parent].kind != "fixed"
+            parent = joints[parent].parent
+            if parent in links:
+                break
+        if parent in links and movable == 1:
+            out.add(frozenset((link, parent)))
+    return out
+
+
 def _shape(
     path: Path,
     link: str,
@@ -133,7 +157,9 @@ def _has_no_extent(solid: ElementTree.Element) -> bool:
 
 
 def _numbers(path: Path, link: str, text: str, count: int, accepted: Range) -> tuple[float, ...]:
-    return tuple(numbers(str(path), f"link '{link}', in its <collision>", text, count, accepted))
+    return tuple(
+        urdf.numbers(str(path), f"link '{link}', in its <collision>", text, count, accepted)
+    )
 
 
 def _find_mesh(path: Path, link: str, name: str, packages: Sequence[str]) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from ..errors import UnusableInput
 from ..robot.inertial_parameters import ranges, spread_poses
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from . import contact_exclusion, urdf_geometry
 from .distance_query import Body, BodyPair, DistanceQuery, group_bodies
 from .geometry import Shape, ShapeKind
 
@@ -39,7 +40,8 @@ CONSTANT_DISTANCE = 1e-4
 """Variation over all poses below which a distance does not depend on the motion [m]: right angles
 that a URDF rounds to four decimals tilt a link of 1 m by 0.05 mm."""
 GRID_STEPS = 24
-"""Configurations per joint at which links with up to two joints between them are evaluated."""
+"""Configurations per joint at which links with up to two joints between them are evaluated, for
+their usual distance."""
 MESH_GRID_STEPS = 9
 """The same for meshes, whose distances take longer."""
 
@@ -198,24 +200,30 @@ def build(
         recipe,
         assumed_floor,
     )
-    candidates = tuple(BodyPair(*indices, margin) for indices in _movable_pairs(unpaired))
-    pairs, excepted = _classify_pairs(dataclasses.replace(unpaired, pairs=candidates))
-    return dataclasses.replace(unpaired, pairs=tuple(pairs), excepted=tuple(excepted))
+    candidates, left_out = _movable_pairs(unpaired)
+    pairs, excepted = _classify_pairs(dataclasses.replace(unpaired, pairs=tuple(candidates)))
+    return dataclasses.replace(unpaired, pairs=tuple(pairs), excepted=(*left_out, *excepted))
 
 
-def _movable_pairs(cell: Cell) -> Iterator[tuple[int, int]]:
-    """Indices of bodies that move relative to each other, without neighbouring links and disabled
-    pairs."""
-    parents = list(cell.robot.model.parents)
+def _movable_pairs(cell: Cell) -> tuple[list[BodyPair], list[ExceptedPair]]:
+    """Return the pairs of bodies that move relative to each other, those of them apart that are
+    neighbouring links or disabled."""
+    pairs, excepted = list[BodyPair](), list[ExceptedPair]()
     disabled = {frozenset(pair) for pair in cell.disabled}
+    neighbours = urdf_geometry.neighbouring_links(
+        cell.robot.source, {body.name for body in cell.bodies if body.is_link}
+    )
     for (i, first), (k, second) in itertools.combinations(enumerate(cell.bodies), 2):
-        a, b = first.joint, second.joint
-        # surroundings are no neighbour of the first moving link, unlike fixed links of the base
-        are_neighbours = (parents[a] == b or parents[b] == a) and not (
-            first.is_surrounding or second.is_surrounding
-        )
-        if a != b and not are_neighbours and frozenset((first.name, second.name)) not in disabled:
-            yield i, k
+        if first.joint == second.joint:
+            continue
+        names = frozenset((first.name, second.name))
+        if names in disabled:
+            excepted.append(ExceptedPair(first.name, second.name, "allowed to touch"))
+        elif names in neighbours:
+            excepted.append(ExceptedPair(first.name, second.name, "joined by one joint"))
+        else:
+            pairs.append(BodyPair(i, k, cell.margin))
+    return pairs, excepted
 
 
 def _classify_pairs(cell: Cell) -> tuple[list[BodyPair], list[ExceptedPair]]:
@@ -249,10 +257,14 @@ def _classify_pairs(cell: Cell) -> tuple[list[BodyPair], list[ExceptedPair]]:
             if with_surroundings or distances.min() > NEAR_RATIO * pair.margin
             else _grid_distances(cell, query, k)
         )
-        distances = distances if grid is None else grid
-        median = float(np.median(distances))
+        median = float(np.median(distances if grid is None else grid))
         has_mesh = bodies[0].has_mesh or bodies[1].has_mesh
-        if grid is not None and grid.min() > (MIN_MESH_DISTANCE if has_mesh else MIN_LINK_DISTANCE):
+        least_allowed = MIN_MESH_DISTANCE if has_mesh else MIN_LINK_DISTANCE
+        if (
+            grid is not None
+            and min(distances.min(), grid.min()) > least_allowed
+            and contact_exclusion.excludes_contact(cell.robot, cell.limits, *bodies)
+        ):
             excepted.append(ExceptedPair(*names, "never in contact within the joint limits"))
         elif with_surroundings or median > (NEAR_RATIO if grid is not None else 1.0) * pair.margin:
             kept.append(pair)

@@ -75,6 +75,8 @@ class LimitMargin:
         free_share: Distance to the bound over the half width of the allowed range, negative where
             the limit is violated [1].
         required_share: Free share that the file promises [1].
+        ramps_only: The limit is derived for the ramps; the periodic part is not held to it, and its
+            value is not in `value`.
     """
 
     limit: str
@@ -84,6 +86,12 @@ class LimitMargin:
     bound: float
     free_share: float
     required_share: float = 0.0
+    ramps_only: bool = False
+
+    @property
+    def title(self) -> str:
+        """Kind of the limit, and the part of the motion if the limit is not for all of it."""
+        return f"{self.limit} (ramps)" if self.ramps_only else self.limit
 
     @property
     def spare_share(self) -> float:
@@ -101,7 +109,7 @@ class LimitMargin:
                 f"{relation} {1e3 * self.bound:.1f} mm (t = {self.time:.2f} s)"
             )
         text = (
-            f"{self.limit} of '{self.joint}' reaches {self.value:.4g} of {self.bound:.4g} "
+            f"{self.title} of '{self.joint}' reaches {self.value:.4g} of {self.bound:.4g} "
             f"(t = {self.time:.3f} s)"
         )
         if self.free_share < -RELATIVE_ROUNDING or not self.required_share:
@@ -117,6 +125,7 @@ class LimitMargin:
             "value": self.value,
             "bound": self.bound,
             "margin": self.free_share,
+            **({"ramps_only": True} if self.ramps_only else {}),
         }
 
 
@@ -180,19 +189,18 @@ class Certificate:
             (m for m in self.margins if m.limit != CLEARANCE), key=lambda margin: margin.spare_share
         )
         detail = (
-            f"nearest: {nearest.limit} of {nearest.joint}, {nearest.value:.5g} of "
+            f"nearest: {nearest.title} of {nearest.joint}, {nearest.value:.5g} of "
             f"{nearest.bound:.5g} at {nearest.time:.3f} s"
         )
+        share = f"{format_percent(nearest.free_share)} free"
+        if nearest.required_share:
+            share += f", {format_percent(nearest.required_share)} promised"
         more = len(self.faults) - MAX_LISTED_FAULTS
         faults = [
             *self.faults[:MAX_LISTED_FAULTS],
             *([f"and {more} more faults"] if more > 0 else []),
         ]
-        limits = [
-            self.limits.value,
-            *faults,
-            f"{detail} ({format_percent(nearest.free_share)} free)",
-        ]
+        limits = [self.limits.value, *faults, f"{detail} ({share})"]
         return (
             f"clearance: {self.clearance.value}; {self.collision}",
             f"limits: {'; '.join(limits)}",
@@ -367,11 +375,12 @@ def limit_margins(trajectory: Trajectory, constraints: MotionConstraints) -> lis
     margins: dict[tuple[str, str], LimitMargin] = {}
     for segment in trajectory.motion.segments:
         for times, quantity in segment_quantities(constraints, trajectory, segment):
-            for margin in nearest_margins(quantity, times, _promised(trajectory, quantity.limit)):
-                if segment.profile is None and _is_derived(
-                    constraints.limits, constraints.robot, margin
-                ):
+            required = promised_share(trajectory, quantity.limit)
+            for nearest in nearest_margins(quantity, times, required):
+                is_derived = _is_derived(constraints.limits, constraints.robot, nearest)
+                if segment.profile is None and is_derived:
                     continue
+                margin = replace(nearest, ramps_only=is_derived)
                 key = (margin.limit, margin.joint)
                 if key not in margins or margin.free_share < margins[key].free_share:
                     margins[key] = margin
@@ -400,7 +409,7 @@ def broken_when_slowed(
     return worst if worst.free_share < -RELATIVE_ROUNDING else None
 
 
-def _promised(trajectory: Trajectory, limit: str) -> float:
+def promised_share(trajectory: Trajectory, limit: str) -> float:
     """Return the share of a limit that the design promises to keep free."""
     return (
         float(trajectory.design.get("margin", {}).get(limit, 0.0)) if limit in WITH_MARGIN else 0.0

@@ -48,6 +48,7 @@ class ExportJob:
         rate: Rows per second [Hz]; None: the format's own.
         tau: Function from samples to nominal torque; None: unknown.
         goal: Lead and tolerances of a ROS 2 goal.
+        sliding: Names of the prismatic joints.
     """
 
     trajectory: Trajectory
@@ -58,6 +59,7 @@ class ExportJob:
     rate: float | None
     tau: Torque | None
     goal: GoalOptions = field(default_factory=GoalOptions)
+    sliding: tuple[str, ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -97,6 +99,20 @@ def require_joints(job: ExportJob, counts: Sequence[int]) -> None:
         f"({', '.join(job.joints)}); "
         f"choose them with 'excite design --joints', or a format for any robot such as csv"
     )
+
+
+def require_turning(job: ExportJob) -> None:
+    """Check that all joints turn, for formats that state angles.
+
+    Raises:
+        UnusableInput: A joint slides.
+    """
+    if job.sliding:
+        raise UnusableInput(
+            f"{job.path}: format '{job.format}' states angles, but joint '{job.sliding[0]}' "
+            "slides; lock it with 'excite design --lock', or choose a format for any robot such as "
+            "csv"
+        )
 
 
 def require_rate(job: ExportJob, rates: Sequence[float]) -> float:

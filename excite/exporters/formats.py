@@ -15,7 +15,7 @@ To add a format:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -72,10 +72,12 @@ def _registry() -> dict[str, _Format]:
             csv_json.read_json,
         ),
         "ros2-joint-trajectory": _Format(
-            "ROS 2 trajectory_msgs/JointTrajectory, 50 Hz knots", ros2.render_trajectory, ros2.read
+            "ROS 2 trajectory_msgs/JointTrajectory, 50 Hz knots or denser",
+            ros2.render_trajectory,
+            ros2.read,
         ),
         "ros2-follow-joint-trajectory": _Format(
-            "ROS 2 goal of control_msgs/FollowJointTrajectory, 50 Hz knots",
+            "ROS 2 goal of control_msgs/FollowJointTrajectory, 50 Hz knots or denser",
             ros2.render_goal,
             ros2.read,
         ),
@@ -108,6 +110,7 @@ def write(
     rate: float | None = None,
     tau: Torque | None = None,
     goal: GoalOptions = GoalOptions(),  # noqa: B008  # immutable
+    sliding: Sequence[str] = (),
 ) -> Path:
     """Write a trajectory for a controller, completely or not at all.
 
@@ -122,6 +125,7 @@ def write(
         tau: Function from samples to nominal torque, shape (N, n) [N m], for the columns
             `tau.<joint>` of `csv`; None: without these columns.
         goal: Lead and tolerances of a ROS 2 goal.
+        sliding: Names of the prismatic joints, which formats of angles refuse.
 
     Returns:
         The path of the file.
@@ -134,7 +138,8 @@ def write(
     check_options(speed, rate)
     output_files(path)
     motion = trajectory.motion if speed == 1.0 else trajectory.motion.slowed(speed)
-    exported = entry.render(ExportJob(trajectory, motion, format, path, speed, rate, tau, goal))
+    job = ExportJob(trajectory, motion, format, path, speed, rate, tau, goal, tuple(sliding))
+    exported = entry.render(job)
     note = note_path(path)
     contents = {path.name: exported.text}
     if exported.note is not None:

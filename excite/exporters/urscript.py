@@ -32,6 +32,7 @@ from .file_format import (
     notes,
     require_joints,
     require_rest,
+    require_turning,
 )
 
 STEP_RATES = (500.0, 250.0, 125.0)
@@ -165,10 +166,11 @@ def render_program(job: ExportJob) -> ExportedText:
     Its step is that of the controller, unless the job states a rate of 500, 250 or 125 Hz.
 
     Raises:
-        UnusableInput: The motion does not have six joints or does not begin and end at rest, or the
-            rate is not supported.
+        UnusableInput: The motion does not have six joints, one of them slides, it does not begin
+            and end at rest, or the rate is not supported.
     """
     require_joints(job, (6,))
+    require_turning(job)
     require_rest(job)
     if job.rate is not None and job.rate not in STEP_RATES:
         raise UnusableInput(

@@ -1,8 +1,9 @@
 """Tables of joint positions at a control rate, each described by a profile in `vendors.toml`.
 
 A profile states how a controller counts positions: unit, sign, zero, coupling of joints, and
-whether they are relative to the start pose. Profiles in degrees are for arms with revolute joints
-only. Signs and zeros are those of the URDF unless the profile states the vendor's own.
+whether they are relative to the start pose. The numbers are angles, so that robots with prismatic
+joints are refused. Signs and zeros are those of the URDF unless the profile states the vendor's
+own.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from .file_format import (
     notes,
     require_joints,
     require_rate,
+    require_turning,
     sampled,
 )
 
@@ -61,7 +63,7 @@ class TableProfile:
         """Convert joint positions to the numbers of the controller.
 
         Args:
-            q: Positions; the first row is the start pose. Shape (N, n) [rad or m].
+            q: Positions; the first row is the start pose. Shape (N, n) [rad].
 
         Returns:
             Numbers of the table. Shape (N, n).
@@ -77,7 +79,7 @@ class TableProfile:
             start: Start pose, for tables relative to it. Shape (n,) [rad].
 
         Returns:
-            Positions. Shape (N, n) [rad or m].
+            Positions. Shape (N, n) [rad].
         """
         n = values.shape[1]
         sign, offset, mix = self._factors(n)
@@ -131,10 +133,11 @@ def render_table(job: ExportJob, profile: TableProfile) -> ExportedText:
         profile: Description of the table.
 
     Raises:
-        UnusableInput: The number of joints or the rate does not fit the profile, or the motion does
-            not begin and end at rest.
+        UnusableInput: The number of joints or the rate does not fit the profile, a joint slides, or
+            the motion does not begin and end at rest.
     """
     require_joints(job, profile.joints)
+    require_turning(job)
     rate = require_rate(job, profile.rates)
     _, samples = sampled(job, rate)
     values = profile.encode(samples.q)
@@ -164,7 +167,7 @@ def read(path: Path, profile: TableProfile) -> Columns:
         profile: Description of the table.
 
     Returns:
-        Times, shape (N,) [s], and positions, shape (N, n) [rad or m].
+        Times, shape (N,) [s], and positions, shape (N, n) [rad].
 
     Raises:
         ValueError: There are no rows, their lengths differ, or a relative table does not state its

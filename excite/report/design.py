@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from ..collision.continuous_check import PairDistance
 from ..collision.workcell import Cell
-from ..designer.certificate import CLEARANCE
+from ..designer.certificate import CLEARANCE, format_percent, promised_share
 from ..designer.constraint_margins import STAND
 from ..designer.discrimination_result import DiscriminationResult
 from ..designer.experiment_comparison import Scenario, compare_scenarios
@@ -230,8 +230,9 @@ def _limits_banner(trajectory: Trajectory) -> Banner:
     margins = [(r, m) for r, m in relative_margins(trajectory) if m["limit"] != CLEARANCE]
     if not margins:
         return Banner("Limits: not checked. Check the motion before running it.", "warn")
-    violated = sum(relative < -ROUNDING for relative, _ in margins)
-    relative, worst = margins[0]
+    spare = [_spare_share(relative, m, trajectory) for relative, m in margins]
+    violated = sum(share < -ROUNDING for share in spare)
+    relative, worst = margins[int(np.argmin(spare))]
     if violated:
         which = f"the worst is the {worst['limit']} of {worst['joint']}"
         text = f"Limits: FAILED. {plural(violated, 'limit')} violated; {which}."
@@ -239,14 +240,21 @@ def _limits_banner(trajectory: Trajectory) -> Banner:
     if trajectory.forced:
         return Banner("Written although a check failed (--force). Do not run this motion.", "bad")
     text = f"Limits: certified. All {len(margins)} hold; the closest is the {worst['limit']} of "
-    return Banner(f"{text}{worst['joint']}, {_margin_words(relative)}.", "good")
+    words = _margin_words(relative, promised_share(trajectory, worst["limit"]))
+    return Banner(f"{text}{worst['joint']}, {words}.", "good")
 
 
-def _margin_words(relative: float) -> str:
-    """A relative margin as the end of a sentence."""
+def _spare_share(relative: float, margin: Mapping[str, Any], trajectory: Trajectory) -> float:
+    """Relative margin beyond the promised one, by which the certificate finds the closest [1]."""
+    return relative - promised_share(trajectory, margin["limit"])
+
+
+def _margin_words(relative: float, promised: float) -> str:
+    """A relative margin, and what of it is promised, as the end of a sentence."""
     if relative < NO_MARGIN:
         return "at its bound"
-    return f"with a margin of {100.0 * relative:.2g} %"
+    text = f"with a margin of {100.0 * relative:.2g} %"
+    return f"{text}, {format_percent(promised)} promised" if promised else text
 
 
 def _clearance_banner(trajectory: Trajectory) -> Banner:
@@ -307,7 +315,9 @@ def _warnings(subject: _Subject) -> list[str]:
 def _limits_section(subject: _Subject) -> Section:
     """Margins to the limits of position, velocity, acceleration, jerk and torque."""
     margins = relative_margins(subject.trajectory)
-    answer, tone = _limits_answer([(r, m) for r, m in margins if m["limit"] != "torque"])
+    answer, tone = _limits_answer(
+        [(r, m) for r, m in margins if m["limit"] != "torque"], subject.trajectory
+    )
     head = ("limit", "joint", "at [s]", "value", "bound", "margin", "used")
     rows = [_margin_row(relative, m, subject.robot) for relative, m in margins]
     closest, others = Table(head, rows, (2, 3, 4, 5)).split(LISTED_MARGINS)
@@ -321,16 +331,20 @@ def _limits_section(subject: _Subject) -> Section:
     return Section("limits", "Does it stay within its limits?", answer, data, tone)
 
 
-def _limits_answer(margins: Sequence[tuple[float, Mapping[str, Any]]]) -> tuple[str, str]:
+def _limits_answer(
+    margins: Sequence[tuple[float, Mapping[str, Any]]], trajectory: Trajectory
+) -> tuple[str, str]:
     """Answer and tone."""
     if not margins:
         return "No limit of position, velocity, acceleration or jerk was checked.", ""
-    violated = [m for relative, m in margins if relative < -ROUNDING]
-    relative, worst = margins[0]
+    spare = [_spare_share(relative, m, trajectory) for relative, m in margins]
+    violated = [m for share, (_, m) in zip(spare, margins, strict=True) if share < -ROUNDING]
+    relative, worst = margins[int(np.argmin(spare))]
     place = f"the {worst['limit']} of {worst['joint']} at {worst['time']:.2f} s"
     if violated:
         return f"No: {plural(len(violated), 'limit')} violated, the worst {place}.", "bad"
-    return f"Yes; closest is {place}, {_margin_words(relative)}.", ""
+    words = _margin_words(relative, promised_share(trajectory, worst["limit"]))
+    return f"Yes; closest is {place}, {words}.", ""
 
 
 def _margin_row(
@@ -346,7 +360,7 @@ def _margin_row(
         f"{number(100.0 * relative, 2 if relative < 1.0 else 3) if abs(relative) >= 1e-4 else 0} %"
     )
     return (
-        limit,
+        f"{limit} (ramps)" if margin.get("ramps_only") else limit,
         joint,
         f"{float(margin['time']):.2f}",
         number(float(margin["value"])),

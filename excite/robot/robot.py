@@ -22,6 +22,9 @@ from . import exact_placement, urdf
 from .link_inertia import LinkInertia, impossible_moments
 
 GRAVITY = (0.0, 0.0, -9.81)
+LIMIT_ROUNDING = 1e-4
+"""Distance by which a locked joint may be beyond its position limits [rad or m]: URDFs round a
+right angle to four decimals."""
 FLOATING_BASE = "excite_floating_base"
 """Name of the free flyer in the models of `free_flyer_models`."""
 
@@ -204,7 +207,8 @@ def load(
         require_mass: Whether every joint has to move a mass.
 
     Raises:
-        UnusableInput: The file cannot be used, a joint is unknown or moves no mass.
+        UnusableInput: The file cannot be used, a joint is unknown, moves no mass, or is locked
+            outside its position limits.
     """
     path = locate(source)
     document = urdf.read(path)
@@ -216,7 +220,7 @@ def load(
     lock = dict(lock or {})
     moving = _moving(document, full, joints, lock)
     kept, multipliers = _followers(document, moving)
-    reference = _rest_positions(document, full, lock, moving)
+    reference = _rest_positions(document, full, lock)
     links = {document.alias(link): link for link in document.links}
     model = _reduced(full, kept, reference, gravity, links)
     structure, rounded = model, tuple[str, ...]()
@@ -446,20 +450,16 @@ def _followers(
     return {name for name, (master, _, _) in resolved.items() if master in moving}, resolved
 
 
-def _rest_positions(
-    document: urdf.Urdf, full: pin.Model, lock: dict[str, float], moving: set[str]
-) -> FloatArray:
+def _rest_positions(document: urdf.Urdf, full: pin.Model, lock: dict[str, float]) -> FloatArray:
     reference = np.zeros(full.nq)
     for name in full.names[1:]:
         master, multiplier, offset = _resolve(document, name)
         lower, upper = document.joints[master].position or (-np.inf, np.inf)
         value = lock.get(master, float(np.clip(0.0, lower, upper)))
-        if master not in moving and not lower <= value <= upper:
-            warnings.warn(
-                f"joint '{master}' is locked at {value:g}, outside its limits [{lower:g}, "
-                f"{upper:g}]",
-                ExciteWarning,
-                stacklevel=3,
+        if not lower - LIMIT_ROUNDING <= value <= upper + LIMIT_ROUNDING:
+            raise UnusableInput(
+                f"{document.source}: --lock {master}={value:g}: the position should be within the "
+                f"limits of the joint, {lower:g} to {upper:g}"
             )
         reference[full.joints[full.getJointId(name)].idx_q] = multiplier * value + offset
     return reference

@@ -448,6 +448,22 @@ def test_a_changed_urdf_is_detected(capsys, tmp_path):
     assert "sha256" in refused(capsys, "verify", tmp_path / "out" / "trajectory.json")
 
 
+def test_a_urdf_is_found_from_any_folder_and_requested_where_it_has_moved(
+    capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    path = write_urdf(tmp_path)
+    assert run(capsys, "design", path.name, "-o", "out", *QUICK)[0] == 0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    trajectory = tmp_path / "out" / "trajectory.json"
+    assert run(capsys, "verify", trajectory)[0] == 0
+    path.rename(tmp_path / "moved.urdf")
+    line = refused(capsys, "verify", trajectory)
+    assert str(path) in line and "--robot" in line
+    assert run(capsys, "verify", trajectory, "--robot", tmp_path / "moved.urdf")[0] == 0
+
+
 def test_an_output_that_cannot_be_written(capsys, tmp_path):
     (tmp_path / "file").write_text("")
     assert "cannot be written" in refused(

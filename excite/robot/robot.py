@@ -120,6 +120,12 @@ class Robot:
         """
         return int(np.flatnonzero(self.spread[:, joint])[0]) + 1
 
+    def document(self) -> dict[str, Any]:
+        """Return the robot's entry in a file, from which it is found from any folder."""
+        is_builtin = self.source in builtin_names()
+        source = self.source if is_builtin else str(Path(self.source).resolve())
+        return {"name": self.name, "source": source, "sha256": self.sha256, **self.options}
+
     def expand(self, q: FloatArray) -> FloatArray:
         """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or
         m]."""

@@ -249,7 +249,7 @@ def export(
     written = exporters.write(
         content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal
     )
-    steps = next_steps(content, str(trajectory), format, written, goal, speed)
+    steps = next_steps(content, loaded, truth, str(trajectory), format, written, goal, speed)
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced, tuple(steps))
 
 

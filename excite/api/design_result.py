@@ -415,6 +415,7 @@ def design(
             start=pose,
             earlier_information=information,
             clearance=clearance,
+            speed=speed,
         )
         facts["plan"] = plan.reproducible_document()
     run = partial(

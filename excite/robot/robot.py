@@ -218,6 +218,7 @@ def load(
         warnings.warn(remark, ExciteWarning, stacklevel=2)
     if inertias:
         document = dataclasses.replace(document, inertias={**inertias, **document.inertias})
+    _require_gravity(document.source, gravity)
     full = _parse(document, document.text())
     lock = dict(lock or {})
     moving = _moving(document, full, joints, lock)
@@ -274,6 +275,14 @@ def load(
     if faults:
         raise UnusableRobot([f"{robot.source}: {fault}" for fault in faults])
     return robot
+
+
+def _require_gravity(source: str, gravity: Sequence[float]) -> None:
+    if len(gravity) != 3 or not all(map(ranges.GRAVITY.accepts, gravity)):
+        stated = ",".join(f"{value:g}" for value in gravity)
+        raise UnusableInput(
+            f"{source}: --gravity {stated}: should be three numbers {ranges.GRAVITY}"
+        )
 
 
 def free_flyer_models(robot: Robot) -> tuple[pin.Model, pin.Model]:

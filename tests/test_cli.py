@@ -363,6 +363,14 @@ def test_unreadable_urdf(capsys, tmp_path, text, words):
         (["two_link", "--lock", "joint_1=0,", "--joints", "joint_2"], ("--lock",)),
         (["two_link", "--lock", "joint_1=nan"], ("--lock", "from -1e+06 to 1e+06 rad or m")),
         (["two_link", "--lock", "joint_1=0", "--lock", "joint_2=0"], ("locked",)),
+        (
+            ["two_link", "--lock", "joint_2=0.3", "--lock", "joint_2=0.5"],
+            ("--lock joint_2", "twice"),
+        ),
+        (
+            ["two_link", "--payload", "tip:1", "--payload", "link_1:2"],
+            ("--payload link_1", "one body"),
+        ),
         (["two_link", "--period", "3.1415"], ("--period", "whole number of samples", "3.14")),
         (["two_link", "--period", "nan"], ("--period",)),
         (["two_link", "--start", "9,9"], ("start pose", "joint_1", "outside")),

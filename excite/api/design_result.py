@@ -89,6 +89,24 @@ class CellOptions:
     packages: Sequence[str] = ()
     check: bool = True
 
+    def __post_init__(self) -> None:
+        """Refuse surroundings that would not be checked.
+
+        Raises:
+            UnusableInput: There are some.
+        """
+        stated = {
+            "--scene": self.scene,
+            "--srdf": self.srdf,
+            "--floor": None if self.floor is False else self.floor,
+            "--clearance": self.clearance,
+        }
+        given = [option for option, value in stated.items() if value is not None]
+        if given and not self.check:
+            raise UnusableInput(
+                f"{given[0]}: has no effect with --no-collision; leave one of them out"
+            )
+
     def cell(self, robot: Robot, limits: Limits) -> tuple[Cell | None, str]:
         """Build the cell.
 

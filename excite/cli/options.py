@@ -16,14 +16,26 @@ from ..robot.robot import Payload, Robot
 
 
 def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of `api.load_robot` that the options state."""
-    payload = None
-    if getattr(arguments, "payload", None):
-        link, values = arguments.payload
-        values += (0.0,) * (10 - len(values))
-        payload = Payload(link, values[0], values[1:4], values[4:])
+    """Arguments of `api.load_robot` that the options state.
+
+    Raises:
+        UnusableInput: There are several payloads, or several positions of a locked joint.
+    """
+    payload, bodies = None, getattr(arguments, "payload", [])
+    if len(bodies) > 1:
+        raise UnusableInput(
+            f"--payload {bodies[1][0]}: there is one already; state one body with the mass, centre "
+            "and inertia of all, or add them to the URDF"
+        )
+    for link, values in bodies:
+        numbers = values + (0.0,) * (10 - len(values))
+        payload = Payload(link, numbers[0], numbers[1:4], numbers[4:])
     joints = arguments.joints.split(",") if arguments.joints else None
-    lock = {name: value for name, (value,) in arguments.lock}
+    lock: dict[str, float] = {}
+    for name, (value,) in arguments.lock:
+        if name in lock:
+            raise UnusableInput(f"--lock {name}: is given twice; leave one of them out")
+        lock[name] = value
     return {
         "source": arguments.robot,
         "joints": joints,

@@ -244,6 +244,8 @@ def _payload_options(group: argparse._ActionsContainer) -> None:
         "--payload",
         type=NamedNumbers(body, ":", Numbers(quantities, (1, 4, 10))),
         metavar=body,
+        action="append",
+        default=[],
         help="body attached to a link: mass [kg], centre of mass [m], inertia about it [kg m²]",
     )
     group.add_argument(
@@ -545,7 +547,8 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
             "TOML: boxes, spheres, capsules, cylinders and meshes around the robot or on its links"
         ),
     )
-    group.add_argument(
+    floor = group.add_mutually_exclusive_group()
+    floor.add_argument(
         "--floor",
         type=Number(ranges.LENGTH),
         metavar="Z",
@@ -554,7 +557,7 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
             "fixed links)"
         ),
     )
-    group.add_argument("--no-floor", action="store_true", help="no floor")
+    floor.add_argument("--no-floor", action="store_true", help="no floor")
     group.add_argument(
         "--clearance",
         type=Number(Range(0.0, 1e4, "m")),

@@ -215,6 +215,7 @@ def export(
         known = ", ".join(exporters.FORMATS)
         raise UnusableInput(f"--format {format}: no such format; there are {known}")
     file_format.check_options(speed, rate)
+    goal.require_format(format)
     # checked before the certificate is computed, which takes time
     output_files(Path(path), inputs=[Path(trajectory)])
     path_of_motion = Path(trajectory)

@@ -661,7 +661,7 @@ def _export(commands: Commands) -> None:
     group = sub.add_argument_group("ROS 2")
     group.add_argument(
         "--lead",
-        type=Number(Range(0.1, 600.0, "s")),
+        type=Number(ranges.LEAD),
         default=5.0,
         metavar="S",
         help="time for the way from the present pose to the start pose (default %(default)s)",
@@ -672,7 +672,7 @@ def _export(commands: Commands) -> None:
     ):
         group.add_argument(
             f"--{name}-tolerance",
-            type=Number(Range(1e-6, 10.0, "rad or m")),
+            type=Number(ranges.TOLERANCE),
             metavar="RAD",
             help=f"{text}, at every joint (default: the controller's own)",
         )

@@ -57,7 +57,7 @@ def require_floating(arguments: argparse.Namespace, options: Mapping[str, str]) 
     Raises:
         UnusableInput: One is.
     """
-    _refuse_given(arguments, options, "is for a robot with --floating; add it")
+    refuse_given(arguments, options, "is for a robot with --floating; add it")
 
 
 def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, str]) -> None:
@@ -70,13 +70,22 @@ def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, st
     Raises:
         UnusableInput: One is.
     """
-    _refuse_given(arguments, options, "is not available with --floating; leave it out")
+    refuse_given(arguments, options, "is not available with --floating; leave it out")
 
 
-def _refuse_given(arguments: argparse.Namespace, options: Mapping[str, str], reason: str) -> None:
-    """Raise UnusableInput with a reason if one of some options is given."""
+def refuse_given(arguments: argparse.Namespace, options: Mapping[str, str], reason: str) -> None:
+    """Check that none of some options has another value than its default.
+
+    Args:
+        arguments: The arguments.
+        options: Names of the attributes by option.
+        reason: Reason and remedy, for the message.
+
+    Raises:
+        UnusableInput: One has.
+    """
     for option, name in options.items():
-        if getattr(arguments, name):
+        if getattr(arguments, name) != arguments.default_of(name):
             raise UnusableInput(f"{option}: {reason}")
 
 

@@ -140,6 +140,7 @@ def _command(commands: Commands, name: str, text: str) -> argparse.ArgumentParse
     sub: argparse.ArgumentParser = commands.add_parser(
         name, help=text, description=text[0].upper() + text[1:] + "."
     )
+    sub.set_defaults(default_of=sub.get_default)  # tells stated options from others
     sub.add_argument(
         "--json",
         action="store_true",

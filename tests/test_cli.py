@@ -494,6 +494,21 @@ def test_unusable_recording(capsys, tmp_path, text):
     assert str(path) in refused(capsys, "identifiability", "two_link", path, "-o", tmp_path / "out")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["design", "two_link", "-o", ""], "argument -o: '' is no value"),
+        (["design", "two_link", "-o", "out", "--scene="], "argument --scene: '' is no value"),
+        (["verify", ""], "'' is no value"),
+        (["verify", "trajectory.json", "--robot", ""], "argument --robot: '' is no value"),
+    ],
+)
+def test_an_empty_path_is_refused(capsys, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert words in refused(capsys, *arguments)
+    assert not list(tmp_path.iterdir())
+
+
 def test_as_a_program():
     result = subprocess.run(
         [sys.executable, "-m", "excite", "verify", "nowhere.json"],

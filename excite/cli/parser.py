@@ -88,11 +88,16 @@ class _Parser(argparse.ArgumentParser):
         """Parse a command line.
 
         `--option=--` is refused: argparse turns it into an empty list, whatever the option's type.
+        So are empty words: an empty path is the current folder.
         """
         words = sys.argv[1:] if args is None else list(args)
-        for word in words:
-            if word.startswith("-") and word.endswith("=--"):
-                self.error(f"argument {word.removesuffix('=--')}: '--' is no value")
+        for before, word in zip(["", *words], words, strict=False):
+            option, _, value = word.partition("=")
+            if word.startswith("-") and word.endswith(("=", "=--")):
+                self.error(f"argument {option}: '{value}' is no value; state one or leave it out")
+            if not word:
+                place = f"argument {before}: " if before.startswith("-") else ""
+                self.error(f"{place}'' is no value; state one or leave it out")
         return super().parse_known_args(words, namespace)
 
 

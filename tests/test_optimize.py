@@ -439,6 +439,7 @@ def test_search_works_far_from_all_limits():
         ({"criterion": "q"}, "--criterion q: no such criterion; there are a, d, e"),
         ({"threshold": -1.0}, "--threshold -1 should be a positive number"),
         ({"speed": 0.0, "time": 20.0}, "--speed 0 should be above 0"),
+        ({"iterations": 0}, "--iterations should be positive"),
         ({"free_period": (8.0, 3.0)}, "--optimise-period 8,3: should be MIN,MAX"),
         ({"free_period": (2.0, 4.0), "period": 9.0}, "--period and --optimise-period"),
         ({"payload_link": "tip", "criterion": "d"}, "--for-payload: has the A-criterion"),

@@ -111,6 +111,7 @@ def check_options(options: DesignOptions) -> None:
         "--periods": options.periods - 1,
         "--rate": options.rate,
         "--starts": options.starts,
+        "--iterations": options.iterations,
     }
     for name, value in positive.items():
         if not (np.isfinite(value) and value > 0):

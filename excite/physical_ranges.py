@@ -72,6 +72,10 @@ PERIOD = Range(1e-3, 1e6, "s")
 RATE = Range(1e-3, 1e5, "Hz")
 HARMONICS = Range(1, 100, "1")
 """Harmonics of a Fourier series. Designs use 3 to 10; matrices grow with the square."""
+LEAD = Range(0.1, 600.0, "s")
+"""Time that a controller gets for the way from the present pose to the start pose."""
+TOLERANCE = Range(1e-6, 10.0, "rad or m")
+"""Deviation of a joint that a controller accepts."""
 PERIODS = Range(1, 1e5, "1")
 SAMPLES = Range(1, 20_000, "1")
 """Samples of the optimiser's grid, on which verification computes the criterion again: 40 to 400

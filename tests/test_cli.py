@@ -378,6 +378,14 @@ def test_unreadable_urdf(capsys, tmp_path, text, words):
         (["two_link", "--lock", "joint_1=nan"], ("--lock", "from -1e+06 to 1e+06 rad or m")),
         (["two_link", "--lock", "joint_1=0", "--lock", "joint_2=0"], ("locked",)),
         (["two_link", "--lock", "joint_2=99"], ("--lock joint_2=99", "limits of the joint")),
+        (
+            ["two_link", "--lock", "joint_2=0.3", "--lock", "joint_2=0.5"],
+            ("--lock joint_2", "twice"),
+        ),
+        (
+            ["two_link", "--payload", "tip:1", "--payload", "link_1:2"],
+            ("--payload link_1", "one body"),
+        ),
         (["two_link", "--period", "3.1415"], ("--period", "whole number of samples", "3.14")),
         (["two_link", "--period", "nan"], ("--period",)),
         (["two_link", "--start", "9,9"], ("start pose", "joint_1", "outside")),
@@ -463,6 +471,22 @@ def test_a_changed_urdf_is_detected(capsys, tmp_path):
     assert "sha256" in refused(capsys, "verify", tmp_path / "out" / "trajectory.json")
 
 
+def test_a_urdf_is_found_from_any_folder_and_requested_where_it_has_moved(
+    capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    path = write_urdf(tmp_path)
+    assert run(capsys, "design", path.name, "-o", "out", *QUICK)[0] == 0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    trajectory = tmp_path / "out" / "trajectory.json"
+    assert run(capsys, "verify", trajectory)[0] == 0
+    path.rename(tmp_path / "moved.urdf")
+    line = refused(capsys, "verify", trajectory)
+    assert str(path) in line and "--robot" in line
+    assert run(capsys, "verify", trajectory, "--robot", tmp_path / "moved.urdf")[0] == 0
+
+
 def test_an_output_that_cannot_be_written(capsys, tmp_path):
     (tmp_path / "file").write_text("")
     assert "cannot be written" in refused(
@@ -483,6 +507,21 @@ def test_unusable_recording(capsys, tmp_path, text):
     path = tmp_path / "r.csv"
     path.write_text(text)
     assert str(path) in refused(capsys, "identifiability", "two_link", path, "-o", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["design", "two_link", "-o", ""], "argument -o: '' is no value"),
+        (["design", "two_link", "-o", "out", "--scene="], "argument --scene: '' is no value"),
+        (["verify", ""], "'' is no value"),
+        (["verify", "trajectory.json", "--robot", ""], "argument --robot: '' is no value"),
+    ],
+)
+def test_an_empty_path_is_refused(capsys, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert words in refused(capsys, *arguments)
+    assert not list(tmp_path.iterdir())
 
 
 def test_as_a_program():

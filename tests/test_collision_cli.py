@@ -150,6 +150,21 @@ def test_no_collision_option_is_reported(capsys, tmp_path):
     assert code == 0 and json.loads(out)["collision"] == "collision not checked (--no-collision)"
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--scene", "nowhere.toml", "--no-collision"),
+        ("--srdf", "nowhere.srdf", "--no-collision"),
+        ("--clearance", "0.1", "--no-collision"),
+        ("--floor", "0", "--no-collision"),
+        ("--floor", "0", "--no-floor"),
+    ],
+)
+def test_contradictory_surroundings_are_refused(capsys, tmp_path, options):
+    line = refused(capsys, "design", "two_link", "-o", tmp_path / "out", *options, *FAST)
+    assert options[0] in line and options[-1] in line
+
+
 def test_changed_mesh_fails_the_verification(capsys, tmp_path):
     mesh = Path(octahedron(tmp_path / "m.obj", 0.1))
     (tmp_path / "scene.toml").write_text(

@@ -475,3 +475,10 @@ def test_every_design_forecasts_what_it_cannot_tell_apart(
     most = next(p for p in pairs if {p.first, p.second} == {"elasticity", "delay"})
     assert least.log_odds < most.log_odds
     assert "Which effects will it not tell apart?" in result.html()
+
+
+def test_a_discriminating_design_in_python_has_the_starts_of_the_command(tmp_path: Path):
+    path = write(tmp_path, {**LOAD, "joint": joints()[0]})
+    search = {"period": 2.0, "harmonics": 3, "samples": 60, "iterations": 20, "jobs": 1}
+    result = api.design("two_link", discriminate=path, **search)
+    assert result.trajectory.design["starts"] == 4

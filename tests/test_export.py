@@ -19,6 +19,7 @@ import excite
 from excite import exporters
 from excite.errors import UnusableInput
 from excite.exporters import csv_json, ros2, urscript, vendor_table
+from excite.exporters.goal_options import GoalOptions
 from excite.robot.limits import Limits
 from excite.robot.samples import Samples
 from excite.trajectory.fourier import FourierSeries
@@ -376,7 +377,31 @@ def test_unusable_options_are_refused(tmp_path: Path) -> None:
     for name in ("franka-csv", "ur-csv", "urscript"):
         with pytest.raises(UnusableInput, match=r"Hz.*--rate 333"):
             exporters.write(trajectory_for(name), name, path, rate=333.0)
+    with pytest.raises(UnusableInput, match=r"'json' carries .* --rate 50 would void them"):
+        exporters.write(complete_motion(2), "json", path, rate=50.0)
+    for goal, name, words in (
+        (GoalOptions(8.0), "csv", "--lead: goes with the format ros2-joint-trajectory or"),
+        (GoalOptions(path_tolerance=0.1), "urscript", "--path-tolerance: goes with"),
+        (GoalOptions(goal_tolerance=0.1), "ros2-joint-trajectory", "--goal-tolerance: goes with"),
+    ):
+        with pytest.raises(UnusableInput, match=words):
+            exporters.write(trajectory_for(name), name, path, goal=goal)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"lead": 0.0}, "--lead 0 should be a number from 0.1 to 600 s"),
+        ({"lead": -3.0}, "--lead -3 should be"),
+        ({"lead": math.nan}, "--lead nan should be"),
+        ({"path_tolerance": -0.1}, "--path-tolerance -0.1 should be a number from 1e-06 to 10"),
+        ({"goal_tolerance": math.nan}, "--goal-tolerance nan should be"),
+    ],
+)
+def test_goals_out_of_range_are_refused(options: dict[str, float], words: str) -> None:
+    with pytest.raises(UnusableInput, match=words):
+        GoalOptions(**options)
 
 
 def test_formats_with_a_choice_of_rate(tmp_path: Path) -> None:

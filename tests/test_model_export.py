@@ -368,6 +368,7 @@ def test_the_kind_of_the_document_decides_what_is_exported(tmp_path, capsys):
         (["--format", "csv"], "--format csv: is no format of an identified robot"),
         (["--format", "urdf", "--into", "mine.xml"], "--into mine.xml: goes with --format mjcf"),
         (["--format", "mjcf", "--speed", "0.1"], "--speed: goes with a trajectory.json"),
+        (["--format", "mjcf", "--lead", "8"], "--lead: goes with a trajectory.json"),
         (["--format", "mjcf", "--recording", "none.csv"], "none.csv"),
     ],
 )

@@ -4,6 +4,7 @@ one."""
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,29 @@ def test_the_way_to_a_model_is_printed(robot, format, words, tmp_path, capsys):
     assert all(word in text for word in [*words, str(path), "--trajectory", "excite identify"])
     joint = json.loads((FOLDER / f"{robot}.json").read_text(encoding="utf-8"))["joints"][0]
     assert joint in steps[0]
+
+
+def test_the_identification_runs_as_printed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text("[joints.joint_1]\nvelocity = 2.0\n", encoding="utf-8")
+    robot = ["--lock", "joint_2=-0.3", "--payload", "link_2:0.5,0.1,0,0.02", "--gravity=0,-9.81,0"]
+    search = ["--starts", "1", "--iterations", "20", "--harmonics", "3", "--no-collision"]
+    design = ["design", "two_link", *robot, "--limits", "mine.toml", *search, "-o", "out"]
+    assert cli.main(design) == 0
+    trajectory = "out/trajectory.json"
+    assert cli.main(["simulate", "two_link", trajectory, "-o", "run1.csv"]) == 0
+    capsys.readouterr()
+    export = ["export", trajectory, "--format", "ros2-joint-trajectory", "-o", "motion.json"]
+    assert cli.main([*export, "--json"]) == 0
+    steps = json.loads(capsys.readouterr().out)["next_steps"]
+    assert steps[0].endswith("; locked: joint_2 -0.3000")
+    words = shlex.split(steps[-1].partition("excite ")[2])
+    for beginning in ("--lock=joint_2=-0.3", "--payload=link_2:0.5,0.1,0.0,0.02,", "--limits=/"):
+        assert any(word.startswith(beginning) for word in words)
+    assert cli.main(["run1.csv" if word == "run1" else word for word in words]) == 0
+    stated = json.loads(Path(trajectory).read_text(encoding="utf-8"))["robot"]
+    model = json.loads(Path("model/model.json").read_text(encoding="utf-8"))
+    assert model["robot"]["gravity"] == stated["gravity"]
 
 
 def test_formats_that_store_the_motion_need_no_steps(tmp_path, capsys):

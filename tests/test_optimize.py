@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import QUICK, document, joint, link, loaded, pendulum, random_urdf, reframed, text_of
 
+from excite.api import design
 from excite.designer import criteria, optimize, pipeline
 from excite.designer.criteria import Criterion
 from excite.designer.evaluator import Evaluator
@@ -430,3 +431,32 @@ def test_search_works_far_from_all_limits():
     limits = resolve(machine)
     design = solved(machine, limits, replace(QUICK, iterations=3))
     assert np.isfinite(design.attempts[0].objective)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"criterion": "q"}, "--criterion q: no such criterion; there are a, d, e"),
+        ({"threshold": -1.0}, "--threshold -1 should be a positive number"),
+        ({"speed": 0.0, "time": 20.0}, "--speed 0 should be above 0"),
+        ({"iterations": 0}, "--iterations should be positive"),
+        ({"free_period": (8.0, 3.0)}, "--optimise-period 8,3: should be MIN,MAX"),
+        ({"free_period": (2.0, 4.0), "period": 9.0}, "--period and --optimise-period"),
+        ({"payload_link": "tip", "criterion": "d"}, "--for-payload: has the A-criterion"),
+        ({"payload_link": "tip", "plain": True}, "--for-payload: has the A-criterion"),
+        ({"payload_link": "base_link"}, "--for-payload base_link: does not move"),
+    ],
+)
+def test_unusable_arguments_of_a_design_are_refused(options, words):
+    with pytest.raises(UnusableInput, match=words):
+        design("two_link", **options)
+
+
+def test_a_criterion_may_be_stated_by_its_name():
+    result = design("two_link", criterion="d", period=2.0, starts=1, iterations=5, jobs=1)
+    assert result.trajectory.design["criterion"] == "d"
+
+
+def test_a_motion_for_a_payload_has_the_default_time_of_the_command():
+    result = design("ur5e", payload_link="tool0", starts=1, iterations=5, jobs=1)
+    assert result.plan is not None and result.plan.budget == 15.0

@@ -25,12 +25,8 @@ from conftest import (
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-<<<<<<< HEAD
-from excite.errors import ExciteWarning, UnusableInput
-from excite.identification.urdf_export import identified_urdf
-=======
 from excite.errors import UnusableInput
->>>>>>> 2d22fb125823c4f747e7c6d42ebde1780458ce5f
+from excite.identification.urdf_export import identified_urdf
 from excite.robot import inertial_parameters
 from excite.robot.dynamics import regressor
 from excite.robot.limits import resolve
@@ -380,6 +376,8 @@ def test_unusable_urdf_says_why_in_one_line_with_its_name(case, tmp_path: Path):
             "'swing' is both in --joints and in --lock; drop one",
         ),
         ({"lock": {"swing": np.nan}}, "--lock swing=nan: the position should be from -1e+06"),
+        ({"gravity": (0.0, 0.0)}, "--gravity 0,0: should be three numbers from -1000 to 1000"),
+        ({"gravity": (0.0, 0.0, np.nan)}, "--gravity 0,0,nan: should be three numbers"),
         ({"payload": Payload("claw", 1.0)}, "no link 'claw'"),
         ({"payload": Payload("arm", 0.0)}, "positive mass"),
         ({"payload": Payload("arm", -1.0)}, "its mass -1 should be from 0 to 1e+06 kg"),

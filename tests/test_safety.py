@@ -207,6 +207,25 @@ def test_margins_are_kept_by_kind_and_stated(designed):
     assert (speed > 0.7 * trajectory.limits.velocity).any()
 
 
+def test_the_verdict_states_the_terms_of_the_certificate(capsys, designed, tmp_path):
+    path = copied(designed, tmp_path) / "o" / "trajectory.json"
+    stated = json.loads(path.read_text())
+    code, out, _ = run(capsys, "verify", path)
+    assert (
+        code == 0 and "for robots within 0.1 of the nominal one; kept free: velocity 10 %," in out
+    )
+    stated["design"]["uncertainty"] = 0.0
+    stated["design"]["margin"]["velocity"] = 0.05
+    stated["design"]["boxes"] = [{"frame": "tip", "lower": [-9] * 3, "upper": [9] * 3}]
+    path.write_text(json.dumps(stated))
+    code, out, _ = run(capsys, "verify", path)
+    assert code == 0 and "for the nominal robot; kept free: velocity 5 % (limits file or" in out
+    assert "default: 10 %), acceleration 2 %" in out and "tip in its box" in out
+    terms = json.loads(run(capsys, "verify", path, "--json")[1])["terms"]
+    assert (terms["uncertainty"], terms["boxes"]) == (0.0, ["tip"])
+    assert terms["margin"] == stated["design"]["margin"]
+
+
 def test_a_margin_worsens_the_criterion_and_may_be_zero(two_link):
     free = DesignOptions(period=4.0, samples=60, starts=1, iterations=60)
     values = [

@@ -236,6 +236,9 @@ def test_unknown_effect_lists_all_effects_with_parameters(tmp_path, capsys):
         (("--colour", "900"), "--colour 900"),
         (("--periods", "0"), "whole number from 1"),
         (("--severity", "0", "--effect", "drag:joint_1"), "from 0.001"),
+        (("--severity", "3"), "--severity: scales hidden effects; name one with --effect"),
+        (("--effect", "drag:joint_1", "--trusted"), "--trusted: goes with --severity"),
+        (("--jitter", "1"), "--jitter 1: should be at most the time between two rows, 0.002 s"),
     ],
 )
 def test_wrong_use_prints_one_line_with_the_remedy(tmp_path, capsys, arguments, words):

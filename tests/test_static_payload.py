@@ -162,6 +162,13 @@ def test_the_command_writes_the_files_of_a_design(tmp_path, capsys):
         (["--poses", "5"], "--poses: is the number of static poses; add --static"),
         (["--static"], "--static: shows a payload; name its link with --for-payload LINK"),
         (["--static", "--for-payload", "tool0", "--time", "20"], "--time: is not available"),
+        *(
+            (["--static", "--for-payload", "tool0", option, value], f"{option}: is not available")
+            for option, value in (
+                *(("--iterations", "5"), ("--jobs", "1"), ("--parameters", "inertial")),
+                *(("--threshold", "0.1"), ("--without", "offset")),
+            )
+        ),
         (["--static", "--for-payload", "tool0", "--criterion", "e"], "has the D-criterion"),
         (["--static", "--for-payload", "nowhere"], "no frame 'nowhere'"),
         (["--static", "--for-payload", "base_link"], "does not move"),

@@ -366,6 +366,14 @@ def test_the_command_designs_a_motion_on_one_foot(walker, capsys, tmp_path):
         (["--floating", "--support", "foot", "--sole", "0.2,0.1"], "no frame 'foot'"),
         (["--floating", "--support", "left_sole", "--sole", "0.2,0.1", "--plain"], "--plain"),
         (
+            ["--floating", "--support", "left_sole", "--sole", "0.2,0.1", "--floor", "0"],
+            "--floor: is not available",
+        ),
+        (
+            ["--floating", "--support", "left_sole", "--sole", "0.2,0.1", "--threshold", "0.1"],
+            "--threshold: is not available",
+        ),
+        (
             ["--floating", "--support", "left_sole", "--sole", "0.2,0.1", "--criterion", "e"],
             "a or d",
         ),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import BUILTIN, loaded, pendulum
 
+from excite.api import design
 from excite.designer import optimize, pipeline, time_budget
 from excite.designer.criteria import Criterion
 from excite.designer.options import DesignOptions, check_played_period, samples_per_period
@@ -216,6 +217,12 @@ def test_short_budget_is_refused_with_the_time_needed(two_link, table):
     assert planned(two_link, table, least).best.robot_time <= least
 
 
+def test_slower_motion_keeps_its_budget(two_link):
+    result = design("two_link", options=SHORT, time=25.0, speed=0.5)
+    assert 20.0 < result.trajectory.motion.duration <= 25.0
+    assert result.plan.best.period == result.trajectory.motion.fourier.period
+
+
 @pytest.mark.parametrize(
     ("budget", "desired", "options", "words"),
     [
@@ -296,12 +303,12 @@ def test_longer_ramps_are_refused_where_all_is_stated():
         )
 
 
-def test_budget_is_that_at_full_speed():
-    run = RecordedRun(1.0, speed=0.1)
+def test_budget_is_that_of_a_slower_motion():
+    run = RecordedRun(2.5, speed=0.5)
     time_budget.run_plan(
-        BudgetPlan(11.0, MotionRequest(), (candidate(3.0, 3),), 0), DesignOptions(), run
+        BudgetPlan(22.0, MotionRequest(), (candidate(6.0, 3),), 0, 0.5), DesignOptions(), run
     )
-    assert run.requests == [(3.0, 3)]
+    assert run.requests == [(3.0, 3), (2.8, 3)]
 
 
 def test_planned_motion_keeps_its_budget(two_link, table):

@@ -62,6 +62,11 @@ DESIGN_FILES = (
     *(f"{validation.VALIDATION_FOLDER}/{name}" for name in MOTION_FILES),
 )
 """Files of a design; a validation motion of an earlier design is removed with it."""
+PAYLOAD_SECONDS = 15.0
+"""Robot time of a motion for a payload, unless it is stated [s]."""
+SEPARATION_STARTS = 4
+"""Random starts of a discriminating motion where none are stated; separations have more local
+optima than criteria."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,24 @@ class CellOptions:
     srdf: str | Path | None = None
     packages: Sequence[str] = ()
     check: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse surroundings that would not be checked.
+
+        Raises:
+            UnusableInput: There are some.
+        """
+        stated = {
+            "--scene": self.scene,
+            "--srdf": self.srdf,
+            "--floor": None if self.floor is False else self.floor,
+            "--clearance": self.clearance,
+        }
+        given = [option for option, value in stated.items() if value is not None]
+        if given and not self.check:
+            raise UnusableInput(
+                f"{given[0]}: has no effect with --no-collision; leave one of them out"
+            )
 
     def cell(self, robot: Robot, limits: Limits) -> tuple[Cell | None, str]:
         """Build the cell.
@@ -318,6 +341,7 @@ def design(
     for_task: str | Path | None = None,
     discriminate: str | Path | None = None,
     validate: bool = False,
+    starts: int | None = None,
     speed: float = 1.0,
     threshold: float = IDENTIFIABLE_VARIANCE,
     force: bool = False,
@@ -343,7 +367,8 @@ def design(
         harmonics: Number of harmonics; None: 5, or chosen for `time`.
         samples: Samples of the optimiser over one period; None: 20 per harmonic.
         periods: Repeats of the period; None: 2, or as many as fit into `time`.
-        time: Robot time with ramps [s], for which the four options above are chosen.
+        time: Robot time with ramps [s], for which the four options above are chosen; None: 15 of a
+            motion for a payload whose period and repeats are not stated.
         start: Pose at which the motion begins and ends at rest. Shape (n,) [rad or m].
         given: Trajectories or recordings whose information is already available.
         for_task: Motion of a task, a recording or a `trajectory.json`, along which the identified
@@ -352,12 +377,13 @@ def design(
         discriminate: A `diagnosis.json`, between whose competing explanations the recording is to
             decide: the smallest separation is maximised; replaces the criterion.
         validate: Also design a second, different motion.
+        starts: Number of random starts; None: that of `options`, with `discriminate` at least 4.
         speed: Share of the speed at which the motion is played.
         threshold: Largest scale-free variance of an identifiable direction.
         force: Return a motion even if its certificate fails.
         progress: Called with each line of progress; None: the logger "excite" at level INFO.
         notes: Further entries of the file's `design`.
-        **search: Fields of `DesignOptions`, e.g. criterion, starts, seed, jobs, iterations,
+        **search: Fields of `DesignOptions`, e.g. criterion, seed, jobs, iterations,
             uncertainty, rate.
 
     Raises:
@@ -368,15 +394,17 @@ def design(
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits, margin)
     request = time_budget.MotionRequest(period, harmonics, samples, periods)
-    chosen = request.complete(replace(options, **search), table)
-    for box in chosen.boxes:
-        loaded.frame(box.frame)
+    if starts is None:
+        starts = options.starts if discriminate is None else max(options.starts, SEPARATION_STARTS)
+    chosen = request.complete(replace(options, starts=starts, **search), table)
+    _require_consistent(loaded, chosen, period, for_task, discriminate)
+    file_format.check_options(speed, None)
+    if not (np.isfinite(threshold) and threshold > 0.0):
+        raise UnusableInput(f"--threshold {threshold:g} should be a positive number")
+    is_timed = any(value is not None for value in (time, period, periods, chosen.free_period))
+    if chosen.payload_link is not None and not is_timed:
+        time = PAYLOAD_SECONDS
     pose = None if start is None else np.asarray(start, float)
-    if for_task is not None and discriminate is not None:
-        raise UnusableInput("--for and --discriminate are two criteria; choose one")
-    if chosen.payload_link is not None and (for_task is not None or discriminate is not None):
-        name = "--for" if discriminate is None else "--discriminate"
-        raise UnusableInput(f"{name} and --for-payload are two criteria; choose one")
     recorded = [motion_samples(Path(path), loaded)[:2] for path in given]
     questions = None
     if discriminate is not None:
@@ -415,6 +443,7 @@ def design(
             start=pose,
             earlier_information=information,
             clearance=clearance,
+            speed=speed,
         )
         facts["plan"] = plan.reproducible_document()
     run = partial(
@@ -454,6 +483,30 @@ def design(
     return DesignResult(
         delivery, loaded, analysis, second, workcell, plan, earlier, task, questions
     )
+
+
+def _require_consistent(
+    robot: Robot,
+    options: DesignOptions,
+    period: float | None,
+    for_task: str | Path | None,
+    discriminate: str | Path | None,
+) -> None:
+    """Raise UnusableInput for options that contradict each other, or name no frame of the robot."""
+    for box in options.boxes:
+        robot.frame(box.frame)
+    if period is not None and options.free_period is not None:
+        raise UnusableInput(
+            "--period and --optimise-period both choose the period; drop one of them"
+        )
+    if for_task is not None and discriminate is not None:
+        raise UnusableInput("--for and --discriminate are two criteria; choose one")
+    if options.payload_link is None:
+        return
+    if for_task is not None or discriminate is not None:
+        name = "--for" if discriminate is None else "--discriminate"
+        raise UnusableInput(f"{name} and --for-payload are two criteria; choose one")
+    robot.carrying_body(options.payload_link, "--for-payload")
 
 
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:

@@ -167,6 +167,10 @@ def simulate(
     )
     from ..simulator import severity as severities
 
+    if severity is None and trusted:
+        raise UnusableInput("--trusted: goes with --severity; add it, or leave --trusted out")
+    if severity is not None and not effects and dense is None and like is None:
+        raise UnusableInput("--severity: scales hidden effects; name one with --effect")
     given = {name: value for name, value in setting.items() if value is not None}
     stated = {
         "effects": effects or None,
@@ -342,4 +346,9 @@ def _setting(given: dict[str, Any], like: Any) -> Any:
     out = replace(ExperimentSettings() if like is None else like, **given)
     if out.colour is not None and not 0.0 < out.colour < 0.5 * out.rate:
         raise UnusableInput(f"--colour {out.colour:g}: should be above 0 and below half the --rate")
+    if out.jitter * out.rate > 1.0:
+        raise UnusableInput(
+            f"--jitter {out.jitter:g}: should be at most the time between two rows, "
+            f"{1.0 / out.rate:g} s"
+        )
     return out

@@ -52,12 +52,7 @@ class SupportDesignResult:
         robot, stance, options = design.robot, design.stance, design.options
         certificate = design.certificate
         return SupportTrajectory(
-            robot={
-                "name": robot.name,
-                "source": robot.source,
-                "sha256": robot.joint_robot.sha256,
-                **robot.joint_robot.options,
-            },
+            robot=robot.joint_robot.document(),
             joints=robot.joints,
             feet=tuple(
                 StatedFoot(

@@ -215,6 +215,7 @@ def export(
         known = ", ".join(exporters.FORMATS)
         raise UnusableInput(f"--format {format}: no such format; there are {known}")
     file_format.check_options(speed, rate)
+    goal.require_format(format)
     # checked before the certificate is computed, which takes time
     output_files(Path(path), inputs=[Path(trajectory)])
     path_of_motion = Path(trajectory)
@@ -250,7 +251,7 @@ def export(
     written = exporters.write(
         content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal, sliding=sliding
     )
-    steps = next_steps(content, str(trajectory), format, written, goal, speed)
+    steps = next_steps(content, loaded, truth, str(trajectory), format, written, goal, speed)
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced, tuple(steps))
 
 

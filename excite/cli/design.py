@@ -16,15 +16,11 @@ from ..api.identification_result import REFERENCE_RATE
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
 from ..designer.options import DesignOptions, torque_noise_levels
-from ..errors import UnusableInput
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
 from . import options as shared
 from . import static_design, support_design
 from .outcome import Outcome, with_files, written_lines
-
-DISCRIMINATION_STARTS = 4
-"""Random starts of a discriminating motion where none are stated."""
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
@@ -51,12 +47,13 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         harmonics=arguments.harmonics,
         samples=arguments.samples,
         periods=arguments.periods,
-        time=_time(arguments),
+        time=arguments.time,
         start=None if not arguments.start else shared.of_joints("--start", arguments.start, robot),
         given=arguments.given,
         for_task=arguments.for_task,
         discriminate=arguments.discriminate,
         validate=arguments.validation,
+        starts=arguments.starts,
         speed=arguments.speed,
         threshold=arguments.threshold,
         force=arguments.force,
@@ -68,63 +65,22 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     return (0 if result.ok else 1), document, _text(result, document, written)
 
 
-PAYLOAD_SECONDS = 15.0
-"""Robot time of a motion for a payload, unless it is stated [s]."""
-
-
-def _time(arguments: argparse.Namespace) -> float | None:
-    """Robot time of the motion [s]; None: the period and its repeats decide."""
-    is_stated = arguments.time is not None or arguments.period or arguments.periods
-    if arguments.for_payload is None or is_stated:
-        return arguments.time
-    return PAYLOAD_SECONDS
-
-
 def _options(arguments: argparse.Namespace, robot: Robot) -> DesignOptions:
     """Options of the design, except period, harmonics, samples and repeats of the motion."""
-    free = arguments.optimise_period
-    if free is not None and not free[0] < free[1]:
-        raise UnusableInput(
-            f"--optimise-period {free[0]:g},{free[1]:g}: should be MIN,MAX with MIN < MAX"
-        )
     return DesignOptions(
         criterion=Criterion(arguments.criterion),
         plain=arguments.plain,
         drive=shared.drive(arguments),
-        free_period=None if free is None else (free[0], free[1]),
+        free_period=arguments.optimise_period,
         rate=arguments.rate,
         uncertainty=arguments.uncertainty,
         noise=shared.noise(arguments, robot),
         boxes=shared.boxes(arguments),
-        starts=_starts(arguments),
         seed=arguments.seed,
         jobs=arguments.jobs,
         iterations=arguments.iterations,
-        payload_link=_payload_link(arguments, robot),
+        payload_link=arguments.for_payload,
     )
-
-
-def _starts(arguments: argparse.Namespace) -> int:
-    """Return the number of random starts; separations have more local optima than criteria."""
-    if arguments.starts is not None:
-        return int(arguments.starts)
-    return DesignOptions.starts if arguments.discriminate is None else DISCRIMINATION_STARTS
-
-
-def _payload_link(arguments: argparse.Namespace, robot: Robot) -> str | None:
-    """Link whose payload the motion is to show.
-
-    Raises:
-        UnusableInput: The link does not move, or the criterion does not go with it.
-    """
-    link: str | None = arguments.for_payload
-    if link is not None:
-        robot.carrying_body(link, "--for-payload")
-        if arguments.criterion != "a" or arguments.plain:
-            raise UnusableInput(
-                "--for-payload: has the A-criterion; leave --criterion and --plain out"
-            )
-    return link
 
 
 def _noise(trajectory: Trajectory) -> str:

@@ -10,12 +10,13 @@ from .. import api
 from .._system.output_files import output_files
 from ..api.model_export import is_model
 from ..errors import UnusableInput
-from ..exporters.goal_options import GoalOptions
+from ..exporters.goal_options import DEFAULT_LEAD, GoalOptions
 from .outcome import Outcome
 
 OF_TRAJECTORIES: Mapping[str, object] = {
     "rate": None,
     "speed": 1.0,
+    "lead": DEFAULT_LEAD,
     "path_tolerance": None,
     "goal_tolerance": None,
     "robot": None,

@@ -16,14 +16,26 @@ from ..robot.robot import Payload, Robot
 
 
 def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of `api.load_robot` that the options state."""
-    payload = None
-    if getattr(arguments, "payload", None):
-        link, values = arguments.payload
-        values += (0.0,) * (10 - len(values))
-        payload = Payload(link, values[0], values[1:4], values[4:])
+    """Arguments of `api.load_robot` that the options state.
+
+    Raises:
+        UnusableInput: There are several payloads, or several positions of a locked joint.
+    """
+    payload, bodies = None, getattr(arguments, "payload", [])
+    if len(bodies) > 1:
+        raise UnusableInput(
+            f"--payload {bodies[1][0]}: there is one already; state one body with the mass, centre "
+            "and inertia of all, or add them to the URDF"
+        )
+    for link, values in bodies:
+        numbers = values + (0.0,) * (10 - len(values))
+        payload = Payload(link, numbers[0], numbers[1:4], numbers[4:])
     joints = arguments.joints.split(",") if arguments.joints else None
-    lock = {name: value for name, (value,) in arguments.lock}
+    lock: dict[str, float] = {}
+    for name, (value,) in arguments.lock:
+        if name in lock:
+            raise UnusableInput(f"--lock {name}: is given twice; leave one of them out")
+        lock[name] = value
     return {
         "source": arguments.robot,
         "joints": joints,
@@ -45,7 +57,7 @@ def require_floating(arguments: argparse.Namespace, options: Mapping[str, str]) 
     Raises:
         UnusableInput: One is.
     """
-    _refuse_given(arguments, options, "is for a robot with --floating; add it")
+    refuse_given(arguments, options, "is for a robot with --floating; add it")
 
 
 def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, str]) -> None:
@@ -58,13 +70,22 @@ def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, st
     Raises:
         UnusableInput: One is.
     """
-    _refuse_given(arguments, options, "is not available with --floating; leave it out")
+    refuse_given(arguments, options, "is not available with --floating; leave it out")
 
 
-def _refuse_given(arguments: argparse.Namespace, options: Mapping[str, str], reason: str) -> None:
-    """Raise UnusableInput with a reason if one of some options is given."""
+def refuse_given(arguments: argparse.Namespace, options: Mapping[str, str], reason: str) -> None:
+    """Check that none of some options has another value than its default.
+
+    Args:
+        arguments: The arguments.
+        options: Names of the attributes by option.
+        reason: Reason and remedy, for the message.
+
+    Raises:
+        UnusableInput: One has.
+    """
     for option, name in options.items():
-        if getattr(arguments, name):
+        if getattr(arguments, name) != arguments.default_of(name):
             raise UnusableInput(f"{option}: {reason}")
 
 

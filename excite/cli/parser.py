@@ -88,11 +88,16 @@ class _Parser(argparse.ArgumentParser):
         """Parse a command line.
 
         `--option=--` is refused: argparse turns it into an empty list, whatever the option's type.
+        So are empty words: an empty path is the current folder.
         """
         words = sys.argv[1:] if args is None else list(args)
-        for word in words:
-            if word.startswith("-") and word.endswith("=--"):
-                self.error(f"argument {word.removesuffix('=--')}: '--' is no value")
+        for before, word in zip(["", *words], words, strict=False):
+            option, _, value = word.partition("=")
+            if word.startswith("-") and word.endswith(("=", "=--")):
+                self.error(f"argument {option}: '{value}' is no value; state one or leave it out")
+            if not word:
+                place = f"argument {before}: " if before.startswith("-") else ""
+                self.error(f"{place}'' is no value; state one or leave it out")
         return super().parse_known_args(words, namespace)
 
 
@@ -140,6 +145,7 @@ def _command(commands: Commands, name: str, text: str) -> argparse.ArgumentParse
     sub: argparse.ArgumentParser = commands.add_parser(
         name, help=text, description=text[0].upper() + text[1:] + "."
     )
+    sub.set_defaults(default_of=sub.get_default)  # tells stated options from others
     sub.add_argument(
         "--json",
         action="store_true",
@@ -244,6 +250,8 @@ def _payload_options(group: argparse._ActionsContainer) -> None:
         "--payload",
         type=NamedNumbers(body, ":", Numbers(quantities, (1, 4, 10))),
         metavar=body,
+        action="append",
+        default=[],
         help="body attached to a link: mass [kg], centre of mass [m], inertia about it [kg m²]",
     )
     group.add_argument(
@@ -545,7 +553,8 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
             "TOML: boxes, spheres, capsules, cylinders and meshes around the robot or on its links"
         ),
     )
-    group.add_argument(
+    floor = group.add_mutually_exclusive_group()
+    floor.add_argument(
         "--floor",
         type=Number(ranges.LENGTH),
         metavar="Z",
@@ -554,7 +563,7 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
             "fixed links)"
         ),
     )
-    group.add_argument("--no-floor", action="store_true", help="no floor")
+    floor.add_argument("--no-floor", action="store_true", help="no floor")
     group.add_argument(
         "--clearance",
         type=Number(Range(0.0, 1e4, "m")),
@@ -658,7 +667,7 @@ def _export(commands: Commands) -> None:
     group = sub.add_argument_group("ROS 2")
     group.add_argument(
         "--lead",
-        type=Number(Range(0.1, 600.0, "s")),
+        type=Number(ranges.LEAD),
         default=5.0,
         metavar="S",
         help="time for the way from the present pose to the start pose (default %(default)s)",
@@ -669,7 +678,7 @@ def _export(commands: Commands) -> None:
     ):
         group.add_argument(
             f"--{name}-tolerance",
-            type=Number(Range(1e-6, 10.0, "rad or m")),
+            type=Number(ranges.TOLERANCE),
             metavar="RAD",
             help=f"{text}, at every joint (default: the controller's own)",
         )

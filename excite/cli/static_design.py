@@ -27,6 +27,13 @@ UNSUPPORTED = {
     "--periods": "periods",
     "--samples": "samples",
     "--starts": "starts",
+    "--iterations": "iterations",
+    "--jobs": "jobs",
+    "--backend": "backend",
+    "--cluster": "cluster",
+    "--parameters": "parameters",
+    "--without": "without",
+    "--threshold": "threshold",
 }
 """Options of `excite design` that static poses do not have."""
 
@@ -37,9 +44,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         raise UnusableInput("--poses: is the number of static poses; add --static")
     if arguments.for_payload is None:
         raise UnusableInput("--static: shows a payload; name its link with --for-payload LINK")
-    for option, name in UNSUPPORTED.items():
-        if getattr(arguments, name):
-            raise UnusableInput(f"{option}: is not available with --static; leave it out")
+    shared.refuse_given(arguments, UNSUPPORTED, "is not available with --static; leave it out")
     if arguments.criterion != "a":
         raise UnusableInput("--static: has the D-criterion; leave --criterion out")
     robot = shared.robot(arguments)

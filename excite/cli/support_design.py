@@ -38,6 +38,13 @@ UNSUPPORTED = {
     "--floor": "floor",
     "--no-floor": "no_floor",
     "--force": "force",
+    "--speed": "speed",
+    "--jobs": "jobs",
+    "--backend": "backend",
+    "--cluster": "cluster",
+    "--parameters": "parameters",
+    "--without": "without",
+    "--threshold": "threshold",
 }
 """Options of `excite design` that a design in support does not have."""
 SUPPORT_ONLY = {
@@ -66,8 +73,6 @@ def require_floating(arguments: argparse.Namespace) -> None:
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite design --floating --support`."""
     shared.refuse_with_floating(arguments, UNSUPPORTED)
-    if arguments.speed != 1.0:
-        raise UnusableInput("--speed: is not available with --floating; leave it out")
     if arguments.uncertainty not in (0.0, DesignOptions().uncertainty):
         raise UnusableInput(
             "--uncertainty: torque limits in support hold for the nominal robot; leave it out, or "

@@ -1,9 +1,13 @@
 """Certificate of a finished motion, recomputed from its file, its robot and its cell.
 
-Nothing that the file states about itself is trusted. Limits are read from the sources that the file
-names, torques are computed by Pinocchio, and distances by the shapes and meshes as they are on disk
-now. The periodic part is bounded between samples by the oversampling bound, ramps at the knots and
-the extremes of each cubic.
+No result that the file states is trusted. Limits are read from the sources that the file names,
+torques are computed by Pinocchio, and distances by the shapes and meshes as they are on disk now.
+What the user may choose for a design has no other source than the file: the radius of uncertainty,
+the margins and the boxes. The verdict states them, and where the limits file or the default asks
+for larger margins.
+
+The periodic part is bounded between samples by the oversampling bound, ramps at the knots and the
+extremes of each cubic.
 """
 
 from __future__ import annotations
@@ -130,6 +134,47 @@ class LimitMargin:
 
 
 @dataclass(frozen=True)
+class CertificateTerms:
+    """Choices of the design under which its limits are certified.
+
+    Attributes:
+        uncertainty: Radius of the ellipsoid of robots for which torque limits hold [1].
+        margin: Share of each kind of limit that is kept free [1].
+        boxes: Names of the frames that stay in a box.
+        asked_margin: Share of each kind of limit that the limits file or the default asks for [1].
+    """
+
+    uncertainty: float
+    margin: Mapping[str, float]
+    boxes: tuple[str, ...]
+    asked_margin: Mapping[str, float]
+
+    def describe(self) -> str:
+        """Return the choices in words."""
+        robots = f"robots within {self.uncertainty:g} of the nominal one"
+        kept = []
+        for kind, share in self.margin.items():
+            asked = self.asked_margin.get(kind, 0.0)
+            source = f" (limits file or default: {100.0 * asked:g} %)" if share < asked else ""
+            kept.append(f"{kind} {100.0 * share:g} %{source}")
+        return "; ".join(
+            [
+                f"for {robots if self.uncertainty else 'the nominal robot'}",
+                f"kept free: {', '.join(kept)}",
+                *(f"{frame} in its box" for frame in self.boxes),
+            ]
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the entry of `excite verify --json`."""
+        return {
+            "uncertainty": self.uncertainty,
+            "margin": dict(self.margin),
+            "boxes": list(self.boxes),
+        }
+
+
+@dataclass(frozen=True)
 class Certificate:
     """Result of a verification.
 
@@ -141,6 +186,7 @@ class Certificate:
         collision: Sentence about the distances.
         pair_distances: Least distance of each pair of bodies, the nearest to its margin first.
         joints: Names of the joints.
+        terms: Choices of the design under which the limits are certified; None: there are none.
     """
 
     margins: tuple[LimitMargin, ...]
@@ -150,6 +196,7 @@ class Certificate:
     collision: str = NOT_CHECKED
     pair_distances: tuple[PairDistance, ...] = ()
     joints: tuple[str, ...] = ()
+    terms: CertificateTerms | None = None
 
     @property
     def limits(self) -> CertificateVerdict:
@@ -200,7 +247,12 @@ class Certificate:
             *self.faults[:MAX_LISTED_FAULTS],
             *([f"and {more} more faults"] if more > 0 else []),
         ]
-        limits = [self.limits.value, *faults, f"{detail} ({share})"]
+        limits = [
+            self.limits.value,
+            *faults,
+            *([] if self.terms is None else [self.terms.describe()]),
+            f"{detail} ({share})",
+        ]
         return (
             f"clearance: {self.clearance.value}; {self.collision}",
             f"limits: {'; '.join(limits)}",
@@ -226,6 +278,7 @@ class Certificate:
                 for distance in self.pair_distances[:MAX_LISTED_PAIRS]
             ],
             "faults": list(self.faults),
+            "terms": None if self.terms is None else self.terms.document(),
         }
 
 
@@ -278,8 +331,14 @@ def verify(
         *_criteria_faults(trajectory, scores),
     )
     ordered = tuple(sorted(margins, key=lambda margin: margin.free_share))
+    terms = CertificateTerms(
+        constraints.uncertainty,
+        {kind: promised_share(trajectory, kind) for kind in WITH_MARGIN},
+        tuple(box.frame for box in constraints.boxes),
+        limits.margin,
+    )
     return Certificate(
-        ordered, scores, faults, clearance, collision, tuple(distances), robot.joints
+        ordered, scores, faults, clearance, collision, tuple(distances), robot.joints, terms
     )
 
 

@@ -36,7 +36,7 @@ class DesignOptions:
     """Options that the user may choose for a design.
 
     Attributes:
-        criterion: Criterion that is optimised.
+        criterion: Criterion that is optimised, or its name.
         plain: Optimise the Euclidean criterion instead of the geometric one.
         drive: Joint parameters that are identified with the inertial ones.
         harmonics: Number of harmonics K of the Fourier series.
@@ -73,6 +73,19 @@ class DesignOptions:
     iterations: int = 300
     payload_link: str | None = None
 
+    def __post_init__(self) -> None:
+        """Accept the name of a criterion.
+
+        Raises:
+            UnusableInput: There is no such criterion.
+        """
+        names = [criterion.value for criterion in Criterion]
+        if not isinstance(self.criterion, Criterion) and self.criterion not in names:
+            raise UnusableInput(
+                f"--criterion {self.criterion}: no such criterion; there are {', '.join(names)}"
+            )
+        object.__setattr__(self, "criterion", Criterion(self.criterion))
+
 
 def check_options(options: DesignOptions) -> None:
     """Check that options are in range and consistent with each other.
@@ -82,6 +95,11 @@ def check_options(options: DesignOptions) -> None:
     """
     if options.free_period is None:
         samples_per_period(options.period, options.rate)
+    elif not 0.0 < options.free_period[0] < options.free_period[1] < np.inf:
+        bounds = ",".join(f"{bound:g}" for bound in options.free_period)
+        raise UnusableInput(f"--optimise-period {bounds}: should be MIN,MAX with 0 < MIN < MAX")
+    if options.payload_link is not None and (options.criterion is not Criterion.A or options.plain):
+        raise UnusableInput("--for-payload: has the A-criterion; leave --criterion and --plain out")
     if options.samples <= 2 * options.harmonics:
         raise UnusableInput(
             f"--samples {options.samples} cannot carry {options.harmonics} harmonics; "
@@ -93,6 +111,7 @@ def check_options(options: DesignOptions) -> None:
         "--periods": options.periods - 1,
         "--rate": options.rate,
         "--starts": options.starts,
+        "--iterations": options.iterations,
     }
     for name, value in positive.items():
         if not (np.isfinite(value) and value > 0):

@@ -433,7 +433,7 @@ def _assemble(
         **notes,
     }
     draft = Trajectory(
-        robot={"name": robot.name, "source": robot.source, "sha256": robot.sha256, **robot.options},
+        robot=robot.document(),
         motion=motion,
         rate=options.rate,
         limits=ramps.with_derived_limits(limits, motion.fourier),

@@ -510,7 +510,7 @@ def _draft(
 ) -> Trajectory:
     """Return the content of the trajectory file before its certificate."""
     return Trajectory(
-        robot={"name": robot.name, "source": robot.source, "sha256": robot.sha256, **robot.options},
+        robot=robot.document(),
         motion=motion,
         rate=options.rate,
         limits=with_derived_limits(limits, motion.fourier),

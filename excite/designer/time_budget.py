@@ -189,7 +189,7 @@ class BudgetCandidate:
     """Candidate motion for a time budget, after a short optimisation.
 
     Attributes:
-        period: Period [s].
+        period: Period at the speed of the motion [s].
         harmonics: Number of harmonics.
         samples: Samples of the optimiser over one period.
         repeats: Number of periods.
@@ -223,12 +223,14 @@ class BudgetPlan:
         request: Motion that the user asks for.
         candidates: Candidates that fit the budget.
         chosen_index: Index of the chosen candidate.
+        speed: Share of the designed speed at which the motion is executed [1].
     """
 
     budget: float
     request: MotionRequest
     candidates: tuple[BudgetCandidate, ...]
     chosen_index: int
+    speed: float = 1.0
 
     @property
     def best(self) -> BudgetCandidate:
@@ -278,6 +280,7 @@ def plan_for_budget(
     start: FloatArray | None = None,
     earlier_information: FloatArray | None = None,
     clearance: ClearanceConstraint | None = None,
+    speed: float = 1.0,
 ) -> BudgetPlan:
     """Choose the free quantities of a motion for a budget of robot time.
 
@@ -295,6 +298,7 @@ def plan_for_budget(
         earlier_information: Information of earlier recordings in standard parameters.
             Shape (P, P).
         clearance: Bodies that have to keep their distance.
+        speed: Share of the designed speed at which the motion is executed [1].
 
     Raises:
         UnusableInput: The budget is too short; the message says how much is needed.
@@ -305,13 +309,16 @@ def plan_for_budget(
     if options.free_period is not None:
         raise UnusableInput("--time and --optimise-period both choose the period; drop one of them")
     check_options(request.complete(options, limits))
+    available = speed * budget  # of the motion at the speed for which it is optimised
     grid, repeats = ramps.time_grid(options.rate), request.periods or DEFAULT_PERIODS
     shortest = request.period or _round_up(
         (request.harmonics or MIN_CHOSEN_HARMONICS) / MAX_FREQUENCY, grid
     )
     # a first short run measures the duration of the ramps
     rule = choose_period(limits, request.harmonics or DEFAULT_HARMONICS, options.rate)
-    trial_period = request.period or max(min(rule, _round_down(budget / repeats, grid)), shortest)
+    trial_period = request.period or max(
+        min(rule, _round_down(available / repeats, grid)), shortest
+    )
     short = dataclasses.replace(
         options, starts=1, iterations=min(TRIAL_ITERATIONS, options.iterations)
     )
@@ -327,22 +334,22 @@ def plan_for_budget(
     )
     if start is not None:
         ramps.check_start_pose(setup.constraints(limits.reduced()), start)
-    pilot = _try_candidate(setup, limits, setup.problem.options, start)
+    pilot = _try_candidate(setup, limits, setup.problem.options, start, speed)
     if isinstance(pilot, ExciteError):
         raise pilot
-    ramp_time = 1.2 * (pilot.robot_time - repeats * trial_period) + RAMP_TIME_RESERVE
-    if budget < repeats * shortest + ramp_time:
+    ramp_time = 1.2 * (speed * pilot.robot_time - repeats * trial_period) + RAMP_TIME_RESERVE
+    if available < repeats * shortest + ramp_time:
         raise _too_short(
             budget,
-            f"{repeats} periods of {shortest:g} s with ramps take about",
-            repeats * shortest + ramp_time,
+            f"{repeats} periods of {shortest / speed:g} s with ramps take about",
+            (repeats * shortest + ramp_time) / speed,
         )
-    motions = _periods_and_repeats(request, rule, budget - ramp_time, shortest, grid)
+    motions = _periods_and_repeats(request, rule, available - ramp_time, shortest, grid)
     trials = [
         request.with_motion(short, t, k, r) for t, r in motions for k in request.harmonics_to_try(t)
     ]
     results = joblib.Parallel(n_jobs=options.jobs)(
-        joblib.delayed(_try_candidate)(setup, limits, trial, start) for trial in trials
+        joblib.delayed(_try_candidate)(setup, limits, trial, start, speed) for trial in trials
     )
     fitting = tuple(
         c for c in results if isinstance(c, BudgetCandidate) and c.robot_time <= budget + 1e-9
@@ -354,7 +361,7 @@ def plan_for_budget(
             if failed
             else _too_short(budget, "ramps take it to", min(c.robot_time for c in results))
         )
-    return BudgetPlan(budget, request, fitting, choose_candidate(fitting))
+    return BudgetPlan(budget, request, fitting, choose_candidate(fitting), speed)
 
 
 def choose_candidate(candidates: tuple[BudgetCandidate, ...]) -> int:
@@ -382,17 +389,16 @@ def run_plan(
     Raises:
         UnusableInput: The motion exceeds the budget, and neither may be changed.
     """
-    request, best = plan.request, plan.best
-    period, repeats = best.period, best.repeats
+    request, best, repeats = plan.request, plan.best, plan.best.repeats
+    period = longest = round(plan.speed * best.period, 9)
     while True:
         delivery = run(request.with_motion(options, period, best.harmonics, repeats))
-        duration = delivery.trajectory.motion.duration * float(delivery.trajectory.design["speed"])
+        duration = delivery.trajectory.motion.duration
         if duration <= plan.budget + 1e-9:
             return delivery
-        if request.period is None and period > 0.8 * best.period:
-            period = _round_down(
-                period - (duration - plan.budget) / repeats, ramps.time_grid(options.rate)
-            )
+        if request.period is None and period > 0.8 * longest:
+            excess = plan.speed * (duration - plan.budget)
+            period = _round_down(period - excess / repeats, ramps.time_grid(options.rate))
         elif request.periods is None and repeats > DEFAULT_PERIODS:
             repeats -= 1
         else:
@@ -433,7 +439,11 @@ def _repeats(largest: int) -> Iterator[int]:
 
 
 def _try_candidate(
-    setup: DesignSetup, limits: Limits, options: DesignOptions, start: FloatArray | None
+    setup: DesignSetup,
+    limits: Limits,
+    options: DesignOptions,
+    start: FloatArray | None,
+    speed: float,
 ) -> BudgetCandidate | ExciteError:
     """Optimise a candidate briefly and plan its ramps; errors are returned as values."""
     begin_time = time.perf_counter()
@@ -461,11 +471,11 @@ def _try_candidate(
         return error
     value = _criterion_per_sample(varied.problem, motion)
     return BudgetCandidate(
-        period=options.period,
+        period=options.period / speed,
         harmonics=options.harmonics,
         samples=options.samples,
         repeats=options.periods,
-        robot_time=complete.duration,
+        robot_time=complete.duration / speed,
         value=value,
         deviation=predicted_deviation(
             options.criterion, value, setup.base, _recorded_samples(options)

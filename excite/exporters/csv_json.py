@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 from pathlib import Path
 
@@ -83,24 +82,24 @@ def read_csv(path: Path) -> Columns:
 
 
 def render_json(job: ExportJob) -> ExportedText:
-    """Return the JSON document of the trajectory; only the rate may differ.
+    """Return the JSON document of the trajectory.
 
     Raises:
-        UnusableInput: A lower speed is requested: margins and criteria of the document hold for the
-            speed at which it was certified.
+        UnusableInput: A lower speed or another rate is requested: margins and criteria of the
+            document hold for the motion that was certified.
     """
-    if job.speed != 1.0:
-        raise UnusableInput(
-            f"{job.path}: format 'json' carries margins and criteria of full speed, --speed "
-            f"{job.speed:g} would void them; "
-            f"leave --speed out, or use 'excite design --speed'"
-        )
-    return ExportedText(
-        _json.dumps(
-            dataclasses.replace(job.trajectory, rate=job.rate or job.trajectory.rate).document()
-        )
-        + "\n"
-    )
+    trajectory = job.trajectory
+    for option, value, designed in (
+        ("--speed", job.speed, 1.0),
+        ("--rate", job.rate or trajectory.rate, trajectory.rate),
+    ):
+        if value != designed:
+            raise UnusableInput(
+                f"{job.path}: format 'json' carries margins and criteria of the motion as it was "
+                f"designed, {option} {value:g} would void them; leave {option} out, or use "
+                f"'excite design {option}'"
+            )
+    return ExportedText(_json.dumps(trajectory.document()) + "\n")
 
 
 def read_json(path: Path) -> Columns:

@@ -136,6 +136,7 @@ def write(
     """
     entry = _entry(format)
     check_options(speed, rate)
+    goal.require_format(format)
     output_files(path)
     motion = trajectory.motion if speed == 1.0 else trajectory.motion.slowed(speed)
     job = ExportJob(trajectory, motion, format, path, speed, rate, tau, goal, tuple(sliding))

@@ -4,9 +4,12 @@ how to identify."""
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
+from ..robot.limits import Limits, limits_files
+from ..robot.robot import GRAVITY, Robot
 from ..trajectory.trajectory_file import Trajectory
 from .goal_options import GoalOptions
 
@@ -17,6 +20,8 @@ CONTROLLER = "joint_trajectory_controller"
 
 def next_steps(
     trajectory: Trajectory,
+    robot: Robot,
+    limits: Limits,
     source: str,
     format: str,
     path: Path,
@@ -27,6 +32,8 @@ def next_steps(
 
     Args:
         trajectory: The exported trajectory.
+        robot: Its robot, as loaded.
+        limits: Limits of the robot, from their sources.
         source: Its file.
         format: Name of the format.
         path: The exported file.
@@ -40,20 +47,39 @@ def next_steps(
     if controller is None:
         return []
     pose = trajectory.motion.end_poses[0]
-    shown = ", ".join(
-        f"{joint} {value:.4f}" for joint, value in zip(trajectory.joints, pose, strict=True)
-    )
+    shown = _joint_list(dict(zip(trajectory.joints, pose, strict=True)))
+    locked: Mapping[str, Any] = trajectory.robot["locked"]
     run, record = controller(shlex.quote(str(path)), goal)
-    robot = shlex.quote(str(trajectory.robot.get("source", "ROBOT")))
+    options = _robot_options(robot, limits)
+    words = [robot.source, record[1], *options, "--trajectory", source]
     return [
-        f"start pose [rad or m]: {shown}",
+        f"start pose [rad or m]: {shown}" + (f"; locked: {_joint_list(locked)}" if locked else ""),
         "1. bring the robot to the start pose, at reduced speed and with a clear cell; "
         + _start_note(format, goal),
         f"2. record: {record[0]}",
         f"3. run: {run}",
-        f"4. identify: excite identify {robot} {record[1]} --trajectory {shlex.quote(source)} "
-        "-o model" + _speed_note(speed),
+        f"4. identify: excite identify {shlex.join(words)} -o model" + _speed_note(speed),
     ]
+
+
+def _joint_list(positions: Mapping[str, float]) -> str:
+    """List joints with their positions."""
+    return ", ".join(f"{joint} {value:.4f}" for joint, value in positions.items())
+
+
+def _robot_options(robot: Robot, limits: Limits) -> Iterator[str]:
+    """Yield the options with which a command loads the robot of the motion."""
+    stated: Mapping[str, Any] = robot.options
+    yield from (f"--lock={joint}={value}" for joint, value in stated["locked"].items())
+    payload = stated["payload"]
+    if payload is not None:
+        numbers = (payload["mass"], *payload["centre"], *payload["inertia"])
+        yield f"--payload={payload['link']}:{','.join(map(str, numbers))}"
+    if tuple(stated["gravity"]) != GRAVITY:
+        yield f"--gravity={','.join(map(str, stated['gravity']))}"
+    if "inertias" in stated:
+        yield "--mass=KG"
+    yield from (f"--limits={file}" for file in limits_files(robot, limits))
 
 
 def _speed_note(speed: float) -> str:

@@ -26,7 +26,7 @@ from . import estimators, floating_regression
 from .floating_identification import FloatingIdentification
 from .floating_regression import RowFilter
 from .identification import MAX_BAND_SHARE, Prediction
-from .identified_model import INERTIAL_UNITS, JOINT_PARAMETER_UNITS, at_row_times
+from .identified_model import INERTIAL_UNITS, JOINT_PARAMETER_UNITS, at_row_times, robot_entry
 from .lowpass import FRICTION_BANDWIDTH_RATIO, Grid
 from .urdf_export import identified_urdf
 
@@ -161,8 +161,6 @@ def model_document(
     model, options = identification.model, identification.options
     robot, parameters, prior = model.robot, model.parameters, identification.prior
     joint_robot, edge = robot.joint_robot, 10 * parameters.bodies
-    robot_options = {**joint_robot.options, "locked": {}, "payload": None}
-    robot_options.pop("inertias", None)
     weights, shares = identification.weights, identification.body_shares()
     names = ", ".join(Path(recording.source).name for recording in recordings)
     provenance = [
@@ -174,12 +172,7 @@ def model_document(
     offset_deviations = identification.offset_deviation.reshape(-1, 6)
     return {
         "schema": SCHEMA,
-        "robot": {
-            "name": robot.name,
-            "source": robot.source,
-            "sha256": joint_robot.sha256,
-            **robot_options,
-        },
+        "robot": robot_entry(joint_robot),
         "urdf": identified_urdf(
             joint_robot, parameters, identification.psi, model.widths, provenance, robot.model
         ),

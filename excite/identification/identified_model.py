@@ -300,9 +300,9 @@ def robot_entry(robot: Robot) -> dict[str, Any]:
     Args:
         robot: The robot before its identification.
     """
-    options = {**robot.options, "locked": {}, "payload": None}
-    options.pop("inertias", None)
-    return {"name": robot.name, "source": robot.source, "sha256": robot.sha256, **options}
+    entry = {**robot.document(), "locked": {}, "payload": None}
+    entry.pop("inertias", None)
+    return entry
 
 
 def standard_parameter_table(

@@ -329,6 +329,20 @@ def missing_limits(robot: Robot, table: LimitTable) -> list[LimitFault]:
     ]
 
 
+def limits_files(robot: Robot, limits: Limits) -> list[str]:
+    """Paths of the limits files among the sources of a robot's limits, in alphabetical order."""
+    known = {"", URDF, SOFT_LIMITS, DERIVED, f"{robot.source}.toml"}
+    stand_sources = () if limits.stand is None else ((limits.stand.source,),)
+    return sorted(
+        {
+            text
+            for texts in (*limits.sources.values(), *stand_sources)
+            for text in texts
+            if text not in known and not text.startswith(MIMIC)
+        }
+    )
+
+
 def from_sources(
     robot: Robot, stated: Limits, file: Path | None = None, folder: Path | None = None
 ) -> Limits:
@@ -344,16 +358,7 @@ def from_sources(
     Raises:
         UnusableInput: The limits file that a source names is not there, or cannot be read.
     """
-    known = {"", URDF, SOFT_LIMITS, DERIVED, f"{robot.source}.toml"}
-    stand_sources = () if stated.stand is None else ((stated.stand.source,),)
-    named = sorted(
-        {
-            text
-            for texts in (*stated.sources.values(), *stand_sources)
-            for text in texts
-            if text not in known and not text.startswith(MIMIC)
-        }
-    )
+    named = limits_files(robot, stated)
     if file is None and named:
         if len(named) > 1:
             raise UnusableInput(

@@ -123,6 +123,12 @@ class Robot:
         """
         return int(np.flatnonzero(self.spread[:, joint])[0]) + 1
 
+    def document(self) -> dict[str, Any]:
+        """Return the robot's entry in a file, from which it is found from any folder."""
+        is_builtin = self.source in builtin_names()
+        source = self.source if is_builtin else str(Path(self.source).resolve())
+        return {"name": self.name, "source": source, "sha256": self.sha256, **self.options}
+
     def expand(self, q: FloatArray) -> FloatArray:
         """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or
         m]."""
@@ -216,6 +222,7 @@ def load(
         warnings.warn(remark, ExciteWarning, stacklevel=2)
     if inertias:
         document = dataclasses.replace(document, inertias={**inertias, **document.inertias})
+    _require_gravity(document.source, gravity)
     full = _parse(document, document.text())
     lock = dict(lock or {})
     moving = _moving(document, full, joints, lock)
@@ -272,6 +279,14 @@ def load(
     if faults:
         raise UnusableRobot([f"{robot.source}: {fault}" for fault in faults])
     return robot
+
+
+def _require_gravity(source: str, gravity: Sequence[float]) -> None:
+    if len(gravity) != 3 or not all(map(ranges.GRAVITY.accepts, gravity)):
+        stated = ",".join(f"{value:g}" for value in gravity)
+        raise UnusableInput(
+            f"{source}: --gravity {stated}: should be three numbers {ranges.GRAVITY}"
+        )
 
 
 def free_flyer_models(robot: Robot) -> tuple[pin.Model, pin.Model]:

@@ -5,6 +5,7 @@ The simulator has a reader of its own, `simulator/reference_trajectory.py`, for 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -17,9 +18,10 @@ from .. import __version__
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot import limits
-from ..robot.limits import Limits
-from ..robot.robot import Payload, Robot, inertias_of_document, load
+from ..robot.limits import SHOWN_PATH, Limits
+from ..robot.robot import Payload, Robot, inertias_of_document, load, locate
 from ..schemas.document_file import DocumentFile
+from ..schemas.quantities import shown
 from ..schemas.trajectory import SCHEMA, TrajectoryDocument
 from .fourier import FourierSeries
 from .rest_to_rest import Motion, segments_from_document, segments_to_document
@@ -118,11 +120,16 @@ def load_designed_robot(
         require_mass: Whether every joint has to move a mass.
 
     Raises:
-        UnusableInput: The URDF is not the one of the design (its sha256 differs).
+        UnusableInput: The URDF is missing, or not the one of the design (its sha256 differs).
     """
-    payload = stated.get("payload")
+    payload, path = stated.get("payload"), source or str(stated["source"])
+    if source is None and not os.path.isfile(locate(path)):
+        raise UnusableInput(
+            f"{shown(path, SHOWN_PATH)}: the robot of this trajectory is not there; say where it "
+            "is with --robot URDF"
+        )
     robot = load(
-        source or str(stated["source"]),
+        path,
         joints=joints,
         lock={k: v for k, v in stated.get("locked", {}).items()},
         payload=None if payload is None else _payload(payload),

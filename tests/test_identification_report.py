@@ -238,7 +238,7 @@ def test_next_command_repeats_the_options_of_the_robot() -> None:
     arguments = main.parser().parse_args(shlex.split(next_design_command(result))[1:])
     assert arguments.joints == "joint_2" and arguments.lock == [("joint_1", (0.25,))]
     assert arguments.gravity == (0.0, 0.0, -1.62)
-    assert arguments.payload == ("link_2", (0.5, 0.1, 0.0, 0.02, *(0.0,) * 6))
+    assert arguments.payload == [("link_2", (0.5, 0.1, 0.0, 0.02, *(0.0,) * 6))]
 
 
 def test_ellipsoid_has_the_mass_and_inertia_of_its_link() -> None:

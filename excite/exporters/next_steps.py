@@ -4,12 +4,12 @@ how to identify."""
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from ..robot.limits import Limits, limits_files
-from ..robot.robot import GRAVITY, Robot
+from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
 from .goal_options import GoalOptions
 
@@ -50,8 +50,9 @@ def next_steps(
     shown = _joint_list(dict(zip(trajectory.joints, pose, strict=True)))
     locked: Mapping[str, Any] = trajectory.robot["locked"]
     run, record = controller(shlex.quote(str(path)), goal)
-    options = _robot_options(robot, limits)
-    words = [robot.source, record[1], *options, "--trajectory", source]
+    files = [f"--limits={file}" for file in limits_files(robot, limits)]
+    options = [*robot.command_options(), *files, "--trajectory", source]
+    words = [robot.source, record[1], *options]
     return [
         f"start pose [rad or m]: {shown}" + (f"; locked: {_joint_list(locked)}" if locked else ""),
         "1. bring the robot to the start pose, at reduced speed and with a clear cell; "
@@ -65,21 +66,6 @@ def next_steps(
 def _joint_list(positions: Mapping[str, float]) -> str:
     """List joints with their positions."""
     return ", ".join(f"{joint} {value:.4f}" for joint, value in positions.items())
-
-
-def _robot_options(robot: Robot, limits: Limits) -> Iterator[str]:
-    """Yield the options with which a command loads the robot of the motion."""
-    stated: Mapping[str, Any] = robot.options
-    yield from (f"--lock={joint}={value}" for joint, value in stated["locked"].items())
-    payload = stated["payload"]
-    if payload is not None:
-        numbers = (payload["mass"], *payload["centre"], *payload["inertia"])
-        yield f"--payload={payload['link']}:{','.join(map(str, numbers))}"
-    if tuple(stated["gravity"]) != GRAVITY:
-        yield f"--gravity={','.join(map(str, stated['gravity']))}"
-    if "inertias" in stated:
-        yield "--mass=KG"
-    yield from (f"--limits={file}" for file in limits_files(robot, limits))
 
 
 def _speed_note(speed: float) -> str:

@@ -24,7 +24,6 @@ from .prediction import prediction_section, prediction_verdict
 from .remarks import count_remarks, list_remarks
 from .render import render
 
-_STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 _METHODS = {
     "ols": "ordinary least squares",
     "wls": "least squares, weighted by each joint's noise",
@@ -171,18 +170,7 @@ def next_design_command(identification: Identification) -> str:
     words = ["excite", "design", robot.source]
     for fit in identification.fits:
         words += ["--given", fit.source]
-    locked = robot.options.get("locked")
-    if isinstance(locked, Mapping) and locked:
-        words += ["--joints", ",".join(robot.joints)]
-        for name, value in locked.items():
-            words += ["--lock", f"{name}={value:.9g}"]
-    gravity = robot.options.get("gravity")
-    if isinstance(gravity, list) and not np.allclose(gravity, _STANDARD_GRAVITY):
-        words += [f"--gravity={','.join(f'{v:.9g}' for v in gravity)}"]
-    payload = robot.options.get("payload")
-    if isinstance(payload, Mapping):
-        numbers = (payload["mass"], *payload["centre"], *payload["inertia"])
-        words += ["--payload", f"{payload['link']}:{','.join(f'{v:.9g}' for v in numbers)}"]
+    words += robot.command_options()
     missing = [kind for kind in DRIVE if kind not in drive]
     if len(missing) == len(DRIVE):
         words += ["--parameters", "inertial"]

@@ -129,6 +129,24 @@ class Robot:
         source = self.source if is_builtin else str(Path(self.source).resolve())
         return {"name": self.name, "source": source, "sha256": self.sha256, **self.options}
 
+    def command_options(self) -> list[str]:
+        """Return the options with which a command loads this robot from its source."""
+        stated: Mapping[str, Any] = self.options
+        locked, payload = stated.get("locked"), stated.get("payload")
+        words = []
+        if locked:
+            words.append(f"--joints={','.join(self.joints)}")
+            words += [f"--lock={joint}={value}" for joint, value in locked.items()]
+        if payload is not None:
+            numbers = (payload["mass"], *payload["centre"], *payload["inertia"])
+            words.append(f"--payload={payload['link']}:{','.join(map(str, numbers))}")
+        gravity = tuple(stated.get("gravity", GRAVITY))
+        if gravity != GRAVITY:
+            words.append(f"--gravity={','.join(map(str, gravity))}")
+        if "inertias" in stated:
+            words.append("--mass=KG")
+        return words
+
     def expand(self, q: FloatArray) -> FloatArray:
         """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or
         m]."""

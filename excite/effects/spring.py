@@ -35,24 +35,18 @@ MIN_CURVE_RANGE = 0.05
 
 def _torque(values: Mapping[str, float], q: FloatArray) -> FloatArray:
     """Torque per coefficient over the joint position, (M,) -> (M, k)."""
-    if "low" in values:  # a curve of any form says nothing beyond the positions of its recordings
-        q = np.clip(q, values["low"], values["high"])
+    # a curve of any form says nothing beyond the positions of its recordings; a line goes on there
+    inside = np.clip(q, values["low"], values["high"]) if "low" in values else q
     if "waves" in values:
-        place = (q - values["low"]) / (values["high"] - values["low"])
+        place = (inside - values["low"]) / (values["high"] - values["low"])
         return np.cos(np.pi * np.outer(place, np.arange(1, int(values["waves"]) + 1)))
     if "bend" in values:
         distance = q - values["bend"]
         return np.column_stack([np.minimum(distance, 0.0), np.maximum(distance, 0.0)])
     if "order" in values:
-        distance = q - values["about"]
-        return np.column_stack(
-            [
-                distance,
-                np.cos(values["order"] * distance) - 1.0,
-                np.sin(values["order"] * distance),
-            ]
-        )
-    return FORMS[int(values["form"])](q)
+        phase = values["order"] * (inside - values["about"])
+        return np.column_stack([q - values["about"], np.cos(phase) - 1.0, np.sin(phase)])
+    return FORMS[int(values["form"])](inside)
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:

@@ -162,12 +162,12 @@ def _spring(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tupl
         phase = np.pi * (q - v["low"]) / (v["high"] - v["low"])
         return _combination(c, [m.cos((k + 1) * phase) for k in range(int(v["waves"]))]), 0.0
     if "bend" in v:
-        distance = q - v["bend"]
+        distance = x.q - v["bend"]  # a line goes on beyond the ends of a curve
         return c[0] * m.fmin(distance, 0.0) + c[1] * m.fmax(distance, 0.0), 0.0
     if "order" in v:
-        distance, order = q - v["about"], v["order"]
-        wave = c[1] * (m.cos(order * distance) - 1.0) + c[2] * m.sin(order * distance)
-        return c[0] * distance + wave, 0.0
+        phase = v["order"] * (q - v["about"])
+        wave = c[1] * (m.cos(phase) - 1.0) + c[2] * m.sin(phase)
+        return c[0] * (x.q - v["about"]) + wave, 0.0
     columns = (
         (q,),
         (m.cos(q), m.sin(q)),

@@ -328,7 +328,7 @@ def write_urdf(
             ("arm", "not finite"),
         ),
         (LINK, 'lower="-1" upper="1" velocity="1" effort="10"', "fixed", ("no movable joint",)),
-        (LINK, 'lower="-1" upper="1" velocity="1" effort="10"', "floating", ("elbow", "floating")),
+        (LINK, 'lower="-1" upper="1" velocity="1" effort="10"', "screw", ("elbow", "screw")),
         (
             LINK,
             'lower="-0.2" upper="0.2" velocity="1" effort="0.1"',
@@ -343,7 +343,7 @@ def write_urdf(
         "no-mass",
         "nan",
         "no-joint",
-        "floating",
+        "unknown-type",
         "below-gravity",
     ],
 )

@@ -42,7 +42,6 @@ def pays(
     effects: Sequence[int],
     left_out: Collection[int] = (),
     replaced: Collection[int] = (),
-    before: JointModel | None = None,
 ) -> bool:
     """Tell whether effects lower the error on recordings to which they are not fitted.
 
@@ -54,12 +53,24 @@ def pays(
         effects: Their numbers.
         left_out: Numbers of other effects that are left out.
         replaced: Numbers of those that are in the model without the effects alone.
-        before: The joint model to which they were added, which they have to surpass as well: a wave
-            that it had may be gone, and be worth more.
     """
-    without, with_ = _log_errors(model, [{*left_out, *effects}, {*left_out, *replaced}]).sum(axis=1)
-    least = without if before is None else min(without, _log_errors(before, [()]).sum())
-    return bool(with_ < least)
+    without, with_ = _log_errors(model, [{*left_out, *effects}, {*left_out, *replaced}])
+    return bool(with_.sum() < without.sum())
+
+
+def gain_over(model: JointModel, left_out: Collection[int], before: JointModel) -> float:
+    """Return the log-likelihood that a model gains over another on rows that are not fitted.
+
+    An effect that is added may displace another, such as a wave, that predicts better.
+
+    Args:
+        model: A joint model.
+        left_out: Numbers of its effects that are left out.
+        before: Another joint model of the same motions.
+    """
+    regression = model.regression
+    rows = regression.independent_share * regression.moving.sum(axis=0)
+    return 0.5 * float(rows @ (_log_errors(before, [()]) - _log_errors(model, [left_out]))[0])
 
 
 def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:

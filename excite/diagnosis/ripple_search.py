@@ -48,8 +48,8 @@ SPEED_CLASSES = 8
 """Classes of speed in the order spectrum."""
 MIN_WAVE_ROWS = 0.05
 """Smallest share of rows in which a wave lies below the cutoff frequency."""
-MIN_WAVES = 2.0
-"""Periods over the range of a joint from which a torque counts as periodic: it repeated once."""
+MIN_WAVES = 3.0
+"""Periods over the range of a joint from which a torque counts as periodic."""
 
 
 def find_waves(fitted: JointModel) -> list[CandidateModel]:

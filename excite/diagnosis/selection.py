@@ -301,7 +301,7 @@ class _Search:
             key: The effect.
             extended: The joint model with it.
             shape: Its shape.
-            before: The joint model that it has to surpass, if any.
+            before: The joint model that must not predict clearly better, if any.
         """
         members = posterior.effect_groups(extended).get(key)
         if members is None:
@@ -316,7 +316,8 @@ class _Search:
         if (
             evidence.is_needed
             and _is_plausible(extended, members)
-            and cross_validation.pays(extended, members, (), replaced, before)
+            and cross_validation.pays(extended, members, replaced=replaced)
+            and (before is None or cross_validation.gain_over(extended, replaced, before) > -TIE)
         ):
             return _Addition(key, shape, extended, evidence)
         return None
@@ -340,8 +341,7 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     """Return the flexible model that explains a joint better than its rare effects and ripple.
 
     Torque of another form may have been taken apart by several effects of the joint alone, each of
-    which explains less than half of it, so that no flexible model has enough evidence jointly with
-    them.
+    which explains a part of it, so that no flexible model has enough evidence jointly with them.
 
     Args:
         model: The joint model.
@@ -364,17 +364,18 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
 
     reduced = without(replaced)
     named = posterior.log_bayes_factor(model, reduced)
-    if max(posterior.log_bayes_factor(model, without([i])) for i in replaced) > 0.5 * named:
-        return None  # one of them is most of it
+    largest = max(posterior.log_bayes_factor(model, without([i])) for i in replaced)
     sigma = reduced.regression.residual_rms(reduced.solution)
     flexible = flexible_models(model.motions, sigma, [joint])
     # a smooth curve of the position is a spring
     shapes_tried = (shape for shape in flexible if shape.signature != "position")
     fitted = CandidateShapes.of(reduced, shapes_tried).fitted(reduced)
     best = max(fitted, key=lambda c: c.log_bayes_factor, default=None)
-    # each of them is as improbable beforehand as the flexible model
-    improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
-    needed = named - improbability * (count - 1) + TIE
+    needed = named
+    if largest < 0.5 * named:
+        # none is most of it, and each is as improbable beforehand as the flexible model
+        improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
+        needed += TIE - improbability * (count - 1)
     return best if best is not None and best.log_bayes_factor > needed else None
 
 

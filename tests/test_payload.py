@@ -368,6 +368,6 @@ def test_a_stated_centre_is_known_to_its_deviation_and_says_nothing_of_the_mass(
         measured[:4] += spread * rng.normal(size=4)
         estimate = physical_payload(PayloadData(measured, information, 1e4), shape)
         assert estimate["mass"].std == pytest.approx(0.05, rel=0.02)
-        found = [estimate[f"centre_{axis}"] for axis in "xyz"]
-        errors.append([(q.value - c) / q.std for q, c in zip(found, centre, strict=True)])
+        centres = [estimate[f"centre_{axis}"] for axis in "xyz"]
+        errors.append([(q.value - c) / q.std for q, c in zip(centres, centre, strict=True)])
     np.testing.assert_allclose(np.std(errors), 1.0, atol=0.15)

@@ -376,7 +376,7 @@ def test_unusable_urdf_says_why_in_one_line_with_its_name(case, tmp_path: Path):
             "'swing' is both in --joints and in --lock; drop one",
         ),
         ({"lock": {"swing": np.nan}}, "--lock swing=nan: the position should be from -1e+06"),
-        ({"gravity": (0.0, 0.0)}, "--gravity 0,0: should be three numbers from -1000 to 1000"),
+        ({"gravity": (0.0, 0.0)}, "--gravity 0,0: should be three numbers [m/s²]"),
         ({"gravity": (0.0, 0.0, np.nan)}, "--gravity 0,0,nan: should be three numbers"),
         ({"payload": Payload("claw", 1.0)}, "no link 'claw'"),
         ({"payload": Payload("arm", 0.0)}, "positive mass"),

@@ -19,8 +19,9 @@ FORMS: tuple[Callable[[FloatArray], FloatArray], ...] = (
     lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
 )
 """Torque of usual springs and counterbalances over the joint position, linear in coefficients."""
-POLYNOMIALS = (2, 3)
-"""Forms that grow without bound beyond the positions to which they were fitted."""
+ENDING_FORMS = (2, 3, 4)
+"""Forms that say nothing beyond the positions to which they were fitted: polynomials, and two waves
+of which a part of a turn determines little."""
 WAVES_OVER_RANGE = (0.35, 0.6, 0.9)
 """Periods over the joint's range of the slow wave that is added to a linear spring."""
 KINK_POSITIONS = np.linspace(0.15, 0.85, 8)
@@ -79,8 +80,8 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             )
 
         for form in range(len(FORMS)):
-            polynomial = {"low": low, "high": high} if form in POLYNOMIALS else {}
-            yield model(form=float(form), **polynomial)
+            ends = {"low": low, "high": high} if form in ENDING_FORMS else {}
+            yield model(form=float(form), **ends)
         if high - low > MIN_CURVE_RANGE:
             slow = (2.0 * np.pi / (high - low) * np.array(WAVES_OVER_RANGE)).tolist()
             yield from grid_candidates(

@@ -9,31 +9,31 @@ from pathlib import Path
 from .. import api
 from .._system.output_files import output_files
 from ..api.model_export import is_model
-from ..errors import UnusableInput
-from ..exporters.goal_options import DEFAULT_LEAD, GoalOptions
+from ..exporters.goal_options import GoalOptions
+from . import options as shared
 from .outcome import Outcome
 
-OF_TRAJECTORIES: Mapping[str, object] = {
-    "rate": None,
-    "speed": 1.0,
-    "lead": DEFAULT_LEAD,
-    "path_tolerance": None,
-    "goal_tolerance": None,
-    "robot": None,
-    "packages": [],
-    "force": False,
+OF_TRAJECTORIES = {
+    "--rate": "rate",
+    "--speed": "speed",
+    "--lead": "lead",
+    "--path-tolerance": "path_tolerance",
+    "--goal-tolerance": "goal_tolerance",
+    "--robot": "robot",
+    "--packages": "packages",
+    "--force": "force",
 }
-"""Options that concern trajectories only, with their defaults."""
-OF_MODELS: Mapping[str, object] = {"into": None, "recording": None}
-"""Options that concern identified robots only, with their defaults."""
+"""Options that concern trajectories only, with the names of their attributes."""
+OF_MODELS = {"--into": "into", "--recording": "recording"}
+"""Options that concern identified robots only."""
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite export`: the kind of the document decides."""
     if is_model(arguments.source):
-        _require_defaults(arguments, OF_TRAJECTORIES, "a trajectory.json")
+        _require_kind(arguments, OF_TRAJECTORIES, "a trajectory.json")
         return _export_model(arguments)
-    _require_defaults(arguments, OF_MODELS, "a model.json")
+    _require_kind(arguments, OF_MODELS, "a model.json")
     result = api.export(
         arguments.source,
         arguments.format,
@@ -50,16 +50,10 @@ def run(arguments: argparse.Namespace) -> Outcome:
     return 0, result.document(), "\n".join(lines)
 
 
-def _require_defaults(
-    arguments: argparse.Namespace, options: Mapping[str, object], document: str
-) -> None:
+def _require_kind(arguments: argparse.Namespace, options: Mapping[str, str], document: str) -> None:
     """Raise UnusableInput for an option that concerns the other kind of document."""
-    for name, default in options.items():
-        if getattr(arguments, name) != default:
-            raise UnusableInput(
-                f"--{name.replace('_', '-')}: goes with {document}, which {arguments.source} is "
-                "not; leave it out"
-            )
+    reason = f"goes with {document}, which {arguments.source} is not; leave it out"
+    shared.refuse_given(arguments, options, reason)
 
 
 def _export_model(arguments: argparse.Namespace) -> Outcome:

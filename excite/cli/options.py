@@ -14,6 +14,16 @@ from ..robot import inertial_parameters
 from ..robot.limits import Limits
 from ..robot.robot import Payload, Robot
 
+OF_EXCITATION = {
+    "--jobs": "jobs",
+    "--backend": "backend",
+    "--cluster": "cluster",
+    "--parameters": "parameters",
+    "--without": "without",
+    "--threshold": "threshold",
+}
+"""Options of `excite design` for periodic excitations alone, with the names of their attributes."""
+
 
 def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
     """Arguments of `api.load_robot` that the options state.

@@ -28,12 +28,7 @@ UNSUPPORTED = {
     "--samples": "samples",
     "--starts": "starts",
     "--iterations": "iterations",
-    "--jobs": "jobs",
-    "--backend": "backend",
-    "--cluster": "cluster",
-    "--parameters": "parameters",
-    "--without": "without",
-    "--threshold": "threshold",
+    **shared.OF_EXCITATION,
 }
 """Options of `excite design` that static poses do not have."""
 

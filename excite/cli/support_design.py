@@ -39,12 +39,7 @@ UNSUPPORTED = {
     "--no-floor": "no_floor",
     "--force": "force",
     "--speed": "speed",
-    "--jobs": "jobs",
-    "--backend": "backend",
-    "--cluster": "cluster",
-    "--parameters": "parameters",
-    "--without": "without",
-    "--threshold": "threshold",
+    **shared.OF_EXCITATION,
 }
 """Options of `excite design` that a design in support does not have."""
 SUPPORT_ONLY = {
@@ -65,9 +60,7 @@ def require_floating(arguments: argparse.Namespace) -> None:
     Raises:
         UnusableInput: One is.
     """
-    for option, name in SUPPORT_ONLY.items():
-        if getattr(arguments, name) is not None:
-            raise UnusableInput(f"{option}: is for a robot that stands; add --floating")
+    shared.refuse_given(arguments, SUPPORT_ONLY, "is for a robot that stands; add --floating")
 
 
 def run(arguments: argparse.Namespace) -> Outcome:

@@ -30,7 +30,7 @@ MAX_HOLDING_FREQUENCY = 20.0
 """Largest holding frequency [Hz]; above, the joint is elastic."""
 
 SCALES = (0.4, 2.5)
-"""Plausible coefficients of the torque of a width: another width of the grid has larger ones."""
+"""Plausible coefficients of the torque of a width [1]; beyond lies another width of the grid."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:

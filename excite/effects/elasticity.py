@@ -37,7 +37,7 @@ DAMPING_RATIOS = (0.07, 0.25)
 """Damping ratios of the initial grid. Gears have a few per cent; the second, wide one locates a
 resonance that lies between two grid frequencies, from where it is optimised."""
 MIN_SCALE, MAX_SCALE = 0.3, 3.0
-"""Plausible coefficients of the torque of a stiffness: a link may be that much heavier."""
+"""Plausible coefficients of the torque of a stiffness [1]: links may be that much heavier."""
 MIN_STIFF_SCALE = 0.01
 """Smallest coefficient of the stiffest spring of the grid: it stands for up to 100 times stiffer
 ones, whose deflection has the same form."""

@@ -83,15 +83,16 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """
     j = model.joint_index
     if "elements" in model.values:
+        reaches = model.values["reach"] * REACH_RATIOS
 
         def low_passed() -> FloatArray:
             q = motion.samples.q[:, j]
-            reaches = model.values["reach"] * REACH_RATIOS
             elements = np.column_stack([maxwell_slip(q, d) for d in reaches.tolist()])
             unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
             return motion.lowpass(np.hstack([elements, unequal]))
 
-        columns = motion.for_all_fits(f"Maxwell-slip elements of joint {j}", low_passed).copy()
+        name = f"Maxwell-slip elements of joint {j} from {reaches[0]}"
+        columns = motion.for_all_fits(name, low_passed).copy()
         columns[:, : len(REACH_RATIOS)] -= motion.lowpass(motion.sign(j)[:, None])
         return single_joint_rows(motion, j, columns)
     state = dahl(motion.samples.q[:, j], 1.0 / model.values["reach"])

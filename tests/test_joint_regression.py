@@ -216,7 +216,7 @@ def test_residual_rms_is_that_of_the_residual(nonnegative):
 def test_cross_validation_is_a_refit_without_the_fold(nonnegative):
     regression, columns = random_regression(6, nonnegative)
     folds = [np.arange(60) % 3 == k for k in range(3)]
-    errors = regression.cross_validated(folds, [(), (0,)], np.zeros(7, bool))
+    errors = regression.cross_validated(folds, [(), (0,)], np.zeros(7, bool), slice(0, 0))
     expected = np.zeros((3, 2, 2))
     for k, fold in enumerate(folds):
         other = JointRegression.of_base(
@@ -235,3 +235,25 @@ def test_cross_validation_is_a_refit_without_the_fold(nonnegative):
             residual = regression.torque[fold] - columns[fold] @ x
             expected[k, variant] = np.sum(residual**2, axis=0)
     np.testing.assert_allclose(errors, expected, rtol=1e-6)
+
+
+def test_coefficients_of_a_fold_of_its_own_are_fitted_to_its_errors():
+    regression, columns = random_regression(6, nonnegative=False)
+    fold = np.arange(60) % 3 == 0
+    own = np.arange(7) < 1
+    errors = regression.cross_validated([fold, ~fold], [()], own, slice(0, 1))
+    other = JointRegression.of_base(
+        regression.torque[~fold],
+        np.ones((40, 2), bool),
+        columns[~fold, :, 1:3],
+        (np.zeros(2), 0.1 * np.eye(2)),
+        regression.sigma,
+        0.7,
+    )
+    other.add(columns_on_all_joints(columns[~fold, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
+    left = regression.torque[fold] - columns[fold, :, 1:] @ other.solution.coefficients
+    for j in range(2):  # the prior of the coefficient is that of the joint model
+        x = columns[fold, j, 0]
+        c = x @ left[:, j] / (x @ x + 0.1 / regression.weights[j])
+        expected = left[:, j] @ left[:, j] - c * (x @ left[:, j])
+        np.testing.assert_allclose(errors[0, 0, j], expected, rtol=1e-6)

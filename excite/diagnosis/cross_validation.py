@@ -153,7 +153,7 @@ def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> Float
     unused = np.zeros(len(regression.nonnegative), bool)
     unused[model.session_places] = True
     unused[model.form_places] = True  # the saved model has none
-    errors = regression.cross_validated(parts, variants, unused)
+    errors = regression.cross_validated(parts, variants, unused, model.session_places)
     rows = np.array([regression.moving[part].sum(axis=0) for part in parts], float)
     if len(session_changes.sources(model.motions)) == 1:
         errors, rows = (x.sum(axis=0, keepdims=True) for x in (errors, rows))

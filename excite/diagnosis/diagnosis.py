@@ -321,7 +321,7 @@ def _held_out_errors(
 
 def _changes(final: FinalModel, held_out: HeldOutErrors) -> list[SessionChange]:
     """Changes of friction between the recordings that are significant."""
-    residual, moving = final.regression.residual(), final.regression.moving
+    residual, moving = final.residual, final.regression.moving
     changes = [
         *(
             session_changes.changes(final.motions, residual, moving)

@@ -22,7 +22,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency, identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
-from . import fitted_effects, joint_model, recording_chain
+from . import fitted_effects, joint_model, recording_chain, session_changes
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel, model_columns
@@ -38,7 +38,8 @@ class FinalModel:
         identified: The base model, fitted without the torque of the effects.
         motions: The fitted motions, with that base model and torque without the recording chain.
         effects: The effects, without the recording chain.
-        regression: Regression of their coefficients at the parameters of the base model.
+        regression: Regression of their coefficients, next to the changes between recordings, at
+            the parameters of the base model.
         chain: How torque is recorded.
     """
 
@@ -64,6 +65,16 @@ class FinalModel:
             *((filtered,) if self.chain.is_filtered else ()),
             *((late,) if abs(self.chain.delay) >= recording_chain.MIN_DELAY else ()),
         )
+
+    @property
+    def residual(self) -> FloatArray:
+        """Torque of the fitted motions that it does not predict, shape (N, n) [N m].
+
+        Rows at standstill have the torque.
+        """
+        coefficients = self.regression.solution.coefficients.copy()
+        coefficients[: self.regression.base_count] = 0.0  # the changes between recordings
+        return self.regression.torque - self.regression.torque_along(coefficients)
 
     def has(self, effect: str, joint: int | None) -> bool:
         """Tell whether an effect is saved.
@@ -125,9 +136,11 @@ def fit(
         dataclasses.replace(identified.options, dissipation=False),
         progress,
     )
-    if shapes and not identified.options.trusted:
+    several = len(session_changes.sources(model.motions)) > 1
+    if (shapes or several) and not identified.options.trusted:
         # the same recordings, but effects and base model at once: where an effect can stand for a
-        # part of the base model, the recordings without its torque cannot show that part
+        # part of the base model, the recordings without its torque cannot show that part, and a
+        # change between them would be fitted by other parameters
         joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
         refitted = dataclasses.replace(
             refitted,
@@ -140,11 +153,12 @@ def fit(
         for name in ("motor_torque", "measured_torque"):
             new.cache[name] = old.cache[name]
     torque = np.concatenate([motion.residual for motion in motions])
+    changes = session_changes.prior_std(motions)
     fixed_base = JointRegression.of_base(
         torque,
         model.regression.moving,
-        np.zeros((*torque.shape, 0)),
-        (np.zeros(0), np.zeros((0, 0))),
+        np.concatenate([session_changes.columns(motion, motions) for motion in motions]),
+        (np.zeros_like(changes), np.diag(changes**-2.0)),
         first.sigma,
         first.independent_share,
     )

@@ -311,7 +311,11 @@ class JointRegression:
         return Elimination.of(system, base, self.nonnegative[self.base_count :])
 
     def cross_validated(
-        self, folds: Sequence[BoolArray], variants: Sequence[Collection[int]], unused: BoolArray
+        self,
+        folds: Sequence[BoolArray],
+        variants: Sequence[Collection[int]],
+        unused: BoolArray,
+        own: slice,
     ) -> FloatArray:
         """Return squared errors on rows that the coefficients were not fitted to.
 
@@ -319,6 +323,8 @@ class JointRegression:
             folds: Rows of each fold, shape (N,).
             variants: Effects that are left out, by variant of the model.
             unused: Coefficients that say nothing about other rows, shape (K,).
+            own: Those among them that each fold has for itself: they are fitted to its errors, with
+                their prior.
 
         Returns:
             Sum over the rows of each fold [(N m)²], shape (folds, variants, n).
@@ -340,7 +346,13 @@ class JointRegression:
                     zip(self._grams, held_out, strict=True)
                 ):
                     x = c[gram.places]
-                    errors[v, j] = max(power - float(x @ (2.0 * score - matrix @ x)), 0.0)
+                    left = score - matrix @ x
+                    square = power - float(x @ (score + left))
+                    of_fold = (gram.places >= own.start) & (gram.places < own.stop)
+                    prior = np.diag(self.prior_matrix)[gram.places[of_fold]] / self.weights[j]
+                    information = matrix[np.ix_(of_fold, of_fold)] + np.diag(prior)
+                    square -= float(left[of_fold] @ np.linalg.solve(information, left[of_fold]))
+                    errors[v, j] = max(square, 0.0)
         return out
 
     def residual(self, solution: Solution | None = None) -> FloatArray:

@@ -30,8 +30,6 @@ MAX_INITIAL_SPEED_RATIO = 0.5
 """Initial over largest motor speed up to which the link may still hang at rest."""
 GAP_DAMPING_RATIO = 0.3
 """Damping ratio of a link inside its backlash gap, by oil and seals."""
-FIRST_FLIGHT_SAMPLES = 32
-"""Samples of free motion in a backlash gap that are simulated before the next impact is sought."""
 
 
 def link_lag_torque(motion: RecordedMotion, joint: int, lag: FloatArray, of: Grid) -> FloatArray:
@@ -228,31 +226,17 @@ def simulate_backlash_gap(push: FloatArray, dt: float, half_gap: float, omega: f
     Returns:
         x [rad], shape (M,).
     """
-    from scipy.signal import lfilter  # slow to import
-
     c = 1.0 - 2.0 * GAP_DAMPING_RATIO * omega * dt
-    b, count = 1.0 + c - (omega * dt) ** 2, len(push)
-    # samples at which the load would drive the link off the upper and off the lower boundary
-    departures = (
-        np.flatnonzero(push < omega**2 * half_gap),
-        np.flatnonzero(push > -(omega**2) * half_gap),
-    )
-    out, x, k = np.empty(count), half_gap if push[0] > 0.0 else -half_gap, 0
-    while k < count:
-        samples = departures[0 if x > 0.0 else 1]
-        place, arrival = int(np.searchsorted(samples, k)), k
-        k = int(samples[place]) if place < len(samples) else count
-        out[arrival:k] = x
-        state, size = x * np.array([b - c, -c]), FIRST_FLIGHT_SAMPLES
-        while k < count:
-            flight, state = lfilter([dt**2], [1.0, -b, c], push[k : k + size], zi=state)
-            outside = np.abs(flight) > half_gap
-            impact = int(outside.argmax())
-            if outside[impact]:
-                x = half_gap if flight[impact] > 0.0 else -half_gap
-                out[k : k + impact], out[k + impact] = flight[:impact], x
-                k += impact + 1
-                break
-            out[k : k + size] = flight
-            k, size = k + len(flight), 4 * size
-    return out
+    b, leaving = 1.0 + c - (omega * dt) ** 2, omega**2 * half_gap
+    x = before = half_gap if push[0] > 0.0 else -half_gap
+    rests, out = True, []
+    for acceleration in push.tolist():  # most flights are of a few samples
+        if rests:
+            rests = acceleration >= leaving if x > 0.0 else acceleration <= -leaving
+        if not rests:
+            x, before = b * x - c * before + acceleration * dt**2, x
+            if abs(x) > half_gap:
+                x = before = half_gap if x > 0.0 else -half_gap
+                rests = True
+        out.append(x)
+    return np.array(out)

@@ -61,6 +61,22 @@ def test_saved_model_predicts_filtered_torque(effect):
     assert (noise_ratios(stored(effect))[1] < 1.4).all()
 
 
+def test_noise_after_a_filter_of_small_gain_is_not_amplified():
+    """Torque that has passed a gain of 0.06 at the cutoff frequency, then noise of 0.1 N m."""
+    sections = signal.butter(2, 0.5 * CORNER / (0.5 * RATE), output="sos")
+    hidden, rng = HIDDEN["stribeck"], np.random.default_rng(0)
+    recordings = []
+    for recording in recordings_of(hidden.torque):
+        passed = signal.sosfiltfilt(sections, recording.torque, axis=0)
+        noise = 0.1 * rng.normal(size=passed.shape)
+        recordings.append(dataclasses.replace(recording, tau=passed + noise))
+    result = diagnose(recordings)
+    assert findings_of(result) == [("stribeck", hidden.joint)]
+    expected = 0.1 * np.sqrt(result.hertz / (0.5 * RATE))
+    np.testing.assert_allclose(result.noise_rms, expected, rtol=0.2)
+    assert (noise_ratios(result)[1] < 1.2).all()
+
+
 @pytest.mark.parametrize("hertz", [3.0, 9.0, 14.0])
 def test_wave_passes_the_filter_with_its_gain_and_phase(hertz):
     motion, (a, p, b) = motions()[0], (-0.4, 0.7, -0.3)

@@ -36,7 +36,7 @@ class FinalModel:
 
     Attributes:
         identified: The base model, fitted without the torque of the effects.
-        motions: The fitted motions, with that base model and torque without the recording chain.
+        motions: The fitted motions, with that base model and torque without the recording delay.
         effects: The effects, without the recording chain.
         regression: Regression of their coefficients, next to the changes between recordings, at
             the parameters of the base model.
@@ -126,7 +126,7 @@ def fit(
     # the effects that were left out explain nothing of the residual
     joint_model.reweight(first, joint_model.transient_rows(shapes, model.motions))
     effects = _fitted(shapes, first)
-    cleaned = [_cleaned(effects, recording, model.motions) for recording in recordings]
+    cleaned = [_cleaned(effects, recording, model) for recording in recordings]
     refitted = identification.identify(
         identified.model.robot,
         identified.model.parameters,
@@ -137,10 +137,11 @@ def fit(
         progress,
     )
     several = len(session_changes.sources(model.motions)) > 1
-    if (shapes or several) and not identified.options.trusted:
+    if (shapes or several or model.chain.is_filtered) and not identified.options.trusted:
         # the same recordings, but effects and base model at once: where an effect can stand for a
-        # part of the base model, the recordings without its torque cannot show that part, and a
-        # change between them would be fitted by other parameters
+        # part of the base model, the recordings without its torque cannot show that part, a change
+        # between them would be fitted by other parameters, and the noise of torque whose filter is
+        # undone is large
         joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
         refitted = dataclasses.replace(
             refitted,
@@ -152,12 +153,14 @@ def fit(
     for new, old in zip(motions, model.motions, strict=True):
         for name in ("motor_torque", "measured_torque"):
             new.cache[name] = old.cache[name]
-    torque = np.concatenate([motion.residual for motion in motions])
+    torque = np.concatenate([m.torque - model.chain.passed(m, m.gamma @ m.theta) for m in motions])
     changes = session_changes.prior_std(motions)
     fixed_base = JointRegression.of_base(
         torque,
         model.regression.moving,
-        np.concatenate([session_changes.columns(motion, motions) for motion in motions]),
+        np.concatenate(
+            [model.chain.passed(m, session_changes.columns(m, motions)) for m in motions]
+        ),
         (np.zeros_like(changes), np.diag(changes**-2.0)),
         first.sigma,
         first.independent_share,
@@ -196,7 +199,7 @@ def _with_effects(
 ) -> JointRegression:
     """Add the columns of some effects to a regression."""
     for shape in shapes:
-        columns = model_columns(shape, motions, model.level)
+        columns = model_columns(shape, motions, model.level, model.chain)
         assert columns is not None  # they were not zero in the joint model
         regression.add(columns)
     return regression
@@ -215,15 +218,16 @@ def _fitted(
 def _cleaned(
     effects: Sequence[FittedEffect],
     recording: Recording,
-    motions: Sequence[RecordedMotion],
+    model: JointModel,
 ) -> Recording:
     """Return a recording whose torque is without the recording chain and the effects."""
     tau = recording.torque.copy()
-    for motion in motions:
+    for motion in model.motions:
         if motion.segment.source == recording.source:
             first = int(np.argmin(np.abs(recording.t - motion.segment.start)))
             rows = slice(first, first + len(motion.segment))
-            tau[rows] = motion.segment.torque - fitted_effects.torque(effects, motion)
+            torque = model.chain.without_filter(motion, motion.segment.torque)
+            tau[rows] = torque - fitted_effects.torque(effects, motion)
     return dataclasses.replace(recording, tau=tau)
 
 

@@ -6,7 +6,7 @@ at once. All of it is fitted jointly with the base model, before anything is jud
 1. columns of the frictions at every joint (`dense_models`), with nonnegative coefficients;
 2. weights of the rows from the residual and its autocorrelation;
 3. the delay, whose coefficient on the slope of the torque moves into the torque's time stamps, and
-   the filter that the torque has passed, which is undone;
+   the filter that the torque has passed, which all columns pass as well;
 4. the spatial frequencies of torque ripple, from the residual of all that;
 5. widths of Coulomb friction, physically consistent base parameters, and with them the load of
    every joint; again from 1.
@@ -74,7 +74,8 @@ class JointModel:
         motions: Recorded motions, with the base model and with the torque moved by the delay.
         models: Effects in the order of the regression.
         regression: The regression.
-        chain: How torque is recorded; it was removed from the torque of the motions.
+        chain: How torque is recorded. Its delay was removed from the torque of the motions, its
+            filter is part of all columns.
         level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
         psi: Standard parameters, shape (P,).
         free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
@@ -139,7 +140,7 @@ class JointModel:
 
     def columns(self, model: CandidateModel) -> Columns | None:
         """Return the columns of a model over all motions; None if they are zero or not finite."""
-        return model_columns(model, self.motions, self.level)
+        return model_columns(model, self.motions, self.level, self.chain)
 
     def with_effects(self, models: Sequence[CandidateModel]) -> JointModel:
         """Return the model with further effects, except those whose columns are zero."""
@@ -151,7 +152,10 @@ class JointModel:
 
 
 def model_columns(
-    model: CandidateModel, motions: Sequence[RecordedMotion], level: FloatArray
+    model: CandidateModel,
+    motions: Sequence[RecordedMotion],
+    level: FloatArray,
+    chain: RecordingChain,
 ) -> Columns | None:
     """Return the columns of a model over motions; None if they are zero or not finite.
 
@@ -159,11 +163,15 @@ def model_columns(
         model: The model.
         motions: The motions.
         level: Friction level of each joint, shape (n,) [N m].
+        chain: How torque is recorded.
     """
     parts = [model.columns(motion) for motion in motions]
     acting = np.any([part.any(axis=(0, 2)) for part in parts], axis=0)
     values = {
-        j: np.concatenate([part[:, j] for part in parts]) for j in np.flatnonzero(acting).tolist()
+        j: np.concatenate(
+            [chain.passed(motion, part[:, j]) for motion, part in zip(motions, parts, strict=True)]
+        )
+        for j in np.flatnonzero(acting).tolist()
     }
     largest = max((float(np.abs(x).max()) for x in values.values()), default=0.0)
     if not 1e-9 < largest < np.inf:
@@ -237,9 +245,7 @@ def fit(
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
             waves = [*ripple_search.refined_waves(fitted), *ripple_search.find_waves(fitted)]
-        moved = [
-            m if chain == RecordingChain() else m.with_torque(chain.removed(m)) for m in motions
-        ]
+        moved = [m.with_torque(chain.without_delay(m)) if chain.delay else m for m in motions]
         present = renewed(identified, moved, psi, widths)
         modelled = modelled_torque(fitted)
         for motion, torque in zip(present, modelled, strict=True):
@@ -344,7 +350,10 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
     total = model.known + regression.torque - regression.residual()
     total = total - regression.torque_along(of_filter)
     parts = recorded_motion.split_by_motion(total, model.motions)
-    return [m.at_samples(part) for m, part in zip(model.motions, parts, strict=True)]
+    return [
+        model.chain.without_filter(m, m.at_samples(part))
+        for m, part in zip(model.motions, parts, strict=True)
+    ]
 
 
 def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateModel:
@@ -371,14 +380,17 @@ def base_model(
         identified: The base model.
         motions: The motions to fit.
         psi: Its standard parameters, shape (P,).
-        chain: How torque is recorded; it was removed from the torque of the motions.
+        chain: How torque is recorded; its delay was removed from the torque of the motions.
         weights: RMS residual of each joint [N m] and share of independent rows; of the motions'
             base model if None.
         modelled: Torque of a fit to the motions, shapes (M, n) [N m]; of the base model if None.
     """
     free, level = free_parameters(identified), friction_level(motions)
+    chain = chain or RecordingChain()
     fixed = np.delete(np.arange(identified.model.base.count), free)
-    known = np.concatenate([m.gamma[:, :, fixed] @ m.theta[fixed] for m in motions])
+    known = np.concatenate(
+        [chain.passed(m, m.gamma[:, :, fixed] @ m.theta[fixed]) for m in motions]
+    )
     moving = np.concatenate([motion.moving for motion in motions])
     if weights is None:
         residual = np.concatenate([motion.residual for motion in motions])
@@ -386,11 +398,10 @@ def base_model(
     regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
-        _base_columns(motions, level, free, modelled or [None] * len(motions)),
+        _base_columns(motions, level, free, modelled or [None] * len(motions), chain),
         _base_prior(identified, motions, free),
         *weights,
     )
-    chain = chain or RecordingChain()
     return JointModel(tuple(motions), (), regression, chain, level, psi, free, known)
 
 
@@ -475,6 +486,7 @@ def _base_columns(
     level: FloatArray,
     free: IntArray,
     modelled: Sequence[FloatArray | None],
+    chain: RecordingChain,
 ) -> FloatArray:
     """Columns of the base model, shape (N, n, p + n + 4 + s).
 
@@ -485,9 +497,11 @@ def _base_columns(
     for motion, torque in zip(motions, modelled, strict=True):
         slopes = np.zeros((len(motion), motion.n, motion.n))
         slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
-        chain = recording_chain.columns(motion, torque)
+        of_chain = recording_chain.columns(motion, torque, chain)
         changes = session_changes.columns(motion, motions)
-        parts.append(np.concatenate([motion.gamma[:, :, free], slopes, chain, changes], axis=2))
+        passed = (chain.passed(motion, x) for x in (motion.gamma[:, :, free], slopes, changes))
+        gamma, slopes, changes = passed
+        parts.append(np.concatenate([gamma, slopes, of_chain, changes], axis=2))
     return np.concatenate(parts)
 
 

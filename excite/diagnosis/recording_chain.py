@@ -9,8 +9,8 @@ response),
     ln H(f) = −2πi f d + a x² − i p x³ + b x⁴,   a ≤ 0, a + 2b ≤ 0: the gain falls,
 
 with the delay d; p = 0 for a filter without phase. Without the filter, torque whose steps were
-smoothed would be taken for presliding hysteresis of every joint. All effects are fitted to the
-torque without H.
+smoothed would be taken for presliding hysteresis of every joint. The delay is removed from the
+recorded torque, and the model passes the filter: to divide by a small gain would amplify the noise.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from .._types import FloatArray
 from ..effects import delay
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.lowpass import Grid
+from ..recordings.padding import pad_by_reflection
 from ..schemas.effects import FILTER_COEFFICIENTS
 from .regression import FIXED_STD
 
@@ -33,6 +34,8 @@ MIN_DELAY = 1e-5
 FILTER_HERTZ = 20.0
 """Frequency at which the prior standard deviation of the filter, by a, p or b, is a factor of e
 [Hz]: no one filters a robot's torque at much less."""
+PADDING = 32
+"""Rows by which a column is continued before it passes the filter."""
 COLUMNS = 1 + FILTER_COEFFICIENTS
 """Columns of a recording chain: the delay, then the filter."""
 
@@ -54,8 +57,8 @@ class RecordingChain:
         """True if the torque has passed a filter."""
         return any(self.filter)
 
-    def removed(self, motion: RecordedMotion) -> FloatArray:
-        """Return the recorded torque of a motion without the response, shape (M, n) [N m].
+    def without_delay(self, motion: RecordedMotion) -> FloatArray:
+        """Return the recorded torque of a motion without the delay, shape (M, n) [N m].
 
         Args:
             motion: The motion as it is recorded.
@@ -63,9 +66,35 @@ class RecordingChain:
         torque, t = motion.segment.torque, motion.times
         if self.delay:
             torque = motion.torque_spline(np.clip(t + self.delay, t[0], t[-1]))
-        if self.is_filtered:
-            torque = delay.filtered(motion, torque, -np.array(self.filter), motion.band.hertz)
         return np.asarray(torque)
+
+    def without_filter(self, motion: RecordedMotion, torque: FloatArray) -> FloatArray:
+        """Return torque at every sample of a motion without the filter, shape (M, n) [N m].
+
+        Args:
+            motion: The motion.
+            torque: Torque that has passed the filter, shape (M, n) [N m].
+        """
+        if not self.is_filtered:
+            return torque
+        return delay.filtered(motion, torque, -np.array(self.filter), motion.band.hertz)
+
+    def passed(self, motion: RecordedMotion, rows: FloatArray) -> FloatArray:
+        """Return columns at the rows of a motion after the filter, shape (N, …).
+
+        Args:
+            motion: The motion.
+            rows: Low-passed columns, shape (N, …).
+        """
+        if not self.is_filtered:
+            return rows
+        reach = 0 if motion.band.periodic else min(PADDING, len(rows) - 1)
+        padded = pad_by_reflection(rows.reshape(len(rows), -1), reach, reach)
+        step = 1.0 / motion.band.rate_of(Grid.KEPT)
+        x = np.asarray(np.fft.rfftfreq(len(padded), step) / motion.band.hertz)
+        response = delay.filter_response(np.array(self.filter), x)
+        passed = np.fft.irfft(np.fft.rfft(padded, axis=0) * response[:, None], len(padded), axis=0)
+        return np.asarray(passed[reach : reach + len(rows)]).reshape(rows.shape)
 
     def gain(self, frequencies: FloatArray, hertz: float) -> FloatArray:
         """Return the gain at frequencies up to the cutoff frequency, shape (k,).
@@ -77,20 +106,23 @@ class RecordingChain:
         return np.abs(delay.filter_response(np.array(self.filter), frequencies / hertz))
 
 
-def columns(motion: RecordedMotion, modelled: FloatArray | None) -> FloatArray:
+def columns(
+    motion: RecordedMotion, modelled: FloatArray | None, chain: RecordingChain
+) -> FloatArray:
     """Return the change of the torque by the delay, per second, and by a, p and b, (N, n, 4).
 
     The slope is that of the recorded torque, whose noise is uncorrelated with its own slope; it is
     correlated with even derivatives, so that the filter's columns are those of modelled torque.
 
     Args:
-        motion: The motion, with the torque from which a response was removed.
+        motion: The motion, with the torque from which a delay was removed.
         modelled: Torque of a fit, shape (M, n) [N m]; of the base model if None.
+        chain: The present recording chain.
     """
     slope = -motion.band.filter(motion.segment.torque, Grid.KEPT, 1)[motion.kept]
     torque = motion.motor_torque if modelled is None else modelled
     of_filter = delay.filter_columns(motion, torque, motion.band.hertz)
-    return np.concatenate([slope[:, :, None], of_filter], axis=2)
+    return np.concatenate([slope[:, :, None], chain.passed(motion, of_filter)], axis=2)
 
 
 def prior_std(joints: int, hertz: float) -> FloatArray:

@@ -178,7 +178,7 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
         f"({result.assumed_count} with the 1 % of the torque limits that a design assumes); "
         f"band {identification.spectra.hertz:.3g} Hz",
         f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: "
-        "torque error per joint",
+        f"torque error per joint{'' if all(p.moving.all() for p in predictions) else ' in motion'}",
         f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
     ]
     for prediction in predictions:
@@ -208,9 +208,12 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
 
 def _summary(prediction: Prediction, robot: Robot) -> str:
     """Error of all joints before and after, and the joint that limits it."""
-    size = np.sqrt(np.sum(prediction.measured**2))
+    counted = prediction.moving
+    size = np.sqrt(np.sum(prediction.measured[counted] ** 2))
     before, after = (
-        100.0 * float(np.sqrt(np.sum((prediction.measured - values) ** 2)) / size) if size else 0.0
+        100.0 * float(np.linalg.norm((prediction.measured - values)[counted]) / size)
+        if size
+        else 0.0
         for values in (prediction.nominal, prediction.fitted)
     )
     joint, above = prediction.limiting_joint()

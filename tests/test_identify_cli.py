@@ -97,6 +97,19 @@ def test_the_files_and_the_json_output_agree(folder, capsys):
             assert parameter["interval"][0] < parameter["data"] < parameter["interval"][1]
 
 
+def test_a_model_that_is_worse_than_the_nominal_robot_is_remarked(folder, capsys, tmp_path):
+    subject = two_link_model()
+    nominal = consistency.consistent_nominal(subject.parameters)
+    recording = synthetic_recording(subject, nominal, random_fourier(2, 6), 3, 0.2)
+    path, train = write_recording(recording, tmp_path / "nominal.csv"), folder / "train.csv"
+    for held_out, is_worse in ((path, True), (folder / "other.csv", False)):
+        capsys.readouterr()
+        assert run("identify", "two_link", train, "--validate", held_out, "-o", tmp_path) == 0
+        text, report = capsys.readouterr().out, (tmp_path / "report.html").read_text()
+        assert ("joint_1 and joint_2: the nominal robot predicts" in text) is is_worse
+        assert ("The nominal robot predicts joint_1 and joint_2 better" in report) is is_worse
+
+
 def test_torque_is_predicted_at_the_times_of_the_recording(folder):
     assert (
         run(

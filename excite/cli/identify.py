@@ -19,6 +19,7 @@ from ..identification.identification import IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
 from ..recordings import Recording
 from ..robot.limits import Limits
+from ..robot.parameter_names import some
 from ..robot.robot import Robot
 from . import floating_identify
 from . import options as shared
@@ -194,6 +195,11 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
             percent = f"{100 * share:.{2 if share < 10.0 else 0}f}%" if np.isfinite(share) else "-"
             lines.append(f"{joint:25} {before:10.4g} {after:11.4g} {floor:>10} {percent:>9}")
     lines += [_summary(prediction, robot) for prediction in predictions]
+    if worse := identification.worsened_joints():
+        lines.append(
+            f"{some(worse)}: the nominal robot predicts the held-out torque better than the "
+            "identified one; try a lower --band or record a motion that excites more"
+        )
     common, spread = identification.delay.common
     if abs(common) > 3.0 * spread and not identification.options.align:
         order = "after" if common > 0 else "before"

@@ -171,6 +171,12 @@ class Prediction:
             return int(np.argmax(np.where(above, beyond / size, -1.0))), floor is not None
         return int(np.argmax(self.error("nominal") - error)), False
 
+    def worsened(self) -> BoolArray:
+        """Return True for joints that the nominal model predicts better. Shape (n,)."""
+        error, floor = self.error(), self.noise_floor
+        is_noise = False if floor is None else error <= ABOVE_FLOOR * floor
+        return (error > self.error("nominal")) & ~np.asarray(is_noise)
+
     def relative(self, which: str = "fitted") -> FloatArray:
         """Return the error over the RMS of the measured torque; ∞ where that is 0. Shape (n,)."""
         size = self.size()
@@ -233,6 +239,15 @@ class Identification:
         """γ of the inertial parameters and the mean γ of the joint parameters."""
         weights = self.prior.joint_weights
         return self.prior.inertial_weight, float(np.mean(weights)) if len(weights) else 0.0
+
+    def worsened_joints(self) -> list[str]:
+        """Return the joints whose held-out torque the nominal robot predicts better."""
+        worse = [prediction.worsened() for prediction in self.validations]
+        return [
+            joint
+            for joint, *is_worse in zip(self.model.robot.joints, *worse, strict=True)
+            if any(is_worse)
+        ]
 
     def data_shares(self) -> FloatArray:
         """Compute the share of each direction's value that the data determine.

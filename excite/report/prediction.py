@@ -77,6 +77,9 @@ def prediction_verdict(identification: Identification) -> tuple[str, str]:
         )
         return answer, "warn"
     answer, tone = _verdict(identification.validations, robot)
+    if worse := identification.worsened_joints():
+        answer = f"{answer} The nominal robot predicts {some(worse)} better."
+        tone = "bad" if tone == "bad" else "warn"
     if _is_contaminated(identification) and tone == "good":
         tone = "warn"
     return answer, tone

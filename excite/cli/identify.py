@@ -204,8 +204,8 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
     if abs(common) > 3.0 * spread and not identification.options.align:
         order = "after" if common > 0 else "before"
         lines.append(
-            f"torque is recorded {abs(1e3 * common):.3g} ms {order} position on average "
-            "(--align removes the delay)"
+            f"torque fits best {abs(1e3 * common):.3g} ms {order} position on average: a delay of "
+            "the recording (--align removes it), or friction that builds up after reversals"
         )
     if result.doubts:
         lines.append(doubt_line(result.doubts, "model"))

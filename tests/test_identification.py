@@ -79,8 +79,8 @@ def resting_recording(
     poses = rng.uniform(-1.5, 1.5, (moves + 1, model.robot.n))
     if held_joint is not None:
         poses[:, held_joint] = 0.3
-    rest = np.ones((150, 1))
-    q = np.concatenate([np.vstack([a * rest, a + share * (b - a)]) for a, b in pairwise(poses)])
+    still = np.ones((150, 1))
+    q = np.concatenate([np.vstack([a * still, a + share * (b - a)]) for a, b in pairwise(poses)])
     dq, ddq = np.gradient(q, axis=0) * rate, np.gradient(np.gradient(q, axis=0), axis=0) * rate**2
     held = np.repeat(rng.uniform(-1.0, 1.0, (moves, model.robot.n)), 400, axis=0)
     held[np.arange(len(q)) % 400 >= 150] = 0.0

@@ -99,16 +99,21 @@ def held_out_errors(folder: Path, data: DataSet) -> HeldOutErrors:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         result = api.identify(robot, train, validate=validate)
-    equations, predictions = result.identification.equations, result.identification.validations
+    equations = result.identification.equations.without_standstill()
+    predictions = result.identification.validations
     columns = equations.regressor.shape[2]
     theta = np.linalg.lstsq(
         equations.regressor.reshape(-1, columns), equations.torque.ravel(), rcond=None
     )[0]
     parts = list(segments.extract_segments(result.validation, average=False))
     held_out = regression.build_equations(result.identification.model, parts, equations.hertz)
-    size = np.linalg.norm(np.concatenate([p.measured for p in predictions]))
+    held_out = held_out.without_standstill()
+    size = np.linalg.norm(np.concatenate([p.measured[p.moving] for p in predictions]))
     nominal, identified = (
-        np.linalg.norm(np.concatenate([p.measured - getattr(p, name) for p in predictions])) / size
+        np.linalg.norm(
+            np.concatenate([(p.measured - getattr(p, name))[p.moving] for p in predictions])
+        )
+        / size
         for name in ("nominal", "fitted")
     )
     residual = held_out.torque - held_out.predicted(theta)

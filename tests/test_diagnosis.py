@@ -116,7 +116,6 @@ class Paused(FourierSeries):
         return Samples(along.q, along.dq * rate, along.ddq * rate**2 + along.dq * change)
 
 
-@pytest.mark.xfail(strict=True, reason="RMSE 0.74 and 0.63 N m next to standstill, noise 0.05")
 def test_static_friction_at_rest_is_no_mismatch():
     recordings = []
     for seed in (2, 5):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from synthetic_recordings import (
     PERIOD,
     perturbed_parameters,
     random_fourier,
+    rnea_torque,
     synthetic_recording,
     two_link_model,
 )
@@ -65,6 +67,50 @@ def test_validation_torque_is_predicted_to_within_the_noise(model, truth):
     assert np.all(prediction.error("nominal") > 2.0 * prediction.noise_floor)
     assert consistency.is_consistent(model.parameters, result.psi)
     assert np.all(np.abs(result.delay.seconds) < 5 * result.delay.deviation + 2e-4)
+
+
+def resting_recording(
+    model: IdentificationModel, psi: FloatArray, seed: int, held_joint: int | None = None
+) -> Recording:
+    """Return a recording of moves between rests, at which friction takes any value up to ±F."""
+    rng, rate, moves = np.random.default_rng(seed), 250.0, 40
+    phase = np.linspace(0.0, 1.0, 250)[:, None]
+    share = phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
+    poses = rng.uniform(-1.5, 1.5, (moves + 1, model.robot.n))
+    if held_joint is not None:
+        poses[:, held_joint] = 0.3
+    still = np.ones((150, 1))
+    q = np.concatenate([np.vstack([a * still, a + share * (b - a)]) for a, b in pairwise(poses)])
+    dq, ddq = np.gradient(q, axis=0) * rate, np.gradient(np.gradient(q, axis=0), axis=0) * rate**2
+    held = np.repeat(rng.uniform(-1.0, 1.0, (moves, model.robot.n)), 400, axis=0)
+    held[np.arange(len(q)) % 400 >= 150] = 0.0
+    tau = rnea_torque(model, psi, q, dq, ddq) + held * psi[model.parameters.block("coulomb")]
+    tau += 0.02 * rng.normal(size=tau.shape)
+    t = np.arange(len(q)) / rate
+    return Recording("rests.csv", model.robot.joints, t, q, tau=tau, sidecar=Sidecar(), row_times=t)
+
+
+def test_friction_at_rest_is_neither_fitted_nor_judged(model, truth):
+    recordings = [resting_recording(model, truth, seed) for seed in (1, 2)]
+    result = identify(model, *recordings)
+    (prediction,) = result.validations
+    assert (prediction.error() < 0.03).all() and not prediction.moving.all(axis=0).any()
+    exact = model.base.matrix @ truth
+    spread = np.sqrt(np.diag(result.data.covariance))
+    assert (np.abs(result.data.theta - exact) < 4.0 * spread + 1e-3).all()
+    assert (spread < 0.02 * np.abs(exact) + 0.02).all()
+    assert (np.abs(result.delay.seconds) < 1e-3).all()
+
+
+def test_rests_of_a_joint_count_if_it_hardly_moves_or_has_no_coulomb_friction(model, truth):
+    recording = resting_recording(model, truth, 1, held_joint=1)
+    moving = identify(model, recording).equations.moving
+    assert moving[:, 1].all() and 0.3 < moving[:, 0].mean() < 0.8
+    table = limits.resolve(model.robot)
+    inertial = inertial_parameters.standard_parameters(model.robot, table, ())
+    base = base_parameters.find(model.robot, inertial, table)
+    without = dataclasses.replace(model, parameters=inertial, base=base)
+    assert identify(without, recording).equations.moving.all()
 
 
 def test_a_torque_delay_is_estimated_and_compensated(model, truth):

@@ -273,6 +273,7 @@ def test_long_recording_is_drawn_around_its_largest_error() -> None:
         fitted=torque - residual,
         noise_floor=None,
         starts=(0, 1000),
+        moving=np.ones(torque.shape, bool),
     )
     start, end = torque_fit.drawn_interval(result)
     assert (

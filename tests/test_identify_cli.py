@@ -97,6 +97,30 @@ def test_the_files_and_the_json_output_agree(folder, capsys):
             assert parameter["interval"][0] < parameter["data"] < parameter["interval"][1]
 
 
+def test_a_model_that_is_worse_than_the_nominal_robot_is_remarked(folder, capsys, tmp_path):
+    subject = two_link_model()
+    nominal = consistency.consistent_nominal(subject.parameters)
+    recording = synthetic_recording(subject, nominal, random_fourier(2, 6), 3, 0.2)
+    path, train = write_recording(recording, tmp_path / "nominal.csv"), folder / "train.csv"
+    for held_out, is_worse in ((path, True), (folder / "other.csv", False)):
+        capsys.readouterr()
+        assert run("identify", "two_link", train, "--validate", held_out, "-o", tmp_path) == 0
+        text, report = capsys.readouterr().out, (tmp_path / "report.html").read_text()
+        assert ("joint_1 and joint_2: the nominal robot predicts" in text) is is_worse
+        assert ("The nominal robot predicts joint_1 and joint_2 better" in report) is is_worse
+
+
+def test_what_looks_like_a_delay_of_the_torque_may_be_friction(folder, capsys, tmp_path):
+    rows = (folder / "train.csv").read_text().splitlines()
+    cells = np.array([row.split(",") for row in rows])
+    torque = np.char.startswith(cells[0], "tau.")
+    cells[3:, torque] = cells[1:-2, torque]
+    (tmp_path / "late.csv").write_text("\n".join(map(",".join, cells)) + "\n")
+    assert run("identify", "two_link", tmp_path / "late.csv", "-o", tmp_path / "out") == 0
+    (line,) = (x for x in capsys.readouterr().out.splitlines() if "position on average" in x)
+    assert re.search(r" [34](\.\d+)? ms after position", line) and "friction that builds up" in line
+
+
 def test_torque_is_predicted_at_the_times_of_the_recording(folder):
     assert (
         run(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import os
 import warnings
 from pathlib import Path
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from excite import api
+from excite.diagnosis import bandwidth
 from excite.errors import UnusableInput
 from excite.identification import position_bandwidth, regression, segments
 from excite.identification.nominal_comparison import nominal_torque
@@ -49,6 +52,14 @@ def test_jitter_limits_the_band(two_link):
     ]
     motion = segments.motion_bandwidth(segment(two_link, 0.0))
     assert np.inf > limits[0] >= limits[1] >= motion
+
+
+def test_the_recording_with_the_most_jitter_limits_the_band(two_link):
+    jittered = dataclasses.replace(segment(two_link, 5e-3).head(2500), source="other.csv")
+    parts = [segment(two_link, 0.0), jittered]
+    carried = functools.partial(position_bandwidth.position_bandwidth, robot=two_link)
+    assert segments.torque_spectra(parts, None, carried).hertz == carried(jittered) < 20.0
+    assert bandwidth.chosen_hertz(parts, parts, two_link) == carried(jittered)
 
 
 def test_the_filter_leaves_half_of_a_short_recording(two_link):

@@ -382,6 +382,7 @@ def test_degrees_are_refused(two_link, tmp_path, damage, stated):
         "joint 'joint_1'",
         "degrees",
         "convert them to rad",
+        "correct the limits",
         limits=resolve(two_link) if stated else None,
     )
 
@@ -426,7 +427,7 @@ def test_reach_of_prismatic_joints_and_of_joints_without_limits(tmp_path):
     slide = loaded(
         document(link("base"), link("arm", 2.0), joint("swing", "base", "arm", "prismatic"))
     )
-    assert_refused(path, slide, "beyond 2.5 m", "in mm")
+    assert_refused(path, slide, "beyond 2.5 m", "in mm", "correct the limits")
 
 
 # -- signals ---------------------------------------------------------------------------------------

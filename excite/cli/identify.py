@@ -19,6 +19,7 @@ from ..identification.identification import IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
 from ..recordings import Recording
 from ..robot.limits import Limits
+from ..robot.parameter_names import some
 from ..robot.robot import Robot
 from . import floating_identify
 from . import options as shared
@@ -178,7 +179,7 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
         f"({result.assumed_count} with the 1 % of the torque limits that a design assumes); "
         f"band {identification.spectra.hertz:.3g} Hz",
         f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: "
-        "torque error per joint",
+        f"torque error per joint{'' if all(p.moving.all() for p in predictions) else ' in motion'}",
         f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
     ]
     for prediction in predictions:
@@ -194,12 +195,17 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
             percent = f"{100 * share:.{2 if share < 10.0 else 0}f}%" if np.isfinite(share) else "-"
             lines.append(f"{joint:25} {before:10.4g} {after:11.4g} {floor:>10} {percent:>9}")
     lines += [_summary(prediction, robot) for prediction in predictions]
+    if worse := identification.worsened_joints():
+        lines.append(
+            f"{some(worse)}: the nominal robot predicts the held-out torque better than the "
+            "identified one; try a lower --band or record a motion that excites more"
+        )
     common, spread = identification.delay.common
     if abs(common) > 3.0 * spread and not identification.options.align:
         order = "after" if common > 0 else "before"
         lines.append(
-            f"torque is recorded {abs(1e3 * common):.3g} ms {order} position on average "
-            "(--align removes the delay)"
+            f"torque fits best {abs(1e3 * common):.3g} ms {order} position on average: a delay of "
+            "the recording (--align removes it), or friction that builds up after reversals"
         )
     if result.doubts:
         lines.append(doubt_line(result.doubts, "model"))
@@ -208,9 +214,12 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
 
 def _summary(prediction: Prediction, robot: Robot) -> str:
     """Error of all joints before and after, and the joint that limits it."""
-    size = np.sqrt(np.sum(prediction.measured**2))
+    counted = prediction.moving
+    size = np.sqrt(np.sum(prediction.measured[counted] ** 2))
     before, after = (
-        100.0 * float(np.sqrt(np.sum((prediction.measured - values) ** 2)) / size) if size else 0.0
+        100.0 * float(np.linalg.norm((prediction.measured - values)[counted]) / size)
+        if size
+        else 0.0
         for values in (prediction.nominal, prediction.fitted)
     )
     joint, above = prediction.limiting_joint()

@@ -14,24 +14,13 @@ from .._types import BoolArray, FloatArray, IntArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import IdentificationModel, filtered_friction, filtered_regressor
 from ..identification.segments import RecordingSegment
-from ..recordings.missing_values import true_runs
+from ..identification.standstill import moving_rows
 from ..robot.inertial_parameters import Parameters, model_with_inertias
 from ..robot.robot import Robot
 from ..robot.samples import MIN_TRAVEL, Samples
 from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetric
 
 T = TypeVar("T")
-STANDSTILL_SPEED_RATIO = 0.01
-"""Speed below which a joint stands still, over its largest speed."""
-BREAKAWAY_TRAVEL_RATIO = 0.02
-"""Travel after a standstill until friction is no longer static, over the joint's range."""
-MIN_STANDSTILL = 0.06
-"""Duration from which a joint at standstill is excluded [s]."""
-MIN_STANDSTILL_COARSE = 0.2
-"""The same for a coarse encoder, which hides how fast a joint reverses [s]."""
-MIN_RESOLVED_STEPS = 50.0
-"""Encoder steps that a joint should be able to travel within `MIN_STANDSTILL`; below, the encoder
-counts as coarse."""
 MIN_MOVING_SHARE = 0.3
 """Share of the time that a joint must move. A joint that moves less is judged at all times, as
 little would remain."""
@@ -219,17 +208,8 @@ class RecordedMotion:
     def moving(self) -> BoolArray:
         """Rows at which a joint moves, shape (N, n); static friction is not modelled."""
         rows = np.rint((self.time - self.segment.start) * self.segment.rate).astype(int)
-        out = np.empty((len(self), self.n), bool)
-        for j in range(self.n):
-            speed, steps = self.samples.dq[:, j], MIN_RESOLVED_STEPS * float(self.steps.max())
-            standstill = (
-                MIN_STANDSTILL
-                if STANDSTILL_SPEED_RATIO * float(np.abs(speed).max()) * MIN_STANDSTILL > steps
-                else MIN_STANDSTILL_COARSE
-            )
-            moving = _moving(self.samples.q[:, j], speed, self.segment.rate, standstill)[rows]
-            out[:, j] = moving if moving.mean() > MIN_MOVING_SHARE else True
-        return out
+        moving = moving_rows(self.segment, self.samples.q, self.samples.dq, rows)
+        return moving | (moving.mean(axis=0) <= MIN_MOVING_SHARE)
 
     @memoized_for_all_fits
     def reversal_dwell(self) -> FloatArray:
@@ -441,24 +421,6 @@ class RecordedMotion:
             jacobians[:, None, 3:], centres[:, :, :, None], axisa=2, axisb=2, axisc=2
         )
         return np.asarray((jacobians[:, None, :3] + turning) * carries[:, None] @ robot.spread)
-
-
-def _moving(q: FloatArray, dq: FloatArray, rate: float, standstill: float) -> BoolArray:
-    """Samples at which a joint moves: neither at standstill nor still close to where it stood.
-
-    Args:
-        q: Joint position, shape (M,).
-        dq: Joint velocity, shape (M,).
-        rate: Sample rate [Hz].
-        standstill: Duration from which a standstill counts [s].
-    """
-    out, breakaway = np.ones(len(q), bool), BREAKAWAY_TRAVEL_RATIO * float(np.ptp(q))
-    still = np.abs(dq) < STANDSTILL_SPEED_RATIO * np.abs(dq).max()
-    for start, end in true_runs(still).tolist():
-        if end - start > standstill * rate:
-            away = np.abs(q[end:] - q[end - 1]) > breakaway
-            out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False
-    return out
 
 
 def position_range(motions: Sequence[RecordedMotion], joint: int) -> tuple[float, float]:

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from .._types import FloatArray
+from ..identification.standstill import STANDSTILL_SPEED_RATIO
 from .effect import CandidateModel, Effect, grid_candidates, is_between, single_joint_columns
-from .recorded_motion import STANDSTILL_SPEED_RATIO, RecordedMotion
+from .recorded_motion import RecordedMotion
 
 POWERS = (2.0, 3.0, 5.0)
 """Powers of the torque that are lost."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import FloatArray, IntArray
 from ..errors import UnusableInput
 from .noise_spectrum import NoiseSpectrum, covariance_root, noise_spectrum
 from .regression import TorqueEquations
@@ -70,7 +70,7 @@ class Estimate:
         noise_root: C with noise covariance Σ = C Cᵀ over the joints by which rows were weighted; 1
             for `Method.OLS`. Shape (n, n) [N m].
         noise_spectrum: Spectrum of the weighted residuals.
-        residual: τ − Γ θ̂. Shape (N, n) [N m].
+        residual: τ − Γ θ̂, 0 in rows that do not count. Shape (N, n) [N m].
         degrees_of_freedom: Number of rows minus number of parameters.
         outliers: Share of rows whose weight the robust estimator halved or more.
         nuisance_coefficients: Coefficients of the nuisance columns. Shape (k,).
@@ -91,8 +91,9 @@ class Estimate:
     def noise(self) -> FloatArray:
         """Standard deviation of the residual per joint. Shape (n,) [N m]."""
         if self.method is Method.OLS:  # all rows have the weight 1, whatever their noise
-            freedom = self.degrees_of_freedom / self.residual.shape[1]
-            return np.sqrt(np.sum(self.residual**2, axis=0) / freedom)
+            rows = np.count_nonzero(self.residual, axis=0)
+            freedom = self.degrees_of_freedom * rows / max(float(rows.sum()), 1.0)
+            return np.sqrt(np.sum(self.residual**2, axis=0) / np.maximum(freedom, 1e-300))
         return np.sqrt(np.sum(self.noise_root**2, axis=1))
 
 
@@ -157,10 +158,11 @@ def _stacked(factors: FloatArray) -> FloatArray:
 
 def triangular_factor(equations: TorqueEquations, noise_root: FloatArray) -> FloatArray:
     """Compute the QR factor R of all weighted rows of [Γ | τ]. Shape (≤ p + 1, p + 1)."""
+    rows = equations.without_standstill()
     white = dataclasses.replace(
-        equations,
-        torque=whiten(equations.torque, noise_root),
-        regressor=whiten(equations.regressor, noise_root),
+        rows,
+        torque=whiten(rows.torque, noise_root),
+        regressor=whiten(rows.regressor, noise_root),
     )
     return _stacked(joint_triangular_factors(white))
 
@@ -217,14 +219,14 @@ def least_squares(
 
 
 def _reweighted(
-    factors: FloatArray, iterations: int, rows: int
+    factors: FloatArray, iterations: int, rows: IntArray
 ) -> tuple[LeastSquaresFit, FloatArray]:
     """Alternate between least squares and the joints' noise variances.
 
     Args:
         factors: QR factor of each joint's [Γ | τ]. Shape (n, p + 1, p + 1).
         iterations: Number of alternations.
-        rows: Number of rows per joint.
+        rows: Number of rows of each joint. Shape (n,).
 
     Returns:
         The fit, and C, diagonal.
@@ -271,20 +273,23 @@ def estimate(
         if instruments is not None and instruments.shape[2] == equations.regressor.shape[2]:
             instruments = np.concatenate([instruments, nuisance], axis=2)
         return _marginal(estimate(extended, method, instruments=instruments), equations)
+    equations = equations.without_standstill()
     fit, noise_root = _reweighted(
         joint_triangular_factors(equations),
         0 if method is Method.OLS else VARIANCE_ITERATIONS,
-        len(equations),
+        equations.moving.sum(axis=0),
     )
-    rank = fit.half.shape[1]
-    if equations.torque.size <= rank:
+    rank, count = fit.half.shape[1], int(equations.moving.sum())
+    if count <= rank:
         raise UnusableInput(
-            f"recordings: {equations.torque.size} equations are too few for {rank} parameters with "
+            f"recordings: {count} equations are too few for {rank} parameters with "
             f"a band of {equations.hertz:.3g} Hz; record for longer or give a higher --band"
         )
     if method is Method.FULL:
         noise_root = covariance_root(
-            equations.torque - equations.predicted(fit.theta), fit.leverage
+            equations.torque - equations.predicted(fit.theta),
+            fit.leverage,
+            equations.moving.sum(axis=0),
         )
         fit = least_squares(equations, noise_root)
     if method is Method.HUBER:
@@ -294,7 +299,8 @@ def estimate(
             raise UnusableInput(
                 "estimator 'iv': needs instruments; see instruments.build_instruments"
             )
-        return _instrumental(equations, fit, noise_root, instruments)
+        counted = np.where(equations.moving[:, :, None], instruments, 0.0)
+        return _instrumental(equations, fit, noise_root, counted)
     residual = whiten(equations.torque - equations.predicted(fit.theta), noise_root)
     return _assembled(method, equations, fit, fit.theta, noise_root, residual)
 
@@ -333,7 +339,7 @@ def _assembled(
     residual = equations.torque - equations.predicted(theta)
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
     covariance = with_unidentified_variances(fit.half @ spread @ fit.half.T, fit)
-    freedom = float(score.size - fit.half.shape[1])
+    freedom = float(equations.moving.sum() - fit.half.shape[1])
     return Estimate(
         method, theta, root, covariance, noise_root, spectrum, residual, freedom, outliers
     )
@@ -352,9 +358,8 @@ def _huber(equations: TorqueEquations, fit: LeastSquaresFit, noise_root: FloatAr
     theta = fit.theta
     for _ in range(MAX_HUBER_ITERATIONS):
         residual = whiten(equations.torque - equations.predicted(theta), noise_root)
-        noise_root = (
-            noise_root * (np.median(np.abs(residual), axis=0) / NORMAL_MEDIAN_DEVIATION)[:, None]
-        )
+        size = np.where(equations.moving, np.abs(residual), np.nan)
+        noise_root = noise_root * (np.nanmedian(size, axis=0) / NORMAL_MEDIAN_DEVIATION)[:, None]
         residual = whiten(equations.torque - equations.predicted(theta), noise_root)
         weights = np.minimum(1.0, HUBER_THRESHOLD / np.maximum(np.abs(residual), 1e-300))
         refit = least_squares(equations, noise_root, weights)
@@ -363,7 +368,7 @@ def _huber(equations: TorqueEquations, fit: LeastSquaresFit, noise_root: FloatAr
             break
     residual = whiten(equations.torque - equations.predicted(theta), noise_root)
     unweighted = least_squares(equations, noise_root)
-    size = np.abs(residual)
+    size = np.abs(residual[equations.moving])
     slope = float(np.mean(size <= HUBER_THRESHOLD))
     outliers = float(np.mean(size > 2.0 * HUBER_THRESHOLD))
     score = np.clip(residual, -HUBER_THRESHOLD, HUBER_THRESHOLD)
@@ -408,7 +413,7 @@ def _instrumental(
         noise_root,
         spectrum,
         residual,
-        float(white.size - fit.half.shape[1]),
+        float(equations.moving.sum() - fit.half.shape[1]),
     )
 
 

@@ -282,6 +282,7 @@ def identify(
             after,
             None,
             equations.starts,
+            equations.moving,
         )
 
     inverse = np.linalg.inv(factor[:k, :k]) if k else np.zeros((0, 0))

@@ -328,6 +328,7 @@ def build_equations(
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),
         slopes=np.concatenate([part.slopes for part in parts]),
+        moving=np.concatenate([part.moving for part in parts]),
         motion=motion,
         time=np.concatenate([part.time for part in parts]),
         starts=tuple(starts),
@@ -425,6 +426,7 @@ def _segment_equations(
                 values,
                 gamma,
                 np.zeros(values.shape),
+                np.ones(values.shape, bool),
                 Samples(
                     kept_motion.q, kept_motion.velocity[:, 6:], kept_motion.acceleration[:, 6:]
                 ),

@@ -49,7 +49,8 @@ def fit_widths(
     widths = model.widths.copy()
     candidates = _candidate_columns(segments, equations.hertz)
     for k, joint in friction.items():
-        gamma, torque = equations.regressor[:, joint], equations.torque[:, joint]
+        rows = equations.moving[:, joint]
+        gamma, torque = equations.regressor[rows, joint], equations.torque[rows, joint]
         others = np.delete(gamma, k, axis=1)
         others = others[:, np.any(others != 0.0, axis=0)]
         Q = np.linalg.qr(others / np.linalg.norm(others, axis=0))[0]
@@ -65,8 +66,9 @@ def fit_widths(
             )
             return float(residual @ residual) - max(amplitude, 0.0) ** 2 * size
 
-        best = min(candidates, key=lambda width: unexplained(candidates[width][:, joint]))
-        before, after = unexplained(gamma[:, k]), unexplained(candidates[best][:, joint])
+        errors = {width: unexplained(columns[rows, joint]) for width, columns in candidates.items()}
+        best = min(errors, key=lambda width: errors[width])
+        before, after = unexplained(gamma[:, k]), errors[best]
         gain = 0.5 * len(torque) * np.log(max(before, 1e-300) / max(after, 1e-300))
         if gain > MIN_LOG_LIKELIHOOD_GAIN:
             widths[joint] = best

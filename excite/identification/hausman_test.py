@@ -105,6 +105,8 @@ def durbin_wu_hausman(
         equations = dataclasses.replace(
             equations, regressor=np.concatenate([equations.regressor, nuisance], axis=2)
         )
+    equations = equations.without_standstill()
+    instruments = np.where(equations.moving[:, :, None], instruments, 0.0)
     noise_root = least_squares_estimate.noise_root
     fit = least_squares(equations, noise_root)
     V, sines, strength = _unexplained(equations, fit, noise_root, instruments)

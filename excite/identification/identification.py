@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from ..designer import identifiability
 from ..designer.identifiability import Identifiability
 from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE, is_identifiable
@@ -118,6 +118,8 @@ class Prediction:
         noise_floor: Standard deviation of the torque noise below the band per joint; None if the
             recording does not repeat. Shape (n,) [N m].
         starts: Row at which each segment begins.
+        moving: Rows of each joint that count in its errors: False at a standstill under friction,
+            where no parameters predict the torque. Shape (N, n).
     """
 
     source: str
@@ -127,10 +129,19 @@ class Prediction:
     fitted: FloatArray
     noise_floor: FloatArray | None
     starts: tuple[int, ...]
+    moving: BoolArray
+
+    def size(self) -> FloatArray:
+        """Return the RMS of the measured torque per joint. Shape (n,) [N m]."""
+        return self._rms(self.measured)
 
     def error(self, which: str = "fitted") -> FloatArray:
         """Return the RMS torque error of the model `which` per joint. Shape (n,) [N m]."""
-        return np.sqrt(np.mean((self.measured - getattr(self, which)) ** 2, axis=0))
+        return self._rms(self.measured - getattr(self, which))
+
+    def _rms(self, values: FloatArray) -> FloatArray:
+        """RMS of each joint over the rows that count. Shapes (N, n) -> (n,)."""
+        return np.sqrt(np.mean(values**2, axis=0, where=self.moving))
 
     def error_over_noise_floor(self) -> FloatArray | None:
         """Return the error of the identified model over the noise floor.
@@ -154,15 +165,21 @@ class Prediction:
         """
         error, floor = self.error(), self.noise_floor
         beyond = error if floor is None else np.sqrt(np.maximum(error**2 - floor**2, 0.0))
-        size = np.maximum(np.sqrt(np.mean(self.measured**2, axis=0)), 1e-300)
+        size = np.maximum(self.size(), 1e-300)
         above = np.ones(len(error), bool) if floor is None else error > ABOVE_FLOOR * floor
         if above.any():
             return int(np.argmax(np.where(above, beyond / size, -1.0))), floor is not None
         return int(np.argmax(self.error("nominal") - error)), False
 
+    def worsened(self) -> BoolArray:
+        """Return True for joints that the nominal model predicts better. Shape (n,)."""
+        error, floor = self.error(), self.noise_floor
+        is_noise = False if floor is None else error <= ABOVE_FLOOR * floor
+        return (error > self.error("nominal")) & ~np.asarray(is_noise)
+
     def relative(self, which: str = "fitted") -> FloatArray:
         """Return the error over the RMS of the measured torque; ∞ where that is 0. Shape (n,)."""
-        size = np.sqrt(np.mean(self.measured**2, axis=0))
+        size = self.size()
         return np.divide(self.error(which), size, out=np.full_like(size, np.inf), where=size > 0.0)
 
 
@@ -222,6 +239,15 @@ class Identification:
         """γ of the inertial parameters and the mean γ of the joint parameters."""
         weights = self.prior.joint_weights
         return self.prior.inertial_weight, float(np.mean(weights)) if len(weights) else 0.0
+
+    def worsened_joints(self) -> list[str]:
+        """Return the joints whose held-out torque the nominal robot predicts better."""
+        worse = [prediction.worsened() for prediction in self.validations]
+        return [
+            joint
+            for joint, *is_worse in zip(self.model.robot.joints, *worse, strict=True)
+            if any(is_worse)
+        ]
 
     def data_shares(self) -> FloatArray:
         """Compute the share of each direction's value that the data determine.
@@ -576,11 +602,7 @@ def _predict(
     fitted, before = (
         equations.predicted(model.base.matrix @ parameters) for parameters in (psi, nominal)
     )
-    if noise_floor is not None:
-        error = np.sqrt(np.mean((equations.torque - fitted) ** 2, axis=0))
-        if (error < MIN_ERROR_OVER_NOISE_FLOOR * noise_floor).any():
-            noise_floor = None
-    return Prediction(
+    prediction = Prediction(
         recording.source,
         equations.time,
         equations.torque,
@@ -588,4 +610,11 @@ def _predict(
         fitted,
         noise_floor,
         equations.starts,
+        equations.moving,
     )
+    if (
+        noise_floor is not None
+        and (prediction.error() < MIN_ERROR_OVER_NOISE_FLOOR * noise_floor).any()
+    ):
+        return dataclasses.replace(prediction, noise_floor=None)
+    return prediction

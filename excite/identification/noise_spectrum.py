@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from .regression import TorqueEquations
 
 MIN_BIN_WIDTH_HZ = 0.1
@@ -55,18 +55,19 @@ class NoiseSpectrum:
     repeated: BoolArray
 
 
-def covariance_root(residual: FloatArray, leverage: FloatArray) -> FloatArray:
+def covariance_root(residual: FloatArray, leverage: FloatArray, rows: IntArray) -> FloatArray:
     """Estimate C with Σ = C Cᵀ, the covariance of residuals over the joints.
 
     Args:
-        residual: Residual torque. Shape (N, n) [N m].
+        residual: Residual torque, 0 in rows that do not count. Shape (N, n) [N m].
         leverage: Trace of the hat matrix per joint. Shape (n,).
+        rows: Number of rows of each joint that count. Shape (n,).
 
     Returns:
         Shape (n, n) [N m].
     """
     deviation = np.sqrt(
-        np.maximum(np.sum(residual**2, axis=0) / np.maximum(len(residual) - leverage, 1.0), 1e-300)
+        np.maximum(np.sum(residual**2, axis=0) / np.maximum(rows - leverage, 1.0), 1e-300)
     )
     unit = residual / np.sqrt(np.mean(residual**2, axis=0))
     return np.linalg.cholesky(unit.T @ unit / len(residual)) * deviation[:, None]
@@ -164,7 +165,8 @@ def _group_spectrum(
             X = _transformed(rows[part, joint], points)
             fitted = np.sum(np.abs(X) ** 2, axis=1) / length
             np.add.at(power[:, k], bins, share * periodogram)
-            np.add.at(freedom[:, k], bins, share * np.maximum(1.0 - fitted, 0.0))
+            counted = float(np.mean(equations.moving[part, joint]))
+            np.add.at(freedom[:, k], bins, share * np.maximum(counted - fitted, 0.0))
             Z = X if instruments is None else _transformed(instruments[part, joint], points)
             Z = Z * np.sqrt(sides / points)[:, None]
             for f, first in zip(*np.unique(bins, return_index=True), strict=True):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters
@@ -17,6 +17,7 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from .segments import RecordingSegment, split_into_chunks, too_short
+from .standstill import MIN_STANDSTILL_COARSE, moving_rows
 
 BLOCK_ROWS = 4096
 """Number of samples whose regressor is held in memory at a time."""
@@ -60,6 +61,8 @@ class TorqueEquations:
         regressor: Filtered Γ. Shape (N, n, p).
         slopes: Derivative of torque with respect to the logarithm of the Coulomb width, over the
             Coulomb friction. Shape (N, n).
+        moving: Rows of each joint that count: False where a joint with Coulomb friction stands
+            still. Shape (N, n).
         motion: Motion at the rows.
         time: Time of each row. Shape (N,) [s].
         starts: Row at which each segment begins, the first being 0.
@@ -74,6 +77,7 @@ class TorqueEquations:
     torque: FloatArray
     regressor: FloatArray
     slopes: FloatArray
+    moving: BoolArray
     motion: Samples
     time: FloatArray
     starts: tuple[int, ...]
@@ -103,12 +107,24 @@ class TorqueEquations:
             torque=self.torque[which],
             regressor=self.regressor[which],
             slopes=self.slopes[which],
+            moving=self.moving[which],
             motion=self.motion.rows(which),
             time=self.time[which],
             starts=(0,),
             sources=self.sources[:1],
             periods=(0,),
             repeats=(None,),
+        )
+
+    def without_standstill(self) -> TorqueEquations:
+        """Return the equations with zeros in the rows that do not count."""
+        if self.moving.all():
+            return self
+        return dataclasses.replace(
+            self,
+            torque=np.where(self.moving, self.torque, 0.0),
+            regressor=np.where(self.moving[:, :, None], self.regressor, 0.0),
+            slopes=np.where(self.moving, self.slopes, 0.0),
         )
 
     def predicted(self, theta: FloatArray) -> FloatArray:
@@ -130,16 +146,14 @@ def build_equations(
     Raises:
         UnusableInput: All segments are shorter than the margins that the filter discards.
     """
-    parts, starts, count, margins = (
-        list[TorqueEquations](),
-        list[tuple[int, RecordingSegment, int]](),
-        0,
-        0.0,
-    )
+    parts, moving = list[TorqueEquations](), list[BoolArray]()
+    starts, count, margins = list[tuple[int, RecordingSegment, int]](), 0, 0.0
     for segment in segments:
         band = segment.band(hertz)
         chunks = list(_chunk_equations(model, segment, band))
         if chunks:
+            time = np.concatenate([chunk.time for chunk in chunks])
+            moving.append(_moving_rows(model, segment, band, time))
             starts.append((count, segment, sum(map(len, chunks))))
             count += starts[-1][2]
             parts += chunks
@@ -150,6 +164,7 @@ def build_equations(
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),
         slopes=np.concatenate([part.slopes for part in parts]),
+        moving=np.concatenate(moving),
         motion=Samples(
             *(
                 np.concatenate([getattr(part.motion, name) for part in parts])
@@ -214,6 +229,7 @@ def _chunk_equations(
             torque,
             gamma[kept],
             slopes[kept],
+            np.ones(slopes[kept].shape, bool),
             motion.rows(kept),
             time,
             (0,),
@@ -223,6 +239,37 @@ def _chunk_equations(
             band.hertz,
             band.rate_of(Grid.KEPT),
         )
+
+
+def _moving_rows(
+    model: IdentificationModel, segment: RecordingSegment, band: LowPassFilter, time: FloatArray
+) -> BoolArray:
+    """Rows of a segment that count, see `TorqueEquations.moving`.
+
+    A joint with fewer rows in motion than there are parameters counts at all times, as its torque
+    at rest says more, within ± its friction.
+
+    Args:
+        model: The model.
+        segment: The segment.
+        band: Its filter.
+        time: Time of each row. Shape (N,) [s].
+    """
+    out = np.ones((len(time), model.robot.n), bool)
+    joints = list(model.friction_columns().values())
+    if not joints:
+        return out
+    position, speed = list[FloatArray](), list[FloatArray]()
+    for samples, inner in split_into_chunks(segment, 3 * band.margin, band.steps(Grid.KEPT)):
+        part = dataclasses.replace(band, count=samples.stop - samples.start)
+        spectrum = part.transform(segment.q[samples])
+        position.append(spectrum.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO)[inner])
+        speed.append(friction_speed(segment.q[samples], part, spectrum)[inner])
+    rows = np.rint((time - segment.start) * segment.rate).astype(int) % len(segment)
+    motion = np.concatenate(position), np.concatenate(speed)
+    moving = moving_rows(segment, *motion, rows, MIN_STANDSTILL_COARSE)
+    out[:, joints] = (moving | (moving.sum(axis=0) < model.base.count))[:, joints]
+    return out
 
 
 def filtered_regressor(

@@ -147,6 +147,14 @@ def extract_segments(
             )
 
 
+def longest_of_each_recording(segments: Sequence[RecordingSegment]) -> list[RecordingSegment]:
+    """Return the longest segment of each recording."""
+    longest: dict[str, RecordingSegment] = {}
+    for segment in sorted(segments, key=len, reverse=True):
+        longest.setdefault(segment.source, segment)
+    return list(longest.values())
+
+
 def leading_segments(segments: Sequence[RecordingSegment], samples: int) -> list[RecordingSegment]:
     """Return the first segments until they hold a number of samples.
 
@@ -315,7 +323,7 @@ def torque_spectra(
         segments: Segments of recordings.
         hertz: Cutoff frequency to use instead [Hz].
         carried: Returns the highest frequency up to which a segment's positions carry its
-            accelerations [Hz]; None: not limited.
+            accelerations [Hz], of which the lowest counts; None: not limited.
         others: Further segments that are filtered likewise, of which only the rate counts.
 
     Raises:
@@ -340,7 +348,8 @@ def torque_spectra(
     motion = motion_bandwidth(longest)
     chosen = _chosen_cutoff(frequency, torque, noise, motion, slowest) if hertz is None else hertz
     if hertz is None and carried is not None:
-        chosen = min(chosen, max(carried(longest), usable_from_hertz([longest])))
+        lowest = min(map(carried, longest_of_each_recording(segments)))
+        chosen = min(chosen, max(lowest, usable_from_hertz([longest])))
     return TorqueSpectra(frequency, torque, noise, motion, chosen)
 
 

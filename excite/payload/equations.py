@@ -368,6 +368,7 @@ def _joined(parts: Sequence[TorqueEquations]) -> TorqueEquations:
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),
         slopes=np.concatenate([part.slopes for part in parts]),
+        moving=np.concatenate([part.moving for part in parts]),
         time=np.concatenate([part.time for part in parts]),
         motion=motion,
         starts=tuple(int(start) for start in starts),

@@ -91,9 +91,14 @@ def check_positions(source: str, block: Block, robot: Robot, limits: Limits | No
         f"{bounds[i]:.4g} {unit}"
     )
     if is_angle[i] and (np.deg2rad(largest) <= CONVERTED_RATIO * bounds)[is_angle].all():
-        raise UnusableInput(f"{fault}; its positions are in degrees, convert them to rad")
+        raise UnusableInput(
+            f"{fault}; if its positions are in degrees, convert them to rad, else correct the "
+            "limits"
+        )
     if not is_angle[i] and largest[i] / 1000.0 <= CONVERTED_RATIO * bounds[i]:
-        raise UnusableInput(f"{fault}; its positions are in mm, convert them to m")
+        raise UnusableInput(
+            f"{fault}; if its positions are in mm, convert them to m, else correct the limits"
+        )
     raise UnusableInput(
         f"{fault}; convert its positions from the encoder's unit, or correct the limits"
     )

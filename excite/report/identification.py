@@ -114,8 +114,8 @@ def _cards(identification: Identification) -> list[tuple[str, str]]:
     data = "held out" if identification.validations else "of the fit"
     before, after = (
         np.sqrt(
-            sum(float(np.sum((p.measured - getattr(p, which)) ** 2)) for p in predictions)
-            / sum(float(np.sum(p.measured**2)) for p in predictions)
+            sum(float(np.sum((p.measured - getattr(p, which))[p.moving] ** 2)) for p in predictions)
+            / sum(float(np.sum(p.measured[p.moving] ** 2)) for p in predictions)
         )
         for which in ("nominal", "fitted")
     )

@@ -57,6 +57,7 @@ def prediction_section(identification: Identification) -> Section:
         "band": number(identification.spectra.hertz, 3),
         "has_floor": any(p.noise_floor is not None for p in predictions),
         "lacks_floor": any(p.noise_floor is None for p in predictions),
+        "has_standstill": not all(p.moving.all() for p in predictions),
         "is_excerpt": any(p.time[-1] - p.time[0] > EXCERPT_SECONDS for p in predictions),
         "excerpt": f"{EXCERPT_SECONDS:g}",
         "noise_band": f"{NOISE_BAND_FLOORS:g}",
@@ -76,6 +77,9 @@ def prediction_verdict(identification: Identification) -> tuple[str, str]:
         )
         return answer, "warn"
     answer, tone = _verdict(identification.validations, robot)
+    if worse := identification.worsened_joints():
+        answer = f"{answer} The nominal robot predicts {some(worse)} better."
+        tone = "bad" if tone == "bad" else "warn"
     if _is_contaminated(identification) and tone == "good":
         tone = "warn"
     return answer, tone

@@ -192,4 +192,5 @@ def held_out_predictions(diagnosis: Diagnosis, *, withheld: bool) -> Iterator[Pr
             measured - np.concatenate(after),
             diagnosis.floor,
             tuple(np.cumsum([0, *(len(motion) for motion in motions)])[:-1].tolist()),
+            np.concatenate([motion.moving for motion in motions]),
         )

@@ -68,16 +68,8 @@ def drawn_interval(prediction: Prediction) -> tuple[float, float]:
     first, last = float(prediction.time[0]), float(prediction.time[-1])
     if last - first <= EXCERPT_SECONDS:
         return first, last
-    size = np.sqrt(np.mean(prediction.measured**2, axis=0))
-    worst = int(
-        np.argmax(
-            np.max(
-                np.abs(np.nan_to_num(prediction.measured - prediction.fitted))
-                / np.maximum(size, 1e-300),
-                axis=1,
-            )
-        )
-    )
+    residual = np.where(prediction.moving, prediction.measured - prediction.fitted, 0.0)
+    worst = int(np.argmax(np.max(np.abs(residual) / np.maximum(prediction.size(), 1e-300), axis=1)))
     start = float(
         np.clip(prediction.time[worst] - 0.5 * EXCERPT_SECONDS, first, last - EXCERPT_SECONDS)
     )

@@ -19,6 +19,7 @@ from diagnosis_cases import (
     findings_of,
     friction_sign,
     known_failures,
+    motions,
     noise_ratios,
     parameters,
     recordings_of,
@@ -32,7 +33,7 @@ from excite._types import FloatArray
 from excite.cli import main as main_module
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
-from excite.effects import EFFECTS_BY_NAME
+from excite.effects import EFFECTS_BY_NAME, nonlinear_viscous
 from excite.errors import UnusableInput
 from excite.robot.samples import Samples
 from excite.trajectory.fourier import FourierSeries
@@ -243,6 +244,15 @@ def test_a_large_held_out_error_is_not_called_explained(name):
 
 
 # -- document, command and catalogue --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("curve", "convex"), [(k, k >= 6) for k in range(8)])
+def test_a_curve_of_viscous_friction_is_a_power_that_opposes_motion(curve, convex):
+    shape = nonlinear_viscous.dense_model(motions(), 0)
+    coefficients = np.full(len(shape.nonnegative), 0.05)
+    coefficients[curve] = 1.0
+    estimate = shape.parameters(coefficients)
+    assert estimate["coefficient"] > 0.0 and (estimate["exponent"] > 1.0) == convex
 
 
 def test_the_catalogue_has_the_effects_of_the_contract():

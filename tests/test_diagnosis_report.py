@@ -27,9 +27,10 @@ from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.recordings import Remark, RemarkKind
 from excite.report import diagnosis_page
+from excite.report.figures.diagnosis import draw_budget
 from excite.report.figures.trajectory import short_names
 from excite.report.formatting import number, significant, value_with_error
-from excite.report.torque_budget import joint_budgets, parameter_words
+from excite.report.torque_budget import JointBudget, joint_budgets, parameter_words
 
 DOUBT = {"recording": "out/train.csv", "kind": "torque sign", "text": "the sign is inverted"}
 
@@ -140,6 +141,26 @@ def test_small_contributions_are_summed() -> None:
     assert useless.endswith("worse than predicting no torque (200 % of the torque)")
     absent = dataclasses.replace(half, absent=("hysteresis",)).causes
     assert absent.endswith("presliding hysteresis hardly matters here")
+
+
+def test_base_parameters_that_were_fitted_jointly_are_a_part_of_the_budget() -> None:
+    result = diagnosis_of(2.0)
+    stated = copy.deepcopy(document(result))
+    stated["joints"]["joint_2"] |= {"rmse_before": 1.0, "rmse_after": 0.8, "torque_rms": 9.0}
+    for key in ("findings", "unknown", "between_recordings"):
+        stated[key] = []
+
+    def budget_of(**shares: float) -> JointBudget:
+        shares["residual"] = 1.0 - sum(shares.values())
+        stated["budget"]["joint_2"] = {k: {"share": v, "std": 0.01} for k, v in shares.items()}
+        return joint_budgets(stated, result.identified.model.robot)[1]
+
+    mostly = budget_of(stribeck=0.006, base_parameters=0.354)
+    assert mostly.causes == "base parameters fitted jointly −20 %"
+    against = budget_of(stribeck=0.48, base_parameters=-0.12)
+    assert against.causes == "Stribeck friction −27 %, base parameters fitted jointly +7 %"
+    assert "base parameters fitted jointly" in draw_budget([mostly])
+    assert "base parameters fitted jointly" not in draw_budget([against])
 
 
 def test_alternatives_come_with_the_experiment_that_separates_them() -> None:

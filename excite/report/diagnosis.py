@@ -209,8 +209,7 @@ def _budget_section(
             else f": {improved[0].error}"
         )
         places = joint_words([b.joint for b in improved], len(budgets))
-        answer = f"The effects in the saved model reduce the error on unseen recordings at {places}"
-        answer += f"{most}."
+        answer = f"The saved model reduces the error on unseen recordings at {places}{most}."
         tone = ""
     elif all(b.is_explained for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"

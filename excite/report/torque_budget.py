@@ -1,4 +1,8 @@
-"""Torque budget of each joint in words: its held-out error, and what each effect removes of it."""
+"""Torque budget of each joint in words: its held-out error, and what each effect removes of it.
+
+The shares of `diagnosis.json` are of the squared error. What they sum to is at least the share of
+the error by which it falls, which is divided in their proportion.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..diagnosis.budget import RECORDING_FILTER
+from ..diagnosis.budget import BASE_PARAMETERS, RECORDING_FILTER
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
 from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
@@ -14,7 +18,7 @@ from .formatting import significant, value_with_error
 
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
-falls by less counts as unchanged."""
+changes by less counts as unchanged."""
 MAX_RELATIVE_CHANGE = 2.0
 """Relative change between recordings up to which it is stated."""
 NAMED_OTHERS = 0.01
@@ -30,6 +34,7 @@ _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
 _WORDS = {
     "asymmetric_viscous": "viscous friction that differs by direction",
+    BASE_PARAMETERS: "base parameters fitted jointly",
     "drag": "drag (square of speed)",
     "friction": "Coulomb and viscous friction",
     "hysteresis": "presliding hysteresis",
@@ -68,11 +73,11 @@ def filter_words(document: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class BudgetPart:
-    """An effect in the budget of a joint.
+    """An effect in the budget of a joint, or the base parameters that are fitted jointly.
 
     Attributes:
         effect: Its name.
-        share: Share of the removed error [1].
+        share: Share of the removed error [1]; negative if it adds to the error.
         std: Its standard deviation [1].
         is_certain: False if the saved model has the effect but it is not among the findings.
     """
@@ -93,7 +98,7 @@ class JointBudget:
         before: RMSE of the base model.
         after: RMSE of the saved model.
         floor: Noise floor.
-        parts: Effects that remove at least `MIN_SHARE` of before − after, the largest first.
+        parts: Those whose share of before − after is at least `MIN_SHARE`, the largest first.
         others: Share of all other effects together [1].
         is_withheld: Whether findings are withheld, so that the saved model is the base model.
         torque: RMS of the measured torque.
@@ -179,6 +184,10 @@ class JointBudget:
             )
         return "; ".join(texts)
 
+    def change_words(self, share: float) -> str:
+        """Return by how much a part of the removed error changes the error: '−30 %'."""
+        return f"{-100.0 * share * self.removed:+.0f} %".replace("-", "−")
+
     def _removed(self) -> list[str]:
         """Effects that remove the error: 'load friction −30 %, delay −5 %'."""
         if self.is_worse:
@@ -189,11 +198,11 @@ class JointBudget:
             return [] if self.unknown or self.is_changed else ["no effect found reduces it"]
         texts = [
             f"{'' if part.is_certain else 'perhaps '}{effect_words(part.effect)} "
-            f"−{100.0 * part.share * self.removed:.0f} %"
+            f"{self.change_words(part.share)}"
             for part in self.parts
         ]
-        if self.others * self.removed >= NAMED_OTHERS:
-            texts.append(f"others −{100.0 * self.others * self.removed:.0f} %")
+        if abs(self.others) * self.removed >= NAMED_OTHERS:
+            texts.append(f"others {self.change_words(self.others)}")
         if self.absent:
             names = listed([effect_words(name) for name in self.absent])
             texts.append(f"{names} hardly matter{'' if self.absent[1:] else 's'} here")
@@ -286,14 +295,14 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
     out = []
     for entry, (joint, errors) in zip(robot.entries, document["joints"].items(), strict=True):
         budget = document["budget"][joint]
-        shares = {name: v for name, v in budget.items() if name != "residual" and v["share"] > 0.0}
-        total = sum(value["share"] for value in shares.values())
+        shares = {name: value for name, value in budget.items() if name != "residual"}
+        total = max(1.0 - budget["residual"]["share"], 1e-300)
         parts = []
         for name, value in sorted(shares.items(), key=lambda entry: -entry[1]["share"]):
             is_certain = not uncertain & {(name, joint), (name, None)}
             share, std = value["share"] / total, value["std"] / total
             parts.append(BudgetPart(name, share, std, is_certain))
-        shown = tuple(part for part in parts if part.share >= MIN_SHARE)
+        shown = tuple(part for part in parts if abs(part.share) >= MIN_SHARE)
         effects = (f["effect"] for f in document["findings"] if f["joint"] == joint)
         changed = sum(
             c["error_share"] for c in document["between_recordings"] if c["joint"] == joint
@@ -306,7 +315,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 errors["rmse_after"],
                 errors["noise_floor"],
                 shown,
-                sum(part.share for part in parts if part.share < MIN_SHARE),
+                sum(part.share for part in parts if abs(part.share) < MIN_SHARE),
                 "doubts" in document,
                 errors["torque_rms"],
                 changed,

@@ -193,7 +193,7 @@ def test_unknown_torque_and_session_changes_have_sections() -> None:
     }
     change = {"value": 0.2, "std": 0.05, "unit": "N m", "relative": 0.5}
     session = {"recording": "out/validate.csv", "joint": "joint_2", "coulomb": change}
-    session["error_share"] = 0.9
+    session |= {"error_share": 0.9, "error_share_before": 0.9}
     session |= {"viscous": {**change, "relative": 1e5}, "offset": change}
     changes = {"unknown": [unknown], "between_recordings": [session], "verdict": "partly-explained"}
     text = report_of(2.0, **changes)
@@ -221,6 +221,7 @@ def test_error_by_a_change_between_recordings_is_said_first() -> None:
             "recording": "out/validate.csv",
             "joint": "joint_2",
             "error_share": 0.96,
+            "error_share_before": 0.9,
             **dict.fromkeys(("coulomb", "viscous", "offset"), change),
         }
     ]
@@ -237,6 +238,14 @@ def test_error_by_a_change_between_recordings_is_said_first() -> None:
     assert "most of the error of joint_2 is friction or offset that changed" in banners
     assert "Next: warm up alike" in banners and "in one session" in section(text, "next")
     assert "in one session" not in report_of(0.0)
+    # 8 → 10 in noise floors, and 2.5 → 2 without the change
+    stated["joints"]["joint_2"]["rmse_before"] *= 0.8
+    worse = joint_budgets(stated, robot)[1]
+    assert "→" in worse.error and worse.causes == expected
+    assert "with care" not in diagnosis_page(result, stated)
+    stated["between_recordings"][0]["error_share_before"] = 0.99
+    assert "do not hold here" in joint_budgets(stated, robot)[1].causes
+    assert "with care" in diagnosis_page(result, stated)
 
 
 def test_effects_that_are_no_findings_have_reasons() -> None:

@@ -151,17 +151,21 @@ def _use(budgets: Sequence[JointBudget]) -> str:
     """Say whether the saved model is of use, and which file to load."""
     improved = [b.joint for b in budgets if b.is_improved]
     worse = [b.joint for b in budgets if b.is_worse]
-    if worse:
+    spoiled = [b.joint for b in budgets if b.is_spoiled]
+    if spoiled:
         return (
-            f"model.json with care; it predicts {joint_words(worse, len(budgets))} worse than the "
-            "base model, its field without_effects"
+            f"model.json with care; it predicts {joint_words(spoiled, len(budgets))} worse than "
+            "the base model, its field without_effects"
         )
     if improved:
-        none_worse = ", worse at none" if budgets[1:] else ""
-        return (
+        text = (
             "load model.json; it predicts unseen motion better than the base model at "
-            f"{joint_words(improved, len(budgets))}{none_worse}"
+            f"{joint_words(improved, len(budgets))}"
         )
+        if worse:
+            places = joint_words(worse, len(budgets))
+            return f"{text}, worse only by what changed between the recordings at {places}"
+        return text + (", worse at none" if budgets[1:] else "")
     if all(b.is_explained for b in budgets):
         return "load model.json; it predicts unseen motion down to the noise"
     worst = max(budgets, key=lambda b: b.noise_ratio)

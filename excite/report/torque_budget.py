@@ -104,6 +104,7 @@ class JointBudget:
         torque: RMS of the measured torque.
         changed: Share of the saved model's squared error that friction and offsets explain which
             differ from those of the fitted recordings [1].
+        changed_before: The same of the base model [1].
         unknown: Whether the joint has torque that no effect explains.
         absent: Findings at the joint that remove no notable part of its error.
         speed_ratio: Largest held-out speed over that of the fitted recordings [1].
@@ -119,6 +120,7 @@ class JointBudget:
     is_withheld: bool
     torque: float = float("inf")
     changed: float = 0.0
+    changed_before: float = 0.0
     unknown: bool = False
     absent: tuple[str, ...] = ()
     speed_ratio: float = 1.0
@@ -159,6 +161,13 @@ class JointBudget:
         return self.after > (1.0 + MIN_SHARE) * self.before
 
     @property
+    def is_spoiled(self) -> bool:
+        """True if it does so without what changed between the recordings, too."""
+        changed = self.changed_before if self.is_changed else 0.0
+        before = self.before * (1.0 - changed) ** 0.5
+        return self.is_worse and self.unchanged > (1.0 + MIN_SHARE) * before
+
+    @property
     def noise_ratio(self) -> float:
         """RMSE of the saved model in noise floors."""
         return self.after / max(self.floor, 1e-300)
@@ -190,7 +199,7 @@ class JointBudget:
 
     def _removed(self) -> list[str]:
         """Effects that remove the error: 'load friction −30 %, delay −5 %'."""
-        if self.is_worse:
+        if self.is_spoiled:
             return ["the effects of the model do not hold here"]
         if not self.is_improved:
             if self.is_explained:
@@ -304,8 +313,9 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
             parts.append(BudgetPart(name, share, std, is_certain))
         shown = tuple(part for part in parts if abs(part.share) >= MIN_SHARE)
         effects = (f["effect"] for f in document["findings"] if f["joint"] == joint)
-        changed = sum(
-            c["error_share"] for c in document["between_recordings"] if c["joint"] == joint
+        changed, changed_before = (
+            sum(c[key] for c in document["between_recordings"] if c["joint"] == joint)
+            for key in ("error_share", "error_share_before")
         )
         out.append(
             JointBudget(
@@ -319,6 +329,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 "doubts" in document,
                 errors["torque_rms"],
                 changed,
+                changed_before,
                 joint in unknown,
                 tuple(name for name in effects if name not in {part.effect for part in shown}),
                 errors["speed_ratio"],

@@ -31,6 +31,8 @@ from synthetic_recordings import random_fourier, synthetic_recording, write_reco
 from excite import effects
 from excite._types import FloatArray
 from excite.cli import main as main_module
+from excite.cli.diagnose import diagnosis_text
+from excite.diagnosis import rejection
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME, nonlinear_viscous
@@ -217,6 +219,18 @@ def test_torque_outside_the_catalogue_is_unknown(name):
     result = outside_the_catalogue(name)
     assert [unknown.joint for unknown in result.unmodelled] == [0]
     assert result.verdict in ("partly-explained", "unexplained")
+
+
+def test_an_effect_that_is_too_small_to_be_named_is_considered():
+    small = recordings_of(lambda t, q, dq, tau: at_joint(1, 0.05 * np.abs(dq[:, 1])))
+    stated = document(diagnose(small))
+    (entry,) = (e for e in stated["considered"] if e["effect"] == "asymmetric_viscous")
+    assert entry["joint"] == "joint_2" and entry["reason"] == rejection.TOO_SMALL
+    assert entry["probability"] < 0.5 and entry["evidence"]["log_bayes_factor"] > 50.0
+    (unknown,) = stated["unknown"]
+    assert unknown["joint"] == "joint_2" and "asymmetric_viscous" in unknown["too_small"]
+    text = diagnosis_text(stated, SUBJECT.robot, [])
+    assert "viscous friction that differs by direction" in text and "too small to be sure" in text
 
 
 @pytest.mark.parametrize("name", OUTSIDE)

@@ -188,6 +188,7 @@ def test_unknown_torque_and_session_changes_have_sections() -> None:
             },
         },
         "share": 0.3,
+        "too_small": ["spring"],
         "probability": 0.8,
         "experiment": "a sharp stop",
     }
@@ -199,6 +200,7 @@ def test_unknown_torque_and_session_changes_have_sections() -> None:
     text = report_of(2.0, **changes)
     check_page(text)
     assert "30 % of the remaining squared error" in section(text, "unknown").replace("\u00a0", " ")
+    assert "Spring would explain a part, but is too small to be sure of" in section(text, "unknown")
     assert "a sharp stop" in section(text, "next")
     row = section(text, "changes").replace("\u00a0", " ")
     assert "0.200 ± 0.050 N m (+50 %)" in row and "e+" not in row and "10000000" not in row
@@ -265,6 +267,8 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
     assert rejection.reason(result, weak) == rejection.WEAK_EVIDENCE
     strong = dataclasses.replace(rare, log_bayes_factor=500.0)
     assert rejection.reason(result, strong) == rejection.EXPLAINED_AS_WELL
+    spoiling = dataclasses.replace(small, spoils_prediction=True)
+    assert rejection.reason(result, spoiling) == rejection.SPOILS_PREDICTION
 
 
 def test_exponent_that_may_be_one_has_no_value() -> None:

@@ -24,6 +24,7 @@ from .diagnosis import Diagnosis
 from .estimates import QUANTILE, EffectEstimate
 from .gear_encoders import GearEstimate
 from .motion_rows import MotionRows
+from .posterior import DENSE_NAMES
 from .regression import rms
 from .session_changes import SessionChange
 from .unmodelled import UnmodelledTorque
@@ -396,8 +397,16 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         if response.other is None
         else f"{diagnosis.identified.model.robot.joints[response.other]}: {response.over}"
     )
+    small = [
+        effect.effect
+        for effect in diagnosis.considered
+        if effect.joint == entry.joint
+        and effect.effect not in DENSE_NAMES
+        and rejection.reason(diagnosis, effect) == rejection.TOO_SMALL
+    ]
     return {
         "joint": name,
+        "too_small": small,
         "where": {
             "statement": f"joint '{name}': torque that no effect of the catalogue explains; "
             f"{by} predicts {percent(entry.share)} of the residual",

@@ -126,7 +126,7 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
     ]
     if unknown:
         places = joint_words(unknown, len(budgets))
-        remains = f"torque at {places} repeats with the motion and resembles no known effect"
+        remains = f"torque at {places} repeats with the motion and no known effect explains it"
         text = remains if verdict == "unexplained" else f"{text}; {remains}"
     if changed:
         text += (
@@ -298,7 +298,7 @@ def _findings_answer(document: Document) -> tuple[str, str]:
     if "doubts" in document:
         return "Not stated: findings at single joints are withheld; see above.", "warn"
     if document["unknown"]:
-        return "No finding: the torque that is missing resembles no known effect.", "warn"
+        return "No finding: no known effect explains the torque that is missing.", "warn"
     return "No finding: no known effect is needed to explain these recordings.", "good"
 
 

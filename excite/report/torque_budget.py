@@ -106,6 +106,7 @@ class JointBudget:
             differ from those of the fitted recordings [1].
         changed_before: The same of the base model [1].
         unknown: Whether the joint has torque that no effect explains.
+        small: Effects that would explain a part of that, but are too small.
         absent: Findings at the joint that remove no notable part of its error.
         speed_ratio: Largest held-out speed over that of the fitted recordings [1].
     """
@@ -122,6 +123,7 @@ class JointBudget:
     changed: float = 0.0
     changed_before: float = 0.0
     unknown: bool = False
+    small: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     speed_ratio: float = 1.0
 
@@ -222,6 +224,8 @@ class JointBudget:
         texts = []
         if self.unknown and not self.is_explained:
             texts.append("torque that repeats and that no known effect explains remains")
+            if self.small:
+                texts.append(small_words(self.small))
         if self.is_extrapolated:
             texts.append(
                 f"friction is extrapolated to speeds {self.speed_ratio:.1f} times those of the "
@@ -237,6 +241,17 @@ class JointBudget:
                 f"{100.0 * self.changed:.0f} % {start}"
             )
         return texts
+
+
+def small_words(effects: Sequence[str]) -> str:
+    """Return effects that would explain a part of unknown torque in a sentence.
+
+    Args:
+        effects: Their names.
+    """
+    names = listed([effect_words(name) for name in effects])
+    verb = "are" if effects[1:] else "is"
+    return f"{names} would explain a part, but {verb} too small to be sure of"
 
 
 def joint_words(joints: Sequence[str], count: int) -> str:
@@ -300,7 +315,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
         robot: The robot.
     """
     uncertain = {(e["effect"], e["joint"]) for e in document["considered"] if e["modelled"]}
-    unknown = {entry["joint"] for entry in document["unknown"]}
+    small = {entry["joint"]: tuple(entry["too_small"]) for entry in document["unknown"]}
     out = []
     for entry, (joint, errors) in zip(robot.entries, document["joints"].items(), strict=True):
         budget = document["budget"][joint]
@@ -330,7 +345,8 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 errors["torque_rms"],
                 changed,
                 changed_before,
-                joint in unknown,
+                joint in small,
+                small.get(joint, ()),
                 tuple(name for name in effects if name not in {part.effect for part in shown}),
                 errors["speed_ratio"],
             )

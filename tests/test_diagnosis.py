@@ -19,6 +19,7 @@ from diagnosis_cases import (
     findings_of,
     friction_sign,
     known_failures,
+    motions,
     noise_ratios,
     parameters,
     recordings_of,
@@ -30,9 +31,11 @@ from synthetic_recordings import random_fourier, synthetic_recording, write_reco
 from excite import effects
 from excite._types import FloatArray
 from excite.cli import main as main_module
+from excite.cli.diagnose import diagnosis_text
+from excite.diagnosis import rejection
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
-from excite.effects import EFFECTS_BY_NAME
+from excite.effects import EFFECTS_BY_NAME, nonlinear_viscous
 from excite.errors import UnusableInput
 from excite.robot.samples import Samples
 from excite.trajectory.fourier import FourierSeries
@@ -217,6 +220,18 @@ def test_torque_outside_the_catalogue_is_unknown(name):
     assert result.verdict in ("partly-explained", "unexplained")
 
 
+def test_an_effect_that_is_too_small_to_be_named_is_considered():
+    small = recordings_of(lambda t, q, dq, tau: at_joint(1, 0.05 * np.abs(dq[:, 1])))
+    stated = document(diagnose(small))
+    (entry,) = (e for e in stated["considered"] if e["effect"] == "asymmetric_viscous")
+    assert entry["joint"] == "joint_2" and entry["reason"] == rejection.TOO_SMALL
+    assert entry["probability"] < 0.5 and entry["evidence"]["log_bayes_factor"] > 50.0
+    (unknown,) = stated["unknown"]
+    assert unknown["joint"] == "joint_2" and "asymmetric_viscous" in unknown["too_small"]
+    text = diagnosis_text(stated, SUBJECT.robot, [])
+    assert "viscous friction that differs by direction" in text and "too small to be sure" in text
+
+
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_torque_outside_the_catalogue_is_not_named(name):
     assert not findings_of(outside_the_catalogue(name))
@@ -242,6 +257,15 @@ def test_a_large_held_out_error_is_not_called_explained(name):
 
 
 # -- document, command and catalogue --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("curve", "convex"), [(k, k >= 6) for k in range(8)])
+def test_a_curve_of_viscous_friction_is_a_power_that_opposes_motion(curve, convex):
+    shape = nonlinear_viscous.dense_model(motions(), 0)
+    coefficients = np.full(len(shape.nonnegative), 0.05)
+    coefficients[curve] = 1.0
+    estimate = shape.parameters(coefficients)
+    assert estimate["coefficient"] > 0.0 and (estimate["exponent"] > 1.0) == convex
 
 
 def test_the_catalogue_has_the_effects_of_the_contract():

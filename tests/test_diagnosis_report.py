@@ -27,9 +27,10 @@ from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.recordings import Remark, RemarkKind
 from excite.report import diagnosis_page
+from excite.report.figures.diagnosis import draw_budget
 from excite.report.figures.trajectory import short_names
 from excite.report.formatting import number, significant, value_with_error
-from excite.report.torque_budget import joint_budgets, parameter_words
+from excite.report.torque_budget import JointBudget, joint_budgets, parameter_words
 
 DOUBT = {"recording": "out/train.csv", "kind": "torque sign", "text": "the sign is inverted"}
 
@@ -142,6 +143,26 @@ def test_small_contributions_are_summed() -> None:
     assert absent.endswith("presliding hysteresis hardly matters here")
 
 
+def test_base_parameters_that_were_fitted_jointly_are_a_part_of_the_budget() -> None:
+    result = diagnosis_of(2.0)
+    stated = copy.deepcopy(document(result))
+    stated["joints"]["joint_2"] |= {"rmse_before": 1.0, "rmse_after": 0.8, "torque_rms": 9.0}
+    for key in ("findings", "unknown", "between_recordings"):
+        stated[key] = []
+
+    def budget_of(**shares: float) -> JointBudget:
+        shares["residual"] = 1.0 - sum(shares.values())
+        stated["budget"]["joint_2"] = {k: {"share": v, "std": 0.01} for k, v in shares.items()}
+        return joint_budgets(stated, result.identified.model.robot)[1]
+
+    mostly = budget_of(stribeck=0.006, base_parameters=0.354)
+    assert mostly.causes == "base parameters fitted jointly −20 %"
+    against = budget_of(stribeck=0.48, base_parameters=-0.12)
+    assert against.causes == "Stribeck friction −27 %, base parameters fitted jointly +7 %"
+    assert "base parameters fitted jointly" in draw_budget([mostly])
+    assert "base parameters fitted jointly" not in draw_budget([against])
+
+
 def test_alternatives_come_with_the_experiment_that_separates_them() -> None:
     stated = document(diagnosis_of(2.0))
     changes = {"effect": "hysteresis", "equivalents": ["delay"], "rivals": []}
@@ -167,17 +188,19 @@ def test_unknown_torque_and_session_changes_have_sections() -> None:
             },
         },
         "share": 0.3,
+        "too_small": ["spring"],
         "probability": 0.8,
         "experiment": "a sharp stop",
     }
     change = {"value": 0.2, "std": 0.05, "unit": "N m", "relative": 0.5}
     session = {"recording": "out/validate.csv", "joint": "joint_2", "coulomb": change}
-    session["error_share"] = 0.9
+    session |= {"error_share": 0.9, "error_share_before": 0.9}
     session |= {"viscous": {**change, "relative": 1e5}, "offset": change}
     changes = {"unknown": [unknown], "between_recordings": [session], "verdict": "partly-explained"}
     text = report_of(2.0, **changes)
     check_page(text)
     assert "30 % of the remaining squared error" in section(text, "unknown").replace("\u00a0", " ")
+    assert "Spring would explain a part, but is too small to be sure of" in section(text, "unknown")
     assert "a sharp stop" in section(text, "next")
     row = section(text, "changes").replace("\u00a0", " ")
     assert "0.200 ± 0.050 N m (+50 %)" in row and "e+" not in row and "10000000" not in row
@@ -200,6 +223,7 @@ def test_error_by_a_change_between_recordings_is_said_first() -> None:
             "recording": "out/validate.csv",
             "joint": "joint_2",
             "error_share": 0.96,
+            "error_share_before": 0.9,
             **dict.fromkeys(("coulomb", "viscous", "offset"), change),
         }
     ]
@@ -216,6 +240,14 @@ def test_error_by_a_change_between_recordings_is_said_first() -> None:
     assert "most of the error of joint_2 is friction or offset that changed" in banners
     assert "Next: warm up alike" in banners and "in one session" in section(text, "next")
     assert "in one session" not in report_of(0.0)
+    # 8 → 10 in noise floors, and 2.5 → 2 without the change
+    stated["joints"]["joint_2"]["rmse_before"] *= 0.8
+    worse = joint_budgets(stated, robot)[1]
+    assert "→" in worse.error and worse.causes == expected
+    assert "with care" not in diagnosis_page(result, stated)
+    stated["between_recordings"][0]["error_share_before"] = 0.99
+    assert "do not hold here" in joint_budgets(stated, robot)[1].causes
+    assert "with care" in diagnosis_page(result, stated)
 
 
 def test_effects_that_are_no_findings_have_reasons() -> None:
@@ -235,6 +267,8 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
     assert rejection.reason(result, weak) == rejection.WEAK_EVIDENCE
     strong = dataclasses.replace(rare, log_bayes_factor=500.0)
     assert rejection.reason(result, strong) == rejection.EXPLAINED_AS_WELL
+    spoiling = dataclasses.replace(small, spoils_prediction=True)
+    assert rejection.reason(result, spoiling) == rejection.SPOILS_PREDICTION
 
 
 def test_exponent_that_may_be_one_has_no_value() -> None:

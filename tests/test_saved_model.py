@@ -99,6 +99,17 @@ def test_the_shares_of_the_torque_budget_sum_to_1(name):
             assert shares["residual"]["share"] < 0.2
 
 
+@pytest.mark.parametrize("name", ["stribeck", "coupling"])
+def test_what_no_share_of_the_budget_removes_is_the_error_of_the_saved_model(name):
+    """Base parameters that were fitted jointly with the effects are a part of the budget."""
+    result = diagnosed(name)
+    base, final = result.held_out.base, result.held_out.final
+    remaining = np.sum(final * base, axis=0) / np.sum(base**2, axis=0)
+    budget = document(result)["budget"].values()
+    assert [shares["residual"]["share"] for shares in budget] == pytest.approx(remaining)
+    assert all(0.0 < shares["base_parameters"]["std"] < 0.1 for shares in budget)
+
+
 def test_findings_of_doubted_recordings_are_withheld_from_document_and_model():
     train, held_out = recordings_of(HIDDEN["coupling"].torque)
     doubted = dataclasses.replace(

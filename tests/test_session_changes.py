@@ -83,6 +83,8 @@ def test_a_change_of_the_held_out_session_is_reported_and_no_effect():
     stated = document(result)["between_recordings"]
     assert [change["joint"] for change in stated] == ["joint_1", "joint_2"]
     assert stated[0]["viscous"]["unit"] == "N m s/rad"
+    for change in stated:  # without effects there is one model
+        assert change["error_share_before"] == pytest.approx(change["error_share"], abs=0.05)
     # held-out torque is predicted without the change
     assert noise_ratios(result)[1][0] > 2.0
 
@@ -104,6 +106,8 @@ def test_an_effect_is_reported_although_friction_differs(name):
     result = diagnosed_sessions(name)
     assert findings_of(result) == [(name, HIDDEN[name].joint)]
     assert {change.joint for change in result.changes} == {0, 1}
+    change = document(result)["between_recordings"][HIDDEN[name].joint or 0]
+    assert change["error_share_before"] < change["error_share"] - 0.05
 
 
 @pytest.mark.parametrize("name", ["stribeck", "position_friction"])

@@ -1,8 +1,10 @@
 """Torque budget: what each effect explains of the torque beyond the base model.
 
 With r_b the held-out residual of the base model and T_e the torque of effect e beyond what a refit
-of the base model absorbs of it, the share of e is cov(T_e, r_b)/mean(r_b²). The shares of all
-effects and that of the residual sum to 1.
+of the base model absorbs of it, the share of e is cov(T_e, r_b)/mean(r_b²). The base parameters
+that are fitted jointly with the effects differ from those of a refit as well, by their prior, by
+the weights of the rows and by physical consistency. With the held-out residual r of the saved
+model, their torque is r_b − r − Σ T_e. The shares of all effects, of this torque and of r sum to 1.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 RECORDING_FILTER = "recording_filter"
 """Name of the filter of the recording chain, which is no effect of the catalogue."""
+BASE_PARAMETERS = "base_parameters"
+"""Name of the base parameters that are fitted jointly with the effects."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,7 @@ class TorqueBudget:
     """Shares of the held-out torque beyond the base model.
 
     Attributes:
-        shares: By effect: share in each joint, shape (n,).
+        shares: By effect, and of the base parameters: share in each joint, shape (n,).
         std: By effect: standard deviation of the share, shape (n,).
         residual: Share that remains, shape (n,).
     """
@@ -63,23 +67,28 @@ def torque_budget(
     gamma = np.concatenate([motion.gamma for motion in held_out_motions])
     absorbed = final_model.absorbed_parameters(final, identified, fitted)
     torques = final_model.effect_torques(final, held_out.motions)
-    moving = held_out.moving
-    power = np.sum(np.where(moving, held_out.base, 0.0) ** 2, axis=0)
-    power = np.maximum(power, 1e-300)
+    base = held_out.base / np.maximum(np.sum(held_out.base**2, axis=0), 1e-300)
     relative = {(e.effect, e.joint): e.relative_std for e in effects}
-    n = len(power)
+    n = base.shape[1]
     shares: dict[str, FloatArray] = {}
     variances: dict[str, FloatArray] = {}
+    other = held_out.base - held_out.final
     for effect, theta, torque in zip(final.saved_effects, absorbed, torques, strict=True):
-        share = (
-            np.sum(np.where(moving, torque - gamma @ theta, 0.0) * held_out.base, axis=0) / power
-        )
+        beyond = torque - gamma @ theta
+        other = other - beyond
+        share = np.sum(beyond * base, axis=0)
         name = effect.shape.effect
         if is_recording_filter(effect.shape.values):
             name = RECORDING_FILTER
         shares[name] = shares.get(name, np.zeros(n)) + share
         std = share * relative.get((name, effect.shape.joint), 0.0)
         variances[name] = variances.get(name, np.zeros(n)) + std**2
+    if shares:
+        matrix = identified.model.base.matrix
+        slope = np.einsum("rjp,rj->jp", gamma, base) @ matrix
+        shares[BASE_PARAMETERS] = np.sum(other * base, axis=0)
+        covariance = final.identified.posterior.covariance
+        variances[BASE_PARAMETERS] = np.sum((slope @ covariance) * slope, axis=1)
     explained = sum(shares.values(), np.zeros(n))
     return TorqueBudget(
         shares, {name: np.sqrt(v) for name, v in variances.items()}, 1.0 - explained

@@ -207,7 +207,7 @@ def diagnose(
         if not motions:
             raise segments.too_short(group[0].source, 2.0 * settling_time(hertz), hertz)
     progress("fitting all frictions jointly, then rare effects")
-    model, rare = selection.find_rare_effects(
+    model, rare, small = selection.find_rare_effects(
         identified, halves[0], bool(options.trusted), options.names, progress
     )
     progress("evidence of each effect")
@@ -217,7 +217,8 @@ def diagnose(
     parts = recorded_motion.split_by_motion(residual, model.motions)
     floor = noise.estimate_noise(identified.model, model.motions, parts, train)
     remaining = unmodelled.find(model, judged.left_out, judged.evidence, floor)
-    effects = estimates.with_unmodelled(judged.effects, model, remaining)
+    considered = [*judged.effects, *estimates.small_effects(small)]
+    effects = estimates.with_unmodelled(considered, model, remaining)
     effects = estimates.without_doubtful(effects)
     progress("base model of the recordings without the effects")
     savable = judged.of_savable(rare)

@@ -24,6 +24,7 @@ from .diagnosis import Diagnosis
 from .estimates import QUANTILE, EffectEstimate
 from .gear_encoders import GearEstimate
 from .motion_rows import MotionRows
+from .posterior import DENSE_NAMES
 from .regression import rms
 from .session_changes import SessionChange
 from .unmodelled import UnmodelledTorque
@@ -93,7 +94,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "recording_filter": _recording_filter(diagnosis),
         "budget": _budget(diagnosis),
         "model_check": dict(zip(joints, held_out.rmse_after.tolist(), strict=True)),
-        "between_recordings": [_change(diagnosis, change) for change in diagnosis.changes],
+        "between_recordings": _changes(diagnosis),
         "encoders": {joints[gear.joint]: _gear(diagnosis, gear) for gear in diagnosis.gears},
         "parameters": _parameters(diagnosis),
     }
@@ -281,6 +282,27 @@ def _budget(diagnosis: Diagnosis) -> dict[str, dict[str, dict[str, float]]]:
     return out
 
 
+def _changes(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Changes of joint actuators, with their shares of the errors of both models."""
+    if not diagnosis.changes:
+        return []
+    held_out = diagnosis.held_out
+    before = {
+        (change.source, change.joint): change
+        for change in session_changes.changes(held_out.motions, held_out.base, held_out.moving)
+    }
+    return [
+        {
+            **_change(diagnosis, change),
+            "error_share": _error_share(diagnosis, held_out.final, change),
+            "error_share_before": _error_share(
+                diagnosis, held_out.base, before.get((change.source, change.joint), change)
+            ),
+        }
+        for change in diagnosis.changes
+    ]
+
+
 def _change(diagnosis: Diagnosis, change: SessionChange) -> dict[str, Any]:
     """Change of a joint actuator in a recording, from the mean of the fitted recordings."""
     entry = diagnosis.identified.model.robot.entries[change.joint]
@@ -298,15 +320,14 @@ def _change(diagnosis: Diagnosis, change: SessionChange) -> dict[str, Any]:
     return {
         "recording": change.source,
         "joint": _joint(diagnosis, change.joint),
-        "error_share": _error_share(diagnosis, change),
         **changes,
     }
 
 
-def _error_share(diagnosis: Diagnosis, change: SessionChange) -> float:
+def _error_share(diagnosis: Diagnosis, residual: FloatArray, change: SessionChange) -> float:
     """Share of a joint's squared held-out error that a change in one recording explains."""
     held_out, j = diagnosis.held_out, change.joint
-    parts = split_by_motion(np.where(held_out.moving, held_out.final, 0.0), held_out.motions)
+    parts = split_by_motion(np.where(held_out.moving, residual, 0.0), held_out.motions)
     powers = [
         (motion.segment.source, float(np.sum(part[:, j] ** 2)))
         for motion, part in zip(held_out.motions, parts, strict=True)
@@ -376,8 +397,16 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         if response.other is None
         else f"{diagnosis.identified.model.robot.joints[response.other]}: {response.over}"
     )
+    small = [
+        effect.effect
+        for effect in diagnosis.considered
+        if effect.joint == entry.joint
+        and effect.effect not in DENSE_NAMES
+        and rejection.reason(diagnosis, effect) == rejection.TOO_SMALL
+    ]
     return {
         "joint": name,
+        "too_small": small,
         "where": {
             "statement": f"joint '{name}': torque that no effect of the catalogue explains; "
             f"{by} predicts {percent(entry.share)} of the residual",

@@ -22,7 +22,7 @@ from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .normal_equations import Solution
 from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence, Key
-from .selection import RareEffect
+from .selection import RareEffect, SmallEffect
 from .unmodelled import UnmodelledTorque
 
 DRAWS = 400
@@ -69,6 +69,7 @@ class EffectEstimate:
         parameters: Value and standard deviation by name.
         equivalents: Names of effects that these recordings cannot tell from it.
         needed: Whether the joint model needs it, and it is not doubtful.
+        spoils_prediction: Whether it is known to predict rows worse to which it is not fitted.
     """
 
     effect: str
@@ -83,6 +84,7 @@ class EffectEstimate:
     parameters: Mapping[str, tuple[float, float]]
     equivalents: tuple[str, ...]
     needed: bool
+    spoils_prediction: bool = False
 
     @property
     def relative_std(self) -> float:
@@ -161,6 +163,32 @@ def estimate_effects(
             )
         )
     return [*out, *clock]
+
+
+def small_effects(small: Sequence[SmallEffect]) -> list[EffectEstimate]:
+    """Return estimates of effects that are too small to be in the joint model.
+
+    Args:
+        small: The effects.
+    """
+    return [
+        EffectEstimate(
+            effect.evidence.name,
+            effect.evidence.joint,
+            effect.models,
+            effect.coefficients,
+            posterior.probabilities(0, [effect.evidence])[effect.evidence.key],
+            effect.evidence.log_bayes_factor,
+            0.0,
+            (0.0, 0.0),
+            effect.evidence.size,
+            {},
+            (),
+            needed=False,
+            spoils_prediction=not effect.is_predictive,
+        )
+        for effect in small
+    ]
 
 
 def doubtful(effects: Sequence[EffectEstimate]) -> frozenset[Key]:

@@ -38,6 +38,8 @@ def reason(diagnosis: Diagnosis, estimate: EffectEstimate) -> str:
         diagnosis: The diagnosis.
         estimate: An effect of it that is not asserted.
     """
+    if estimate.spoils_prediction:
+        return SPOILS_PREDICTION
     if estimate.probability >= MIN_PROBABILITY:
         if estimate.unique_severity < MIN_SEVERITY:
             return TOO_SMALL

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
@@ -101,13 +102,30 @@ class RareEffect:
         return weight / total, tuple(name for name, _ in alike)
 
 
+@dataclass(frozen=True)
+class SmallEffect:
+    """An effect that has evidence, but is too small to be added.
+
+    Attributes:
+        evidence: Its evidence in the joint model with it.
+        models: Its models.
+        coefficients: Their coefficients.
+        is_predictive: Whether it lowers the error on rows to which it is not fitted.
+    """
+
+    evidence: EffectEvidence
+    models: tuple[CandidateModel, ...]
+    coefficients: tuple[FloatArray, ...]
+    is_predictive: bool
+
+
 def find_rare_effects(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     trusted: bool = False,
     names: Collection[str] = (),
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[JointModel, tuple[RareEffect, ...]]:
+) -> tuple[JointModel, tuple[RareEffect, ...], tuple[SmallEffect, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
 
     Args:
@@ -119,12 +137,12 @@ def find_rare_effects(
         progress: Called with a line of text for each candidate.
 
     Returns:
-        The joint model and its rare effects.
+        The joint model, its rare effects, and those that are too small.
     """
     search = _Search(identified, motions, progress)
     search.add_effects(CandidateColumns(search.model, trusted, names))
     search.put_flexible_models()
-    return search.model, tuple(search.effects)
+    return search.model, tuple(search.effects), search.small_effects()
 
 
 @dataclass(frozen=True)
@@ -165,6 +183,7 @@ class _Search:
         self.effects: list[RareEffect] = []
         self._shapes: tuple[CandidateModel, ...] = ()
         self._rejected: set[Key] = set()
+        self._small: dict[Key, SmallEffect] = {}
 
     def add_effects(self, candidates: CandidateColumns) -> None:
         """Add effects, the best one first, while there is evidence for one.
@@ -176,6 +195,7 @@ class _Search:
             scores, rankings = candidates.scored(self.model)
             if self.effects:
                 self.effects[-1] = replace(self.effects[-1], after=scores)
+                self._keep_small(scores)
             chosen = self._best(self._promising(scores, rankings, False), scores, rankings)
             if chosen is None:
                 # these last: they could stand for the sum of effects that are still to be found
@@ -185,6 +205,32 @@ class _Search:
             if chosen is None:
                 return
             self._add(chosen, scores)
+
+    def _keep_small(self, scores: Mapping[Key, float]) -> None:
+        """Drop small effects whose torque the effect that was added last explains.
+
+        A flexible model, which has no name, explains it, too.
+
+        Args:
+            scores: Evidence of all candidates next to it.
+        """
+        if self.effects[-1].key[0] != UNMODELLED:
+            kept = {key for key, score in scores.items() if score > MIN_CANDIDATE_EVIDENCE}
+            self._small = {key: small for key, small in self._small.items() if key in kept}
+
+    def small_effects(self) -> tuple[SmallEffect, ...]:
+        """Return effects that are too small; of those of a joint the ones with most evidence."""
+        added = posterior.effect_groups(self.model)
+        factors = {
+            key: small.evidence.log_bayes_factor
+            for key, small in self._small.items()
+            if key not in added
+        }
+        return tuple(
+            self._small[key]
+            for key, factor in factors.items()
+            if factor > max(f for (_, joint), f in factors.items() if joint == key[1]) - TIE
+        )
 
     def put_flexible_models(self) -> None:
         """Put flexible models in the place of effects of a joint that they explain better."""
@@ -313,13 +359,22 @@ class _Search:
             f"{key[0].replace('_', ' ')}{place}: log Bayes factor {evidence.log_bayes_factor:.1f}, "
             f"size {evidence.size:.2f} × residual"
         )
-        if (
-            evidence.is_needed
-            and _is_plausible(extended, members)
-            and cross_validation.pays(extended, members, replaced=replaced)
-            and (before is None or cross_validation.gain_over(extended, replaced, before) > -TIE)
-        ):
+        is_large = evidence.is_needed
+        if not replace(evidence, size=np.inf).is_needed or not _is_plausible(extended, members):
+            return None
+        is_predictive = cross_validation.pays(extended, members, replaced=replaced) and (
+            before is None or cross_validation.gain_over(extended, replaced, before) > -TIE
+        )
+        if is_large and is_predictive:
             return _Addition(key, shape, extended, evidence)
+        if not is_large and key[0] not in LAST_RESORTS:
+            parts = [extended.regression.slices[i] for i in members]
+            self._small[key] = SmallEffect(
+                evidence,
+                tuple(extended.models[i] for i in members),
+                tuple(extended.regression.solution.coefficients[part] for part in parts),
+                is_predictive,
+            )
         return None
 
     def _add(self, chosen: _Addition, scores: Mapping[Key, float]) -> None:

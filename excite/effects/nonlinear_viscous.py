@@ -64,12 +64,12 @@ def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel
     count = len(ASINH_SPEEDS) + len(TANH_SPEEDS) + 3
 
     def parameters(c: FloatArray) -> dict[str, float]:
-        """Power whose deviation from a line fits the curve best."""
+        """Power whose deviation from a line fits the curve best; friction opposes motion."""
         share = np.linspace(0.02, 1.0, 60)
         curve = _curves(share) @ c
         exponents = np.concatenate([np.linspace(0.2, 0.9, 29), np.linspace(1.2, 3.5, 47)])
         shapes = share[:, None] ** exponents - share[:, None]
-        sizes = shapes.T @ curve / np.sum(shapes**2, axis=0)
+        sizes = np.maximum(shapes.T @ curve / np.sum(shapes**2, axis=0), 0.0)
         best = int(np.argmin(np.sum((curve[:, None] - shapes * sizes) ** 2, axis=0)))
         exponent = float(exponents[best])
         return {"coefficient": float(sizes[best]) / top_speed**exponent, "exponent": exponent}

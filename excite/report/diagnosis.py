@@ -126,7 +126,7 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
     ]
     if unknown:
         places = joint_words(unknown, len(budgets))
-        remains = f"torque at {places} repeats with the motion and resembles no known effect"
+        remains = f"torque at {places} repeats with the motion and no known effect explains it"
         text = remains if verdict == "unexplained" else f"{text}; {remains}"
     if changed:
         text += (
@@ -151,17 +151,21 @@ def _use(budgets: Sequence[JointBudget]) -> str:
     """Say whether the saved model is of use, and which file to load."""
     improved = [b.joint for b in budgets if b.is_improved]
     worse = [b.joint for b in budgets if b.is_worse]
-    if worse:
+    spoiled = [b.joint for b in budgets if b.is_spoiled]
+    if spoiled:
         return (
-            f"model.json with care; it predicts {joint_words(worse, len(budgets))} worse than the "
-            "base model, its field without_effects"
+            f"model.json with care; it predicts {joint_words(spoiled, len(budgets))} worse than "
+            "the base model, its field without_effects"
         )
     if improved:
-        none_worse = ", worse at none" if budgets[1:] else ""
-        return (
+        text = (
             "load model.json; it predicts unseen motion better than the base model at "
-            f"{joint_words(improved, len(budgets))}{none_worse}"
+            f"{joint_words(improved, len(budgets))}"
         )
+        if worse:
+            places = joint_words(worse, len(budgets))
+            return f"{text}, worse only by what changed between the recordings at {places}"
+        return text + (", worse at none" if budgets[1:] else "")
     if all(b.is_explained for b in budgets):
         return "load model.json; it predicts unseen motion down to the noise"
     worst = max(budgets, key=lambda b: b.noise_ratio)
@@ -209,8 +213,7 @@ def _budget_section(
             else f": {improved[0].error}"
         )
         places = joint_words([b.joint for b in improved], len(budgets))
-        answer = f"The effects in the saved model reduce the error on unseen recordings at {places}"
-        answer += f"{most}."
+        answer = f"The saved model reduces the error on unseen recordings at {places}{most}."
         tone = ""
     elif all(b.is_explained for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"
@@ -295,7 +298,7 @@ def _findings_answer(document: Document) -> tuple[str, str]:
     if "doubts" in document:
         return "Not stated: findings at single joints are withheld; see above.", "warn"
     if document["unknown"]:
-        return "No finding: the torque that is missing resembles no known effect.", "warn"
+        return "No finding: no known effect explains the torque that is missing.", "warn"
     return "No finding: no known effect is needed to explain these recordings.", "good"
 
 

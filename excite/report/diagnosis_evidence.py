@@ -19,13 +19,14 @@ from .figures import unmodelled as unmodelled_figure
 from .figures.diagnosis import held_out_predictions
 from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
-from .formatting import number, significant, value_with_error
+from .formatting import capitalized, number, significant, value_with_error
 from .torque_budget import (
     JointBudget,
     change_words,
     filter_words,
     joint_words,
     probability_words,
+    small_words,
 )
 
 DRAWN_UNKNOWN = 6
@@ -169,6 +170,7 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
     lines = [
         f"{entry['joint']}: {percent(entry['share'])} of the remaining squared error "
         f"{_dependence(entry['where'])} (probability {probability_words(entry['probability'])})."
+        + (f" {capitalized(small_words(entry['too_small']))}." if entry["too_small"] else "")
         for entry in unknown
     ]
     figure = Markup(unmodelled_figure.draw_responses(unknown[:DRAWN_UNKNOWN], units))

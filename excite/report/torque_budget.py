@@ -1,4 +1,8 @@
-"""Torque budget of each joint in words: its held-out error, and what each effect removes of it."""
+"""Torque budget of each joint in words: its held-out error, and what each effect removes of it.
+
+The shares of `diagnosis.json` are of the squared error. What they sum to is at least the share of
+the error by which it falls, which is divided in their proportion.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..diagnosis.budget import RECORDING_FILTER
+from ..diagnosis.budget import BASE_PARAMETERS, RECORDING_FILTER
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
 from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
@@ -14,7 +18,7 @@ from .formatting import significant, value_with_error
 
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
-falls by less counts as unchanged."""
+changes by less counts as unchanged."""
 MAX_RELATIVE_CHANGE = 2.0
 """Relative change between recordings up to which it is stated."""
 NAMED_OTHERS = 0.01
@@ -30,6 +34,7 @@ _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
 _WORDS = {
     "asymmetric_viscous": "viscous friction that differs by direction",
+    BASE_PARAMETERS: "base parameters fitted jointly",
     "drag": "drag (square of speed)",
     "friction": "Coulomb and viscous friction",
     "hysteresis": "presliding hysteresis",
@@ -68,11 +73,11 @@ def filter_words(document: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class BudgetPart:
-    """An effect in the budget of a joint.
+    """An effect in the budget of a joint, or the base parameters that are fitted jointly.
 
     Attributes:
         effect: Its name.
-        share: Share of the removed error [1].
+        share: Share of the removed error [1]; negative if it adds to the error.
         std: Its standard deviation [1].
         is_certain: False if the saved model has the effect but it is not among the findings.
     """
@@ -93,13 +98,15 @@ class JointBudget:
         before: RMSE of the base model.
         after: RMSE of the saved model.
         floor: Noise floor.
-        parts: Effects that remove at least `MIN_SHARE` of before − after, the largest first.
+        parts: Those whose share of before − after is at least `MIN_SHARE`, the largest first.
         others: Share of all other effects together [1].
         is_withheld: Whether findings are withheld, so that the saved model is the base model.
         torque: RMS of the measured torque.
         changed: Share of the saved model's squared error that friction and offsets explain which
             differ from those of the fitted recordings [1].
+        changed_before: The same of the base model [1].
         unknown: Whether the joint has torque that no effect explains.
+        small: Effects that would explain a part of that, but are too small.
         absent: Findings at the joint that remove no notable part of its error.
         speed_ratio: Largest held-out speed over that of the fitted recordings [1].
     """
@@ -114,7 +121,9 @@ class JointBudget:
     is_withheld: bool
     torque: float = float("inf")
     changed: float = 0.0
+    changed_before: float = 0.0
     unknown: bool = False
+    small: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     speed_ratio: float = 1.0
 
@@ -154,6 +163,13 @@ class JointBudget:
         return self.after > (1.0 + MIN_SHARE) * self.before
 
     @property
+    def is_spoiled(self) -> bool:
+        """True if it does so without what changed between the recordings, too."""
+        changed = self.changed_before if self.is_changed else 0.0
+        before = self.before * (1.0 - changed) ** 0.5
+        return self.is_worse and self.unchanged > (1.0 + MIN_SHARE) * before
+
+    @property
     def noise_ratio(self) -> float:
         """RMSE of the saved model in noise floors."""
         return self.after / max(self.floor, 1e-300)
@@ -179,9 +195,13 @@ class JointBudget:
             )
         return "; ".join(texts)
 
+    def change_words(self, share: float) -> str:
+        """Return by how much a part of the removed error changes the error: '−30 %'."""
+        return f"{-100.0 * share * self.removed:+.0f} %".replace("-", "−")
+
     def _removed(self) -> list[str]:
         """Effects that remove the error: 'load friction −30 %, delay −5 %'."""
-        if self.is_worse:
+        if self.is_spoiled:
             return ["the effects of the model do not hold here"]
         if not self.is_improved:
             if self.is_explained:
@@ -189,11 +209,11 @@ class JointBudget:
             return [] if self.unknown or self.is_changed else ["no effect found reduces it"]
         texts = [
             f"{'' if part.is_certain else 'perhaps '}{effect_words(part.effect)} "
-            f"−{100.0 * part.share * self.removed:.0f} %"
+            f"{self.change_words(part.share)}"
             for part in self.parts
         ]
-        if self.others * self.removed >= NAMED_OTHERS:
-            texts.append(f"others −{100.0 * self.others * self.removed:.0f} %")
+        if abs(self.others) * self.removed >= NAMED_OTHERS:
+            texts.append(f"others {self.change_words(self.others)}")
         if self.absent:
             names = listed([effect_words(name) for name in self.absent])
             texts.append(f"{names} hardly matter{'' if self.absent[1:] else 's'} here")
@@ -204,6 +224,8 @@ class JointBudget:
         texts = []
         if self.unknown and not self.is_explained:
             texts.append("torque that repeats and that no known effect explains remains")
+            if self.small:
+                texts.append(small_words(self.small))
         if self.is_extrapolated:
             texts.append(
                 f"friction is extrapolated to speeds {self.speed_ratio:.1f} times those of the "
@@ -219,6 +241,17 @@ class JointBudget:
                 f"{100.0 * self.changed:.0f} % {start}"
             )
         return texts
+
+
+def small_words(effects: Sequence[str]) -> str:
+    """Return effects that would explain a part of unknown torque in a sentence.
+
+    Args:
+        effects: Their names.
+    """
+    names = listed([effect_words(name) for name in effects])
+    verb = "are" if effects[1:] else "is"
+    return f"{names} would explain a part, but {verb} too small to be sure of"
 
 
 def joint_words(joints: Sequence[str], count: int) -> str:
@@ -282,21 +315,22 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
         robot: The robot.
     """
     uncertain = {(e["effect"], e["joint"]) for e in document["considered"] if e["modelled"]}
-    unknown = {entry["joint"] for entry in document["unknown"]}
+    small = {entry["joint"]: tuple(entry["too_small"]) for entry in document["unknown"]}
     out = []
     for entry, (joint, errors) in zip(robot.entries, document["joints"].items(), strict=True):
         budget = document["budget"][joint]
-        shares = {name: v for name, v in budget.items() if name != "residual" and v["share"] > 0.0}
-        total = sum(value["share"] for value in shares.values())
+        shares = {name: value for name, value in budget.items() if name != "residual"}
+        total = max(1.0 - budget["residual"]["share"], 1e-300)
         parts = []
         for name, value in sorted(shares.items(), key=lambda entry: -entry[1]["share"]):
             is_certain = not uncertain & {(name, joint), (name, None)}
             share, std = value["share"] / total, value["std"] / total
             parts.append(BudgetPart(name, share, std, is_certain))
-        shown = tuple(part for part in parts if part.share >= MIN_SHARE)
+        shown = tuple(part for part in parts if abs(part.share) >= MIN_SHARE)
         effects = (f["effect"] for f in document["findings"] if f["joint"] == joint)
-        changed = sum(
-            c["error_share"] for c in document["between_recordings"] if c["joint"] == joint
+        changed, changed_before = (
+            sum(c[key] for c in document["between_recordings"] if c["joint"] == joint)
+            for key in ("error_share", "error_share_before")
         )
         out.append(
             JointBudget(
@@ -306,11 +340,13 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 errors["rmse_after"],
                 errors["noise_floor"],
                 shown,
-                sum(part.share for part in parts if part.share < MIN_SHARE),
+                sum(part.share for part in parts if abs(part.share) < MIN_SHARE),
                 "doubts" in document,
                 errors["torque_rms"],
                 changed,
-                joint in unknown,
+                changed_before,
+                joint in small,
+                small.get(joint, ()),
                 tuple(name for name in effects if name not in {part.effect for part in shown}),
                 errors["speed_ratio"],
             )

@@ -13,7 +13,7 @@ from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.estimates import QUANTILE
 from ...effects.recorded_motion import split_by_motion
 from ...identification.identification import Prediction
-from ..torque_budget import JointBudget, effect_words
+from ..torque_budget import BudgetPart, JointBudget, effect_words
 from . import drawing
 from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT
 from .trajectory import short, short_names
@@ -47,13 +47,13 @@ def draw_budget(budgets: Sequence[JointBudget]) -> str:
     """Draw a bar for each joint: the parts of its error that effects remove, and what remains.
 
     The length of a bar is the held-out RMSE of the base model; the difference to that of the saved
-    model is divided by the shares of the effects.
+    model is divided by the shares of the effects that reduce it.
 
     Args:
         budgets: Budgets of the joints.
     """
     totals: dict[str, float] = {}
-    for part in (part for budget in budgets if budget.is_improved for part in budget.parts):
+    for part in (part for budget in budgets for part in _removing_parts(budget)):
         totals[part.effect] = totals.get(part.effect, 0.0) + part.share
     ranked = sorted(totals, key=lambda effect: -totals[effect])
     colors = dict(zip(ranked, _EFFECT_COLORS, strict=False))
@@ -81,6 +81,11 @@ def draw_budget(budgets: Sequence[JointBudget]) -> str:
     return drawing.render_svg(label, 1.15 + _BAR_HEIGHT * len(budgets), draw)
 
 
+def _removing_parts(budget: JointBudget) -> list[BudgetPart]:
+    """Return the parts of the budget that reduce the error."""
+    return [part for part in budget.parts if part.share > 0.0 and budget.is_improved]
+
+
 def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str]) -> None:
     """Draw the bar of a joint."""
     bar = functools.partial(axes.barh, y, height=0.62)
@@ -92,12 +97,13 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
         bar(remaining - unchanged, left=unchanged, color=_CHANGED_COLOR)
     if budget.is_worse:
         bar(remaining - 1.0, left=1.0, color=RED)
-    at, removed = remaining, 1.0 - remaining
-    for k, part in enumerate(budget.parts if budget.is_improved else ()):
+    parts = _removing_parts(budget)
+    at, removed = remaining, (1.0 - remaining) / max(sum(part.share for part in parts), 1.0)
+    for k, part in enumerate(parts):
         size, alpha = part.share * removed, 1.0 if part.is_certain else 0.45
         bar(size, left=at, color=colors.get(part.effect, _OTHERS_COLOR), alpha=alpha)
         if size >= _LABELLED_WIDTH:
-            text = f"−{100.0 * size:.0f} %"
+            text = budget.change_words(part.share)
             axes.text(at + 0.5 * size, y, text, ha="center", va="center", color="white", fontsize=8)
         at += size
         reach, place = QUANTILE * part.std * removed, y + _WHISKER_PLACES[k % 3]

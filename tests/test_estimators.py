@@ -80,7 +80,7 @@ def test_white_noise_gives_the_covariance_of_weighted_least_squares(model, truth
         [[0.0], [0.0]],
     ],
 )
-def test_information_is_the_inverse_covariance_beside_dependent_nuisances(
+def test_information_is_the_inverse_covariance_with_dependent_nuisances(
     model, truth, mixture, method
 ):
     equations = equations_of(model, synthetic_recording(model, truth, random_fourier(2), 4, 0.3))

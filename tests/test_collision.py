@@ -392,6 +392,25 @@ def test_least_distance_is_bounded_from_both_sides(unconstrained_design):
         assert distance == pytest.approx(entry.observed)
 
 
+def test_the_least_distance_of_the_nearest_pairs_is_bounded_closely_however_far(
+    unconstrained_design,
+):
+    ball = Shape("ball", ShapeKind.SPHERE, (0.1,), (3.0, 0.0, 0.5))
+    motion, cell = unconstrained_design.trajectory.motion, two_links(ball, floor=-3.0)
+    far = [
+        entry
+        for entry in continuous_check.least_distances(cell, motion)
+        if entry.names.endswith(("ball", "floor"))
+    ]
+    assert len(far) >= 3 and far[0].proven > far[0].pair.margin + 0.5
+    for entry in far:
+        least = brute_force_distance(cell, motion, cell.pairs.index(entry.pair), 5e-3)
+        assert 0.97 * least < entry.proven <= least
+        assert entry.observed == pytest.approx(least, rel=0.01)
+    _, words = certificate_module.distance_verdict(cell, far)
+    assert f"never less than {1e3 * far[0].proven:.1f} mm, {far[0].names} at" in words
+
+
 def test_wire_between_two_samples_is_detected(unconstrained_design):
     """The wire is thinner than the path between two samples of the check."""
     motion = unconstrained_design.trajectory.motion

@@ -326,6 +326,7 @@ def test_a_signal_ends_a_design_and_its_workers(
     done = ended(process)
     word = "interrupted" if number == signal.SIGINT else "terminated"
     assert done.returncode == 1 and lines(done) == [f"excite: {word}; nothing was written"]
+    assert b"resource_tracker" not in done.stderr
     assert not list(tmp_path.iterdir())
     if Path("/proc").is_dir():
         assert not workers(process)

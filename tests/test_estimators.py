@@ -70,6 +70,30 @@ def test_white_noise_gives_the_covariance_of_weighted_least_squares(model, truth
     assert np.allclose(np.linalg.inv(information), estimate.covariance, rtol=1e-6)
 
 
+@pytest.mark.parametrize("method", [Method.WLS, Method.IV])
+@pytest.mark.parametrize(
+    "mixture",
+    [
+        [[0.0, 0.0], [0.0, 1.0]],  # a joint at rest, or a width at its lower bound: a zero column
+        [[1.0, 1e6, 0.0], [0.0, 0.0, 1.0]],  # two columns in proportion, of very different units
+        [[0.0, 1e-12, 1.0, 1.0], [0.0, 0.0, 1.0, -1.0]],
+        [[0.0], [0.0]],
+    ],
+)
+def test_information_is_the_inverse_covariance_with_dependent_nuisances(
+    model, truth, mixture, method
+):
+    equations = equations_of(model, synthetic_recording(model, truth, random_fourier(2), 4, 0.3))
+    slopes = np.zeros((len(equations), 2, 2))
+    slopes[:, [0, 1], [0, 1]] = equations.slopes
+    estimate = estimators.estimate(
+        equations, method, instruments=equations.regressor, nuisance=slopes @ mixture
+    )
+    information = estimate.information_root.T @ estimate.information_root
+    inverse = np.linalg.inv(information)
+    assert np.allclose(inverse, estimate.covariance, rtol=1e-6, atol=1e-6 * np.diag(inverse).min())
+
+
 def test_outliers_hardly_change_the_robust_estimate(model, truth):
     recording = synthetic_recording(
         model, truth, random_fourier(2), 4, 0.1, period=None, periodic=None

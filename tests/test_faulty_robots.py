@@ -178,6 +178,10 @@ def _nominal(robot):
             ["joint 'a\\nb'", "U+000A"],
         ),
         (document(link("base"), link(" ", 2.0), joint("a", "base", " ")).encode(), ["empty name"]),
+        (
+            document(link("base"), link("arm", 2.0), joint(" a ", "base", "arm")).encode(),
+            ["joint ' a '", "rename it"],
+        ),
     ],
 )
 def test_invalid_xml_is_refused(content, parts, tmp_path):

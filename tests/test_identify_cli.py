@@ -148,6 +148,26 @@ def test_torque_is_predicted_at_unix_times(folder, tmp_path):
     assert [float(line.split(",")[0]) for line in lines] == [float(t) for t in stamps]
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "times"),
+    [(0, 701, None), (100, 601, None), (350, 701, "1.4 s"), (0, 350, "1.396 s")],
+)
+def test_a_prediction_warns_of_ends_in_motion(folder, tmp_path, capsys, first, last, times):
+    share = np.clip(np.linspace(-0.2, 1.2, 701), 0.0, 1.0)
+    rising = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)  # from rest to rest
+    noise = np.random.default_rng(1).normal(scale=1e-5, size=701)  # of a joint that is held
+    table = np.column_stack([0.004 * np.arange(701), rising, noise])[first:last]
+    path = tmp_path / "motion.csv"
+    np.savetxt(path, table, "%.7f", delimiter=",", header="t,q.joint_1,q.joint_2", comments="")
+    assert run("predict", folder / "out" / "model.json", path, "-o", tmp_path / "tau.csv") == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "in motion" in line]
+    if times is None:
+        assert lines == []
+    else:
+        (line,) = lines
+        assert f"motion.csv: begins or ends in motion at {times}; " in line
+
+
 def test_the_identified_urdf_gives_the_torque_of_the_model(folder):
     fitted = identified_model.read_model(folder / "out" / "model.json")
     again = robot.load(str(folder / "out" / "identified.urdf"))

@@ -362,6 +362,14 @@ def test_the_kind_of_the_document_decides_what_is_exported(tmp_path, capsys):
     assert {part["name"] for part in document["not_held"]} == {"rotor inertia", "offset"}
 
 
+def test_the_format_decides_what_a_file_that_cannot_be_read_should_be(tmp_path, capsys):
+    for name, kind in (("mjcf", "model.json"), ("csv", "trajectory.json")):
+        words = ["export", str(tmp_path / "none.json"), "--format", name, "-o", str(tmp_path / "x")]
+        assert main(words) == 2
+        error = capsys.readouterr().err
+        assert "none.json: cannot be read" in error and kind in error and error.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("options", "problem"),
     [

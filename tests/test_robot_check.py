@@ -111,6 +111,17 @@ def test_implausible_figures_are_remarks(tmp_path):
     assert "'joint_a3': gravity needs up to" in text
 
 
+@pytest.mark.parametrize(("effort", "doubted"), [("8e5", False), ("1e9", True)])
+def test_the_torque_limit_of_a_heavy_machine_is_no_placeholder(tmp_path, effort, doubted):
+    limit = f'<limit lower="-1" upper="1" velocity="1" effort="{effort}"/>'
+    boom = link("boom", 2e4, (1.0, 0.0, 0.0))  # 2e5 N m of gravity
+    lift = joint("lift", "base", "boom", axis=(0.0, 1.0, 0.0), inside=limit)
+    remarks = checked(tmp_path, document(link("base"), boom, lift)).remarks
+    assert (
+        any("torque limit" in remark and "placeholder" in remark for remark in remarks) == doubted
+    )
+
+
 def test_missing_meshes_are_all_listed(tmp_path):
     mesh = '<collision><geometry><mesh filename="package://p/{}.stl"/></geometry></collision>'
     text = pendulum(inside=LIMIT).replace(

@@ -18,6 +18,9 @@ INTERRUPTED = 1
 """Exit code after an interruption."""
 UNEXPECTED = 70
 """Exit code after an unexpected error: EX_SOFTWARE of <sysexits.h>."""
+TRACKER_WARNING = "ignore:resource_tracker:UserWarning"
+"""Filter of the warning with which joblib's resource tracker, which outlives an interrupted run,
+removes its folders of shared memory."""
 
 
 def run(command: Callable[[], int], argv: Sequence[str], *, owns_process: bool) -> int:
@@ -53,6 +56,9 @@ def run(command: Callable[[], int], argv: Sequence[str], *, owns_process: bool) 
                 os.kill(child.pid, signal.SIGKILL)
         os._exit(INTERRUPTED)
 
+    if owns_process:
+        filters = filter(None, [os.environ.get("PYTHONWARNINGS"), TRACKER_WARNING])
+        os.environ["PYTHONWARNINGS"] = ",".join(filters)
     with prepared(), handled(end if owns_process else None):
         try:
             code, message = _outcome(command, argv)

@@ -24,7 +24,7 @@ from ..recordings import Recording, require_distinct
 from ..robot import floating_base
 from ..robot.floating_base import FloatingRobot, Rows
 from .identification_result import RecordingSource, read_bounds
-from .predicted_table import PredictedTable, csv_text
+from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
 from .robots import RobotSource
 from .saved_identification import SavedIdentification
 
@@ -188,4 +188,5 @@ def predict_floating(
     time, values = model.predict(motion)
     if not np.isfinite(values).all():
         raise UnusableInput(f"{model.source}: its prediction is not finite; identify again")
+    warn_of_unsettled_ends(motion, float(model.hertz.min()))
     return PredictedWrench(model.columns, time, values)

@@ -42,7 +42,7 @@ from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..trajectory import trajectory_file
-from .predicted_table import PredictedTable, csv_text
+from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_identification import SavedIdentification
 
@@ -377,6 +377,7 @@ def predict(
         raise UnusableInput(
             f"{model}: the torque that it predicts at joint '{joint}' is not finite; identify again"
         )
+    warn_of_unsettled_ends(motion, fitted.hertz)
     return PredictedTorque(fitted.robot.joints, time, torque)
 
 

@@ -30,11 +30,13 @@ millimetres per second begin at 50."""
 WIDEST_SLIDE = 20.0
 """Range of a sliding joint above which it is doubted [m]; gantries reach 20 m."""
 LARGEST_EFFORT = 1e5
-"""Torque or force limit above which it can only be a placeholder [N m or N]; the joints of the
-largest robots have 2e4 N m."""
+"""Torque or force limit above which it can only be a placeholder where gravity needs less than its
+HOLDING_MULTIPLE-th part [N m or N]; the joints of the largest robots have 2e4 N m."""
+HOLDING_MULTIPLE = 10.0
+"""Torque limit of the joint that carries the arm, relative to its weight: 2 to 10 [1]."""
 EFFORT_MULTIPLE = 1000.0
 """Torque limit, relative to the largest torque of gravity at any joint, above which it is doubted
-[1]. Actuators of the joint that carries the arm hold 2 to 10 times its weight."""
+[1]."""
 POSES = 200
 """Number of poses over which the torque of gravity is computed."""
 
@@ -349,7 +351,7 @@ def _limit_remarks(robot: Robot, table: LimitTable, gravity_torque: FloatArray) 
                 out.append(f"{owner}: its range is {upper - lower:g} m (mm?)")
         effort, unit = limits.get("torque", (None, ""))[0], entry.unit("N m")
         if effort is not None:
-            if effort > LARGEST_EFFORT:
+            if effort > max(LARGEST_EFFORT, HOLDING_MULTIPLE * largest):
                 out.append(f"{owner}: its torque limit of {effort:g} {unit} is a placeholder")
             elif effort > EFFORT_MULTIPLE * largest > 0.0:
                 out.append(

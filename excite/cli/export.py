@@ -9,6 +9,7 @@ from pathlib import Path
 from .. import api
 from .._system.output_files import output_files
 from ..api.model_export import is_model
+from ..exporters import MODEL_FORMATS
 from ..exporters.goal_options import GoalOptions
 from . import options as shared
 from .outcome import Outcome
@@ -29,8 +30,8 @@ OF_MODELS = {"--into": "into", "--recording": "recording"}
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
-    """Run `excite export`: the kind of the document decides."""
-    if is_model(arguments.source):
+    """Run `excite export`: the kind of the document decides, or the format if it cannot be read."""
+    if is_model(arguments.source) or arguments.format in MODEL_FORMATS:
         _require_kind(arguments, OF_TRAJECTORIES, "a trajectory.json")
         return _export_model(arguments)
     _require_kind(arguments, OF_MODELS, "a model.json")

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,7 +39,11 @@ MARGIN_TOLERANCE = 0.25
 RELATIVE_TOLERANCE = 0.02
 """The same as a share of the observed distance; the larger of both counts [1]."""
 UNRESOLVED_EXCESS = 0.02
-"""Excess over the margin above which lower bounds are not refined [m]."""
+"""Excess over the margin above which lower bounds of all but the nearest pairs are not refined
+[m]."""
+REFINED_PAIRS = 12
+"""Number of nearest pairs of which bounds are refined at any distance; certificates list them [1].
+"""
 MAX_SUBDIVISIONS = 32
 """Largest number of parts of a step."""
 RAYS = np.array([[0.8141, 0.3927, 0.4273], [-0.2718, 0.9113, -0.3091], [0.1414, -0.5772, 0.8043]])
@@ -127,42 +131,90 @@ def least_distances_along(cell: Cell, paths: Iterable[SampledPath]) -> list[Pair
         paths: The stretches.
 
     Returns:
-        One entry for each pair, the one with the least proven excess over its margin first.
+        One entry for each pair, the one with the least proven excess over its margin first. Bounds
+        of pairs beyond the first REFINED_PAIRS may be far below what was observed.
     """
-    best, query = dict[int, PairDistance](), cell.distance_query()
-    for path in paths:
-        for index, entry in _path_distances(cell, query, path):
-            previous = best.get(index, entry)
-            nearer = entry if entry.observed < previous.observed else previous
-            proven = min(entry.proven, previous.proven)
-            best[index] = dataclasses.replace(nearer, proven=proven)
-    return sorted(best.values(), key=lambda entry: entry.proven - entry.pair.margin)
+    paths, query, best = list(paths), cell.distance_query(), dict[int, PairDistance]()
+    excess = dict.fromkeys(range(len(cell.pairs)), UNRESOLVED_EXCESS)
+    bounds = dict.fromkeys(excess, -np.inf)
+    for _ in range(2):  # all pairs, then the nearest, which are not known before
+        proven = dict.fromkeys(excess, np.inf)
+        for path in paths:
+            for k, entry in _path_distances(cell, query, path, excess, best):
+                proven[k] = min(proven[k], entry.proven)
+                if k not in best or entry.observed < best[k].observed:
+                    best[k] = entry
+        bounds |= {k: max(bounds[k], bound) for k, bound in proven.items()}
+        best = {k: dataclasses.replace(entry, proven=bounds[k]) for k, entry in best.items()}
+        excess = _unresolved_excess(best)
+    return sorted(best.values(), key=_proven_excess)
+
+
+def _proven_excess(entry: PairDistance) -> float:
+    """Lower bound of the distance beyond the margin [m]."""
+    return entry.proven - entry.pair.margin
+
+
+def _unresolved_excess(distances: Mapping[int, PairDistance]) -> dict[int, float]:
+    """Find the nearest pairs whose bounds are below what was observed.
+
+    The nearest are the REFINED_PAIRS first, and the first of each margin.
+
+    Returns:
+        Indices of the pairs, with the excess over the margin up to which to refine the bound [m].
+    """
+    excess = {k: entry.observed - entry.pair.margin for k, entry in distances.items()}
+    highest = max(sorted(excess.values())[:REFINED_PAIRS], default=0.0)
+    levels, out = dict[float, float](), dict[int, float]()
+    for k in sorted(excess, key=excess.__getitem__):
+        pair, observed = distances[k].pair, distances[k].observed
+        level = levels.setdefault(pair.margin, max(excess[k], highest))
+        if distances[k].proven < min(observed - _tolerance(pair, observed), pair.margin + level):
+            out[k] = level
+    return out
+
+
+def _tolerance(pair: BodyPair, observed: float) -> float:
+    """Return the distance by which the bound of a pair may be below the observed distance [m]."""
+    absolute = min(ABSOLUTE_TOLERANCE, MARGIN_TOLERANCE * pair.margin or ABSOLUTE_TOLERANCE)
+    return max(absolute, RELATIVE_TOLERANCE * abs(observed))
 
 
 def _path_distances(
-    cell: Cell, query: DistanceQuery, stretch: SampledPath
+    cell: Cell,
+    query: DistanceQuery,
+    stretch: SampledPath,
+    excess: Mapping[int, float],
+    known: Mapping[int, PairDistance],
 ) -> Iterator[tuple[int, PairDistance]]:
-    """Yield the index and the least distance of every pair along a stretch."""
+    """Yield the index and the least distance of pairs along a stretch.
+
+    Args:
+        cell: The cell.
+        query: Query of its distances.
+        stretch: The stretch.
+        excess: Indices of the pairs, with the excess over the margin up to which to refine bounds
+            [m].
+        known: Distances that were observed before.
+    """
     # upper bound of the distance that each pair has approached since the stretch began
     path = np.vstack([np.zeros(len(cell.pairs)), np.cumsum(stretch.approach, axis=0)])
     last = len(stretch.time) - 1
     observed, proven = np.full(len(cell.pairs), np.inf), np.full(len(cell.pairs), np.inf)
     index_of_least = np.zeros(len(cell.pairs), int)
     previous = [(0, np.inf)] * len(cell.pairs)
-    queue = [(0, k) for k in range(len(cell.pairs))]
+    queue = [(0, k) for k in excess]
     current = -1
     while queue:
         index, k = heapq.heappop(queue)
         if index != current:
             query.set_configuration(stretch.q[index])
             current = index
-        distance = query.distance(k)
+        distance, pair = query.distance(k), cell.pairs[k]
         if distance < observed[k]:
             observed[k], index_of_least[k] = distance, index
-        margin = cell.pairs[k].margin
-        absolute = min(ABSOLUTE_TOLERANCE, MARGIN_TOLERANCE * margin or ABSOLUTE_TOLERANCE)
-        tolerance = max(absolute, RELATIVE_TOLERANCE * abs(observed[k]))
-        level = min(observed[k] - tolerance, margin + UNRESOLVED_EXCESS)
+        least = min(observed[k], known[k].observed) if k in known else observed[k]
+        level = min(least - _tolerance(pair, least), pair.margin + excess[k])
         start, distance_before = previous[k]
         if index > 0:
             step = path[index, k] - path[start, k]
@@ -178,12 +230,12 @@ def _path_distances(
             reached = path[index, k] + distance - level
             safe = int(np.searchsorted(path[:, k], reached, side="right")) - 1
             heapq.heappush(queue, (min(max(safe, index + 1), last), k))
-    for k, pair in enumerate(cell.pairs):
+    for k in excess:
         yield (
             k,
             PairDistance(
-                pair,
-                cell.names(pair),
+                cell.pairs[k],
+                cell.names(cell.pairs[k]),
                 float(observed[k]),
                 float(proven[k]),
                 float(stretch.time[index_of_least[k]]),

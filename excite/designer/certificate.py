@@ -54,7 +54,7 @@ CLEARANCE = "clearance"
 MAX_LISTED_FAULTS = 3
 """Faults that a line of the verdict lists; `faults` of the document has all [1]."""
 
-MAX_LISTED_PAIRS = 12
+MAX_LISTED_PAIRS = continuous_check.REFINED_PAIRS
 """Pairs of bodies that a certificate lists, the nearest to their margin [1]."""
 
 

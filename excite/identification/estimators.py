@@ -167,15 +167,27 @@ def triangular_factor(equations: TorqueEquations, noise_root: FloatArray) -> Flo
     return _stacked(joint_triangular_factors(white))
 
 
+def _unit_columns(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the columns divided by their norms, and the norms; zero columns have the norm 1."""
+    size = np.linalg.norm(matrix, axis=0)
+    zero = size <= ZERO_COLUMN_RATIO * size.max(initial=0.0)
+    size[zero] = 1.0
+    return np.where(zero, 0.0, matrix / size), size
+
+
+def _rank(singular_values: FloatArray) -> int:
+    """Return the number of excited directions."""
+    largest = float(singular_values.max(initial=0.0))
+    return int(np.sum(singular_values > RANK_TOLERANCE * max(largest, 1e-300)))
+
+
 def _solved(factor: FloatArray, joint_factors: FloatArray) -> LeastSquaresFit:
     """Solve least squares from the QR factor of all rows; joint factors give the leverages."""
     p = factor.shape[1] - 1
-    root, right = factor[:p, :p].copy(), factor[:p, p]
-    size = np.linalg.norm(root, axis=0)
-    zero = size <= ZERO_COLUMN_RATIO * size.max(initial=0.0)
-    root[:, zero], size[zero] = 0.0, 1.0
-    U, s, Vt = np.linalg.svd(root / size)
-    rank = int(np.sum(s > RANK_TOLERANCE * max(float(s[0]), 1e-300)))
+    right = factor[:p, p]
+    unit, size = _unit_columns(factor[:p, :p])
+    U, s, Vt = np.linalg.svd(unit)
+    rank = _rank(s)
     half = (Vt[:rank].T / s[:rank]) / size[:, None]
     theta = half @ (U[:, :rank].T @ right)
     inward = s[:rank, None] * Vt[:rank] * size
@@ -309,9 +321,9 @@ def _marginal(extended: Estimate, equations: TorqueEquations) -> Estimate:
     """Marginal estimate of θ: its block of the covariance, and the root of the block's inverse."""
     p = equations.regressor.shape[2]
     # information on θ with the nuisances unknown: the rows of R in which they take no part
-    Q = np.linalg.qr(extended.information_root[:, p:], mode="complete")[0]
-    nuisances = np.linalg.matrix_rank(extended.information_root[:, p:])
-    root = Q[:, nuisances:].T @ extended.information_root[:, :p]
+    # (by singular values, as a zero or dependent column of R has no direction of its own in a QR)
+    U, s, _ = np.linalg.svd(_unit_columns(extended.information_root)[0][:, p:])
+    root = U[:, _rank(s) :].T @ extended.information_root[:, :p]
     theta, covariance = extended.theta[:p], extended.covariance[:p, :p]
     return dataclasses.replace(
         extended,

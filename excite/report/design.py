@@ -471,8 +471,16 @@ def _collision_section(
     data = {
         "is_checked": True,
         "figures": [Markup(svg) for svg in figures],
-        "nearest": _distance_table("least distance [mm]", nearest[:LISTED_PAIRS]),
-        "others": _distance_table("distance at least [mm]", others),
+        "nearest": Table(
+            ("bodies", "least distance [mm]", "required [mm]", "at [s]"),
+            [(*_distance_cells(entry), f"{entry.time:.2f}") for entry in nearest[:LISTED_PAIRS]],
+            (1, 2, 3),
+        ),
+        "others": Table(
+            ("bodies", "distance at least [mm]", "required [mm]"),
+            [_distance_cells(entry) for entry in others],
+            (1, 2),
+        ),
         "others_summary": plural(len(others), "more pair"),
         "excepted": Table(
             ("body", "body", "reason"), [(e.first, e.second, e.why) for e in cell.excepted]
@@ -484,18 +492,9 @@ def _collision_section(
     return Section("collision", question, answer, data, "bad" if is_violated else "")
 
 
-def _distance_table(distance: str, nearest: Sequence[PairDistance]) -> Table:
-    """Table of the distances between pairs of bodies."""
-    rows = [
-        (
-            entry.names,
-            f"{1e3 * entry.proven:.1f}",
-            f"{1e3 * entry.pair.margin:.1f}",
-            f"{entry.time:.2f}",
-        )
-        for entry in nearest
-    ]
-    return Table(("bodies", distance, "required [mm]", "at [s]"), rows, (1, 2, 3))
+def _distance_cells(entry: PairDistance) -> tuple[str, str, str]:
+    """Names of a pair of bodies, its least distance and the distance to keep [mm]."""
+    return entry.names, f"{1e3 * entry.proven:.1f}", f"{1e3 * entry.pair.margin:.1f}"
 
 
 # -- validation motion, time budget ----------------------------------------------------------------

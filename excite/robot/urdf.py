@@ -250,6 +250,11 @@ def _printable(source: str, tag: str, name: str) -> str:
             f"{source}: {tag} '{shown}': its name has the control character U+{ord(control):04X}; "
             "rename it"
         )
+    if tag == "joint" and name != name.strip():
+        raise UnusableInput(
+            f"{source}: joint '{name}': its name begins or ends with a space, which columns of "
+            "recordings do not; rename it"
+        )
     return name
 
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from .._system.output_files import output_files
 from .._types import FloatArray
-from ..effects.recorded_motion import STANDSTILL_SPEED_RATIO
 from ..errors import ExciteWarning
 from ..identification.lowpass import settling_time
+from ..identification.standstill import STANDSTILL_SPEED_RATIO
 from ..payload.static import QUANTIZATION_RANGE, REST_RANGE
 from ..recordings import Recording
 from ..recordings.remark import shown_time

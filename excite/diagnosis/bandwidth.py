@@ -36,7 +36,7 @@ MAX_RATE_SHARE = 0.4
 def chosen_hertz(
     train: Sequence[RecordingSegment], validate: Sequence[RecordingSegment], robot: Robot
 ) -> float:
-    """Return the cutoff that the longest segment needs and all recorded positions permit [Hz].
+    """Return the cutoff frequency that the longest segment needs and its positions permit [Hz].
 
     Args:
         train: Segments of the training recordings.
@@ -44,10 +44,7 @@ def chosen_hertz(
         robot: The robot.
     """
     longest = max(train, key=len)
-    carried = min(
-        position_bandwidth.position_bandwidth(segment, robot)
-        for segment in segments.longest_of_each_recording(train)
-    )
+    carried = position_bandwidth.position_bandwidth(longest, robot)
     usable = max(segments.usable_from_hertz(group) for group in (train, validate))
     slowest = min(segment.rate for segment in (*train, *validate))
     return min(_needed_hertz(longest), max(carried, usable), MAX_RATE_SHARE * slowest)

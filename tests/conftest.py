@@ -207,6 +207,14 @@ def text_of(name: str) -> str:
     return locate(name).read_text(encoding="utf-8")
 
 
+def write_obj(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> str:
+    """Write a mesh and return its path."""
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in triangles]
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
 # -- equal physics in other frames ---------------------------------------------------------
 
 

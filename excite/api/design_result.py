@@ -38,7 +38,6 @@ from ..designer.task_variance import TaskPrediction
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..recordings.periodicity import with_detected_period
-from ..report.design_record import DesignRecord
 from ..robot import dynamics, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -268,7 +267,7 @@ class DesignResult(SavedResult):
             self.parameters,
             self.delivery.design.setup.base,
             self.analysis,
-            _record(self.delivery),
+            self.delivery.design.attempts,
             cases=self.comparison,
             second=second,
             cell=self.cell,
@@ -649,23 +648,6 @@ def _motion_root(delivery: pipeline.CertifiedDesign, robot: Robot) -> FloatArray
     )
     standard = delivery.design.setup.problem.parameters
     return identifiability.information_root(robot, standard, samples, trajectory.noise)
-
-
-def _record(delivery: pipeline.CertifiedDesign) -> DesignRecord:
-    starts = [
-        {
-            "seed": a.number,
-            "value": a.objective,
-            "feasible": True,
-            "time": a.time,
-            "objective": a.values,
-            "worst": a.worst,
-            "stage": a.stage,
-            "stopped": a.stopped,
-        }
-        for a in delivery.design.attempts
-    ]
-    return DesignRecord(starts=starts, chosen=0)
 
 
 __all__ = ["CellOptions", "DesignResult", "WorkspaceBox", "design"]

@@ -24,13 +24,16 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from recording_fixtures import DamagedMotion, two_joint_motion
 
-from excite.designer import pipeline
+from excite.designer import certificate, pipeline
+from excite.designer.certificate import Certificate
+from excite.designer.identifiability import regressor_root
 from excite.designer.options import DesignOptions
 from excite.designer.pipeline import CertifiedDesign
 from excite.identification.regression import IdentificationModel
-from excite.robot.limits import Limits, resolve
+from excite.robot.limits import Limits, from_sources, resolve
 from excite.robot.robot import Robot, load, locate
 from excite.robot.samples import Samples
+from excite.trajectory.trajectory_file import Trajectory
 
 settings.register_profile(
     "excite",
@@ -318,6 +321,19 @@ def off(actual: np.ndarray, expected: np.ndarray) -> float:
     actual, expected = np.asarray(actual), np.asarray(expected)
     assert actual.shape == expected.shape
     return float(np.abs(actual - expected).max() / np.abs(expected).max())
+
+
+def information_of(Y: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return Σₜ Yᵀ Σ⁻¹ Y."""
+    root = regressor_root(Y, noise)
+    return root.T @ root
+
+
+def verified(trajectory: Trajectory) -> Certificate:
+    """Verify a trajectory against the sources of its limits and its cell."""
+    robot = trajectory.load_robot()
+    limits = from_sources(robot, trajectory.limits)
+    return certificate.verify_with_cell_on_disk(trajectory, robot, limits)
 
 
 # -- designs, computed once per process -------------------------------------------------------

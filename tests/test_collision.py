@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import QUICK, document, joint, link, seeds, slope, write_obj
+from conftest import QUICK, document, joint, link, seeds, slope, verified, write_obj
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
@@ -448,7 +448,7 @@ def test_design_keeps_the_clearance(unconstrained_design):
     )
     assert criterion > unconstrained
     # the cell can be rebuilt from the file
-    again = certificate_module.verify_file(design.trajectory, cell.robot)
+    again = verified(design.trajectory)
     assert again.collision == design.certificate.collision
     assert [n.names for n in again.pair_distances] == [
         n.names for n in design.certificate.pair_distances

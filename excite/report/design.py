@@ -170,11 +170,9 @@ def design_page(
     return render("design", content)
 
 
-def criterion_value(
-    criteria: Mapping[str, Any], name: str, plain: bool, part: str = "optimum"
-) -> float | None:
+def _criterion_value(criteria: Mapping[str, Any], name: str, plain: bool) -> float | None:
     """Look up a value of a trajectory's `criteria`; None where it is absent."""
-    entries = criteria.get(part, {})
+    entries = criteria.get("optimum", {})
     value = (
         entries.get(name)
         if name == "cond_regressor"
@@ -212,7 +210,7 @@ def _cards(subject: _Subject) -> list[tuple[str, str]]:
     motion = trajectory.motion
     name = str(trajectory.design.get("criterion", "a"))
     is_plain = bool(trajectory.design.get("plain", False))
-    value = criterion_value(trajectory.criteria, name, is_plain)
+    value = _criterion_value(trajectory.criteria, name, is_plain)
     criterion = (number(value), f"criterion: {_CRITERIA.get(name, name)}, per sample")
     return [
         *key_figures(subject.identifiability, subject.robot, subject.base),

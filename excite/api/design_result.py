@@ -43,14 +43,13 @@ from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
 from . import identification_result
 from .discriminating_design import DiagnosisQuestions, read_questions
 from .identification_result import reference_samples, robot_of_torque, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
-from .task_design import TaskDesign, read_task
+from .task_design import TaskDesign, read_task, trajectory_samples
 
 MOTION_FILES = ("trajectory.json", "trajectory.csv")
 """Files of a motion."""
@@ -585,15 +584,7 @@ def motion_samples(
             with_trajectory(recordings.read(path, robot, columns=columns), executed)
         )
         return reference_samples(recording), robot_of_torque(robot, [recording]), None
-    trajectory = trajectory_file.read_trajectory(path)
-    if trajectory.joints != robot.joints:
-        raise UnusableInput(
-            f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; "
-            "choose them with --joints"
-        )
-    samples = trajectory.motion.samples(
-        trajectory.motion.grid(identification_result.REFERENCE_RATE)
-    )
+    samples, trajectory = trajectory_samples(path, robot)
     return samples, robot, trajectory
 
 

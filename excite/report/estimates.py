@@ -38,7 +38,7 @@ def parameters_section(identification: Identification) -> Section:
     """Build the section on base parameters, nominal and identified."""
     model = identification.model
     parameters, base = model.parameters, model.base
-    entries = base_parameter_table(identification)
+    entries = base_parameter_table(parameters, base, identification.data, identification.psi)
     scale = np.sqrt(identification.metric.norms(base.matrix))
     drive_start = 10 * parameters.bodies
     changes = [

@@ -359,7 +359,7 @@ def test_the_command_designs_a_motion_on_one_foot(walker, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--support", "left_sole"], "add --floating"),
+        (["--support", "left_sole"], "is for a robot with --floating; add it"),
         (["--floating"], "--support FRAME"),
         (["--floating", "--support", "left_sole"], "--sole"),
         (["--floating", "--support", "a,b,c", "--sole", "0.2,0.1"], "one or two frames"),

@@ -69,6 +69,8 @@ REPLAY_SECONDS = 20.0
 """Length of the replay [s]."""
 LARGEST_RATIO = 1.2
 """Position error over the noise-limited one that is required [1]."""
+START_SECONDS = 1.0
+"""Time from which the state of a loop's integrator is found [s]."""
 VARIANTS = {
     "urdf": "URDF as given",
     "identified": "identified",
@@ -205,6 +207,25 @@ def with_gains_of(
     return replace(robot, gains=gains)
 
 
+def continued_loop(loop: PositionLoop, data: ReplayInput) -> PositionLoop:
+    """Return a loop with the state that its integrator has at the start of another recording.
+
+    The constant c is that of the recorded torque in the first `START_SECONDS`.
+
+    Args:
+        loop: The loop, fitted to one recording.
+        data: Another recording, with torque.
+    """
+    assert data.smooth_torque is not None
+    first = data.t < START_SECONDS
+    late = loop.lag + data.torque_delay
+    missing = [
+        np.mean(data.smooth_torque[first, j] - np.interp(data.t[first] - late[j], data.t, x))
+        for j, x in enumerate(mujoco_replay.loop_torque(loop, data).T)
+    ]
+    return replace(loop, constant=loop.constant + np.array(missing))
+
+
 def replay_case(model: Path, recordings: Path) -> ReplayCase:
     """Prepare the replay of a saved model, with a position loop fitted to train.csv."""
     machine = read_simulator_model(model / "model.json", recording=None)
@@ -216,7 +237,7 @@ def replay_case(model: Path, recordings: Path) -> ReplayCase:
     fitted = mujoco_replay.fit_position_loop(
         learnt, mujoco_replay.torque_limits(machine), str(train)
     )
-    return ReplayCase(machine, learnt, data, mujoco_replay.continued_loop(fitted, data))
+    return ReplayCase(machine, learnt, data, continued_loop(fitted, data))
 
 
 @contextlib.contextmanager

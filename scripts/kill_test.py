@@ -179,7 +179,7 @@ def run_case(case: Case, folder: Path, randoms: int, betweens: int) -> tuple[lis
     prepare(root, before, case)
     operations = case.run(root, 1)
     moments = [(None, seconds * random.random()) for _ in range(randoms)]
-    moments += [(1 + (operations - 1) * i // max(1, betweens - 1), 0.0) for i in range(betweens)]
+    moments += [(1 + operations * (2 * i + 1) // (2 * betweens), 0.0) for i in range(betweens)]
     states: tuple[collections.Counter[str], collections.Counter[str]] = (
         collections.Counter(),
         collections.Counter(),
@@ -247,7 +247,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ["EXCITE_COMPILER"] = ""
     random.seed(0)
     with tempfile.TemporaryDirectory() as name:
-        Case("motion", ("design", "two_link", *SHORT_DESIGN), "motion").run(Path(name), 0)
+        if not arguments.only or "siblings" in arguments.only:
+            Case("motion", ("design", "two_link", *SHORT_DESIGN), "motion").run(Path(name), 0)
         design = ("design", "two_link", "--validation", *SHORT_DESIGN)
         motion = str(Path(name) / "motion" / "trajectory.json")
         cases = (

@@ -294,7 +294,9 @@ def round_trip(trajectory: trajectory_file.Trajectory) -> certificate_module.Cer
         again = trajectory_file.read_trajectory(path)
     if _json.dumps(again.document()) != text:
         raise CheckFailed("trajectory.json does not read back as it was written")
-    return certificate_module.verify_file(again, again.load_robot())
+    robot = again.load_robot()
+    truth = limits.from_sources(robot, again.limits)
+    return certificate_module.verify_with_cell_on_disk(again, robot, truth)
 
 
 def markdown(rows: Sequence[Row]) -> str:

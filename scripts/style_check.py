@@ -55,6 +55,9 @@ BANNED = {
 They apply to text and to the words of identifiers.
 """
 
+ANY_BANNED = re.compile("|".join(BANNED), re.IGNORECASE)
+"""The first filter: most texts contain none of them."""
+
 BANNED_NAMES = frozenset({"one", "own", "rest", "found", "told", "made"})
 """Names that no variable, parameter or function may have on its own: they name no noun."""
 
@@ -93,6 +96,8 @@ def allowed(path: Path, term: str) -> bool:
 
 def banned_in(text: str) -> Iterator[tuple[str, str]]:
     """Banned terms in a text, each with what to write instead."""
+    if not ANY_BANNED.search(text):
+        return
     for pattern, remedy in BANNED.items():
         for match in re.finditer(pattern, text, re.IGNORECASE):
             yield match.group(0).lower(), remedy

@@ -24,13 +24,16 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from recording_fixtures import DamagedMotion, two_joint_motion
 
-from excite.designer import pipeline
+from excite.designer import certificate, pipeline
+from excite.designer.certificate import Certificate
+from excite.designer.identifiability import regressor_root
 from excite.designer.options import DesignOptions
 from excite.designer.pipeline import CertifiedDesign
 from excite.identification.regression import IdentificationModel
-from excite.robot.limits import Limits, resolve
+from excite.robot.limits import Limits, from_sources, resolve
 from excite.robot.robot import Robot, load, locate
 from excite.robot.samples import Samples
+from excite.trajectory.trajectory_file import Trajectory
 
 settings.register_profile(
     "excite",
@@ -207,6 +210,14 @@ def text_of(name: str) -> str:
     return locate(name).read_text(encoding="utf-8")
 
 
+def write_obj(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> str:
+    """Write a mesh and return its path."""
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in triangles]
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
 # -- equal physics in other frames ---------------------------------------------------------
 
 
@@ -310,6 +321,19 @@ def off(actual: np.ndarray, expected: np.ndarray) -> float:
     actual, expected = np.asarray(actual), np.asarray(expected)
     assert actual.shape == expected.shape
     return float(np.abs(actual - expected).max() / np.abs(expected).max())
+
+
+def information_of(Y: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return Σₜ Yᵀ Σ⁻¹ Y."""
+    root = regressor_root(Y, noise)
+    return root.T @ root
+
+
+def verified(trajectory: Trajectory) -> Certificate:
+    """Verify a trajectory against the sources of its limits and its cell."""
+    robot = trajectory.load_robot()
+    limits = from_sources(robot, trajectory.limits)
+    return certificate.verify_with_cell_on_disk(trajectory, robot, limits)
 
 
 # -- designs, computed once per process -------------------------------------------------------

@@ -6,10 +6,13 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
+from excite._types import FloatArray
 from excite.recordings.floating_signals import POSE
+from excite.robot.floating_base import FloatingMotion, FloatingRobot
 
 _SHARED = Path(os.environ.get("EXCITE_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 HUMAN = _SHARED / "recordings" / "human_wrench"
@@ -88,3 +91,16 @@ def motion_csv(seconds: float = 20.0, seed: int = 0, rate: float = 100.0) -> str
     names = ["t", *POSE, *(f"q.{joint}" for joint in BIPED_JOINTS)]
     lines = [",".join(names), *(",".join(f"{x:.12g}" for x in row) for row in table)]
     return "\n".join(lines) + "\n"
+
+
+def generalised_forces(robot: FloatingRobot, motion: FloatingMotion) -> FloatArray:
+    """Compute the inverse dynamics of the nominal rigid bodies: the total wrench on the base and
+    the joint torques. Shape (N, 6 + n)."""
+    data = robot.model.createData()
+    q = robot.configurations(motion)
+    v, a = (robot.model_velocities(x) for x in (motion.velocity, motion.acceleration))
+    out = np.empty((len(motion), 6 + robot.n))
+    for t in range(len(motion)):
+        tau = pin.rnea(robot.model, data, q[t], v[t], a[t])
+        out[t, :6], out[t, 6:] = tau[:6], robot.joint_robot.spread.T @ tau[6:]
+    return out

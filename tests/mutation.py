@@ -566,9 +566,9 @@ def make_case(valid: Mapping[str, bytes], seed: int, kinds: Sequence[str] = KIND
     return Case(seed, kind, tuple(argv), files, damage)
 
 
-def undamaged_case(valid: Mapping[str, bytes], kind: str, argv: Sequence[str]) -> Case:
+def undamaged_case(valid: Mapping[str, bytes], argv: Sequence[str]) -> Case:
     """Return the case of a command whose files are all valid."""
-    return Case(0, kind, tuple(argv), _files_read(valid, argv), "none")
+    return Case(0, "valid", tuple(argv), _files_read(valid, argv), "none")
 
 
 def _files_read(valid: Mapping[str, bytes], argv: Sequence[str]) -> dict[str, bytes]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import LIMIT, QUICK, loaded, pendulum
+from conftest import LIMIT, QUICK, loaded, pendulum, verified
 
 from excite import _json
 from excite.api.verification_result import VerificationResult
@@ -43,7 +43,7 @@ def reread(document: dict) -> Trajectory:
 
 def certificate(document: dict) -> Certificate:
     trajectory = reread(document)
-    return certificate_module.verify_file(trajectory, trajectory.load_robot())
+    return verified(trajectory)
 
 
 # valid motions
@@ -53,7 +53,7 @@ def test_certified_motion_is_certified_after_reading_its_file(any_delivery, tmp_
     path = tmp_path / "trajectory.json"
     path.write_text(_json.dumps(any_delivery.trajectory.document()), encoding="utf-8")
     again = trajectory_file.read_trajectory(path)
-    certificate = certificate_module.verify_file(again, again.load_robot())
+    certificate = verified(again)
     assert certificate.ok and [m.document() for m in certificate.margins] == again.margins
 
 
@@ -423,9 +423,7 @@ def test_torque_above_its_limit_between_samples_fails(delivery, monkeypatch):
             lambda values, blocks=None: np.zeros_like(values),
         )
         sampled = {
-            m.joint: abs(m.value)
-            for m in certificate_module.verify_file(trajectory, robot).margins
-            if m.limit == "torque"
+            m.joint: abs(m.value) for m in verified(trajectory).margins if m.limit == "torque"
         }
     just_above = np.array([sampled[joint] * (1 + 1e-9) for joint in trajectory.joints])
     certificate = certificate_module.verify(

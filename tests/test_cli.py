@@ -154,6 +154,15 @@ def test_identifiability_of_a_trajectory_and_of_a_recording_agree(capsys, design
     assert abs(counts[0] - counts[1]) <= 1
 
 
+def test_identifiability_states_the_torque_noise_of_the_trajectory(capsys, tmp_path):
+    noisy = ("--torque-noise", "16", "--no-collision", *QUICK)
+    assert run(capsys, "design", "two_link", *noisy, "-o", tmp_path / "noisy")[0] == 0
+    path = tmp_path / "noisy" / "trajectory.json"
+    code, out, err = run(capsys, "identifiability", "two_link", path, "-o", tmp_path / "out")
+    assert code == 0, err
+    assert f"(torque noise of {path}, " in out
+
+
 def test_torque_without_gravity_identifies_fewer_directions(capsys, designed, tmp_path):
     path, counts = tmp_path / "motion.csv", []
     path.write_bytes((designed / "trajectory.csv").read_bytes())

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import QUICK, document, joint, link, seeds, slope
+from conftest import QUICK, document, joint, link, seeds, slope, verified, write_obj
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
@@ -467,7 +467,7 @@ def test_design_keeps_the_clearance(unconstrained_design):
     )
     assert criterion > unconstrained
     # the cell can be rebuilt from the file
-    again = certificate_module.verify_file(design.trajectory, cell.robot)
+    again = verified(design.trajectory)
     assert again.collision == design.certificate.collision
     assert [n.names for n in again.pair_distances] == [
         n.names for n in design.certificate.pair_distances
@@ -557,14 +557,6 @@ def test_meshes_are_found_by_package(tmp_path):
 # -- rows for every pair ---------------------------------------------------------------------------
 
 
-def write_obj(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> str:
-    """Write a mesh and return its path."""
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in triangles]
-    path.write_text("\n".join(lines) + "\n")
-    return str(path)
-
-
 def channel(path: Path, length: float = 1.2, gap: float = 0.5, wall: float = 0.05) -> str:
     """Write a channel: two walls along the x axis that a back at the left joins."""
     vertices, triangles = [], []
@@ -586,17 +578,13 @@ def test_base_of_capsules_and_boxes_has_rows_for_both():
         Shape("pedestal", ShapeKind.BOX, (0.2, 0.2, 0.2), (0.6, 0.0, 0.3)),
     )
     cell = two_links(*base)
-    covers = clearance_builder._Covers()
-    for body in cell.bodies:
-        covers.add(body)
-    for pair in cell.pairs:
-        if "pedestal" not in cell.names(pair):
-            continue
-        kinds = {kind for kind, *_ in covers.pairs_of(pair)}
-        assert {CoverPairKind.CAPSULES, CoverPairKind.CAPSULE_BOX} <= kinds
-        for kind, first, second in covers.pairs_of(pair):
-            assert first < len(covers.capsules)
-            assert second < len((covers.capsules, covers.boxes, covers.planes)[kind])
+    constraint = clearance_builder.build_constraint(cell)
+    kinds = {
+        kind
+        for kind, names in zip(constraint.kind, constraint.names, strict=True)
+        if "pedestal" in names
+    }
+    assert kinds == {CoverPairKind.CAPSULES, CoverPairKind.CAPSULE_BOX}
 
 
 def test_meshes_take_the_place_of_hulls_that_always_overlap(tmp_path):
@@ -604,8 +592,7 @@ def test_meshes_take_the_place_of_hulls_that_always_overlap(tmp_path):
     robot = load("two_link")
     file = channel(tmp_path / "channel.obj", gap=1.2)
     cell = two_links(Shape("shell", ShapeKind.MESH, (1.0, 1.0, 1.0), file=file))
-    constraint = clearance_builder.build_constraint(cell)
-    pairs = clearance_builder._with_hulls(constraint, cell, cell.pairs)
+    pairs = clearance_builder.build_hull_constraint(cell, cell.pairs)
     rows = np.flatnonzero(pairs.kind == CoverPairKind.MESHES)
     assert len(rows)
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (30, robot.n))

@@ -9,7 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import scipy.linalg
-from conftest import BUILTIN, QUICK, loaded, random_urdf, reframed, slope, states, text_of
+from conftest import (
+    BUILTIN,
+    QUICK,
+    information_of,
+    loaded,
+    random_urdf,
+    reframed,
+    slope,
+    states,
+    text_of,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -240,26 +250,17 @@ def test_geometric_criteria_do_not_depend_on_the_units(name):
 
 def test_earlier_information_adds():
     c, motion, earlier = case(load("two_link")), states(2, 80), states(2, 50, seed=9)
-    more = criteria.information_matrix(c.Y(earlier), c.noise) / len(motion)
+    more = information_of(c.Y(earlier), c.noise) / len(motion)
     assert c.score(motion, more)["geometric"] == pytest.approx(
         geometric_criteria(c, motion, more=more), rel=1e-6
     )
-
-
-def test_information_matrix_is_a_sum_of_outer_products():
-    c, motion = case(load("two_link")), states(2, 5)
-    Y = c.Y(motion)
-    summed = sum(
-        np.outer(row, row) / s**2 for sample in Y for row, s in zip(sample, c.noise, strict=True)
-    )
-    assert np.allclose(criteria.information_matrix(Y, c.noise), summed, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_earlier_information_never_worsens_a_criterion(name):
     c = case(load(name))
     motion = states(c.robot.n, 60)
-    more = criteria.information_matrix(c.Y(states(c.robot.n, 60, seed=9)), c.noise) / 60
+    more = information_of(c.Y(states(c.robot.n, 60, seed=9)), c.noise) / 60
     alone, together = c.score(motion)["geometric"], c.score(motion, more)["geometric"]
     assert together["a"] < alone["a"] and together["d"] > alone["d"] and together["e"] >= alone["e"]
 

@@ -249,11 +249,11 @@ def test_no_joint_is_predicted_worse_than_by_the_base_model(name):
     assert (after <= 1.05 * np.maximum(before, 1.0)).all()
 
 
-@pytest.mark.parametrize("name", [*HIDDEN, *OUTSIDE])
-def test_a_large_held_out_error_is_not_called_explained(name):
-    result = diagnosed(name) if name in HIDDEN else outside_the_catalogue(name)
-    if (noise_ratios(result)[1] > 2.0).any():
-        assert result.verdict in ("partly-explained", "unexplained")
+def test_a_large_held_out_error_is_not_called_explained():
+    result = diagnosed("torque_ripple")
+    assert result.verdict == "explained"
+    errors = dataclasses.replace(result.held_out, rmse_after=2.0 * result.noise_rms)
+    assert dataclasses.replace(result, held_out=errors).verdict == "partly-explained"
 
 
 # -- document, command and catalogue --------------------------------------------------------------

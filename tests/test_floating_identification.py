@@ -287,6 +287,10 @@ def test_the_commands_write_their_files(folder, capsys):
         (("identify", "{urdf}", "{plate}", "--floating", "--symmetric", "x"), "LEFT:RIGHT"),
         (("identify", "{urdf}", "{plain}", "--floating"), "has no column 'base.x'"),
         (("identifiability", "{urdf}", "{plain}", "--floating"), "has no column 'base.x'"),
+        (
+            ("identifiability", "{urdf}", "{plate}", "--floating", "--trajectory", "x.json"),
+            "--trajectory: is not available with --floating",
+        ),
         (("identify", "{urdf}", "{plate}", "{feet}", "--floating"), "has the contacts"),
     ],
 )

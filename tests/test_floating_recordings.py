@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
-from floating_base_fixtures import biped_urdf, motion_csv
+from floating_base_fixtures import biped_urdf, generalised_forces, motion_csv
 
 from excite import recordings
 from excite.api import read_floating_recording, simulate_floating
@@ -178,8 +178,8 @@ def test_an_imu_stands_in_place_of_the_differentiated_pose(biped, motion):
     part = inner(motion)
 
     def error(candidate):
-        wrench = floating_base.generalised_forces(biped, filtered(candidate, biped))[part, :6]
-        expected = floating_base.generalised_forces(biped, exact)[part, :6]
+        wrench = generalised_forces(biped, filtered(candidate, biped))[part, :6]
+        expected = generalised_forces(biped, exact)[part, :6]
         return np.sqrt(np.mean((wrench - expected) ** 2))
 
     assert error(measured) < 0.1 * error(recording)
@@ -204,7 +204,7 @@ def test_contact_wrenches_balance_the_inverse_dynamics(folder, biped, motion):
     wrenches = np.hstack([recording.wrench(frame) for frame in recording.contacts])
     rows = np.einsum("trk,tk->tr", maps, wrenches)
     rows[:, 6:] += recording.torque
-    expected = floating_base.generalised_forces(biped, state)
+    expected = generalised_forces(biped, state)
     expected[:, :6] = floating_regression.in_world_axes(expected[:, :6], state.pose)
     part = inner(recording)
     assert np.allclose(rows[part], expected[part], atol=2e-3 * np.abs(expected).max())

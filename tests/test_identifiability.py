@@ -14,7 +14,6 @@ from excite import _json
 from excite.designer.experiment_comparison import compare_scenarios
 from excite.designer.identifiability import (
     Identifiability,
-    analyse_information,
     analyse_root,
     information_root,
     named_coordinates_root,
@@ -75,16 +74,6 @@ def test_eigenvalues_equal_those_of_the_generalised_problem() -> None:
     assert [d.identifiable for d in analysis.directions] == [
         bool(1.0 / v <= analysis.threshold) for v in expected
     ]
-
-
-@pytest.mark.parametrize("name", ["two_link", "ur10e", "fr3"])
-def test_information_and_root_agree(name: str) -> None:
-    loaded, table, standard, base = setup(name)
-    analysis, root = result(name)
-    again = analyse_information(standard, base, root.T @ root, 0.01 * table.torque, loaded)
-    top = analysis.eigenvalues[0]
-    np.testing.assert_allclose(again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-13 * top)
-    assert again.identifiable_count == analysis.identifiable_count
 
 
 def test_information_by_blocks_equals_that_of_all_samples() -> None:

@@ -93,7 +93,6 @@ def page_of(*, held_out: bool = True, periodic: bool = True) -> str:
     return identification_page(
         identification_of(held_out=held_out, periodic=periodic),
         REMARKS,
-        stated={"asked by": "a test"},
     )
 
 
@@ -113,10 +112,7 @@ def test_report_is_self_contained_and_answers_every_question(
 
 
 def test_same_input_gives_the_same_bytes() -> None:
-    assert (
-        identification_page(identification_of(), REMARKS, stated={"asked by": "a test"})
-        == page_of()
-    )
+    assert identification_page(identification_of(), REMARKS) == page_of()
 
 
 def test_table_states_the_errors_of_the_identification() -> None:
@@ -187,9 +183,7 @@ def test_joint_predicted_worse_than_by_zero_torque_is_named() -> None:
 
 def test_remarks_and_facts_are_listed() -> None:
     text = section(page_of(), "made")
-    assert (
-        "a gap of &lt;12&gt; rows &amp; more" in text and "1 to 1.12" in text and "a test" in text
-    )
+    assert "a gap of &lt;12&gt; rows &amp; more" in text and "1 to 1.12" in text
     assert "the data-quality checks have 2 remarks" in answer(page_of(), "made")
 
 

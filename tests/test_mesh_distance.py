@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import coal
 import numpy as np
 import pinocchio as pin
+from conftest import write_obj
 from scipy.spatial import ConvexHull
 
-from excite.collision import geometry
+from excite.collision.geometry import Shape, ShapeKind
 from excite.collision.mesh_distance import MeshDistance
 
 
-def bumpy_mesh(seed: int) -> coal.BVHModelBase:
+def bumpy_mesh(folder: Path, seed: int) -> coal.BVHModelBase:
     """A closed mesh that is not convex, of 0.2 m size."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     triangles = ConvexHull(directions).simplices
-    return geometry._coal_mesh(
-        directions * rng.uniform(0.05, 0.1, 200)[:, None], np.asarray(triangles)
-    )
+    vertices = directions * rng.uniform(0.05, 0.1, 200)[:, None]
+    file = write_obj(folder / f"{seed}.obj", vertices, triangles)
+    return Shape("mesh", ShapeKind.MESH, (1.0, 1.0, 1.0), file=file).solid()
 
 
-def test_an_upper_bound_changes_no_distance():
-    solids = [bumpy_mesh(1), bumpy_mesh(2), coal.Sphere(0.1)]
+def test_an_upper_bound_changes_no_distance(tmp_path):
+    solids = [bumpy_mesh(tmp_path, 1), bumpy_mesh(tmp_path, 2), coal.Sphere(0.1)]
     bounded, result = MeshDistance(solids), coal.DistanceResult()
     request, separate = coal.DistanceRequest(), coal.DistanceResult()
     rng, contacts = np.random.default_rng(3), 0

@@ -6,7 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import QUICK, document, joint, link, loaded, pendulum, random_urdf, reframed, text_of
+from conftest import (
+    QUICK,
+    document,
+    information_of,
+    joint,
+    link,
+    loaded,
+    pendulum,
+    random_urdf,
+    reframed,
+    text_of,
+)
 
 from excite.api import design
 from excite.designer import criteria, optimize, pipeline
@@ -262,7 +273,7 @@ def test_earlier_information_changes_the_design(two_link, table):
     Y = dynamics.regressor(
         two_link, setup.problem.parameters, only_second.samples(only_second.grid(400))
     )
-    earlier = 10.0 * criteria.information_matrix(Y, setup.noise)
+    earlier = 10.0 * information_of(Y, setup.noise)
     alone, together = solved(two_link, table), solved(two_link, table, earlier_information=earlier)
 
     def combined(design):

@@ -487,7 +487,7 @@ def test_a_killed_command_leaves_the_old_or_the_new_files() -> None:
         "--random",
         "0",
         "--between",
-        "2",
+        "1",
         "--only",
         "exchanged",
     ]

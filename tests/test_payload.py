@@ -17,12 +17,12 @@ import excite
 from excite.cli.main import main
 from excite.designer.payload_weighting import payload_deviation
 from excite.errors import UnusableInput
-from excite.payload.equations import frame_map
 from excite.payload.estimate import CENTRE_DEVIATION, PayloadData, physical_payload
 from excite.payload.shape import parse_shape
 from excite.payload.snippets import snippets
 from excite.recordings import Recording, Sidecar
 from excite.robot import dynamics, inertial_parameters, limits, robot
+from excite.robot.inertial_parameters import frame_map
 from excite.robot.samples import Samples
 
 WIDTH = 0.005
@@ -110,7 +110,7 @@ def test_values_are_in_the_frame_of_the_link(empty):
 def test_a_frame_change_is_that_of_a_rigid_body():
     placement = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.8, 1.1), np.array([0.2, -0.1, 0.4]))
     np.testing.assert_allclose(
-        frame_map(placement) @ BODY.toDynamicParameters(),
+        frame_map(placement.homogeneous) @ BODY.toDynamicParameters(),
         placement.act(BODY).toDynamicParameters(),
         atol=1e-12,
     )

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import QUICK, off, slope
+from conftest import QUICK, off, slope, verified
 from hypothesis import given
 from hypothesis import strategies as st
 from test_export import run, trajectory_of
 
 from excite import _json, exporters
-from excite.designer import certificate as certificate_module
 from excite.designer import constraint_margins, phase_ramps, pipeline, ramps
 from excite.designer.pipeline import CertifiedDesign
 from excite.errors import UnusableInput
@@ -123,7 +122,7 @@ def test_motion_without_a_return_ends_where_it_began(two_link, table):
     again = trajectory_file.parse_trajectory(
         json.loads(_json.dumps(delivery.trajectory.document())), Path("trajectory.json")
     )
-    assert certificate_module.verify_file(again, again.load_robot()).ok
+    assert verified(again).ok
 
 
 def test_file_with_phase_ramps_reads_back_and_is_certified(phase_delivery, tmp_path: Path):
@@ -131,7 +130,7 @@ def test_file_with_phase_ramps_reads_back_and_is_certified(phase_delivery, tmp_p
     path.write_text(text := _json.dumps(phase_delivery.trajectory.document()), encoding="utf-8")
     again = trajectory_file.read_trajectory(path)
     assert _json.dumps(again.document()) == text
-    assert certificate_module.verify_file(again, again.load_robot()).ok
+    assert verified(again).ok
     t = again.motion.grid(500.0)
     reference = reference_trajectory.read_reference(path)
     for order, values in enumerate(reference.at(t[1:-1])):
@@ -150,7 +149,7 @@ def test_faster_phase_is_no_longer_certified(phase_delivery, factor):
     for later in document["segments"][document["segments"].index(segment) + 1 :]:
         later["start"], later["end"] = later["start"] - removed, later["end"] - removed
     again = trajectory_file.parse_trajectory(document, Path("trajectory.json"))
-    certificate = certificate_module.verify_file(again, again.load_robot())
+    certificate = verified(again)
     assert not certificate.ok
     assert certificate.worst().limit in ("acceleration", "jerk", "torque")
 

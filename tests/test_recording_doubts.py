@@ -10,9 +10,12 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from diagnosis_cases import SUBJECT, recordings_of
 from recording_fixtures import read_with_warnings, two_joint_motion, write_columns
 from shared_inputs import INPUTS, needs_inputs
+from synthetic_recordings import write_recording
 
 from excite import api, recordings
 from excite.api.identification_result import read_both
@@ -378,16 +381,19 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
 # -- diagnosis ------------------------------------------------------------------------------------
 
 
-@needs_inputs
 def test_a_doubted_recording_names_no_joint(tmp_path):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        result = api.diagnose(
-            "ur5e",
-            [REPORTS / "07-gravcomp_mon.csv"],
-            [REPORTS / "07-gravcomp_tue.csv"],
-            with_report=False,
-        )
+    """Torque without gravity."""
+    model, data = SUBJECT.robot.model, SUBJECT.robot.model.createData()
+
+    def without_gravity(t, q, dq, tau):
+        return -np.array([pin.computeGeneralizedGravity(model, data, row) for row in q])
+
+    train, held_out = (
+        write_recording(recording, tmp_path / recording.source)
+        for recording in recordings_of(without_gravity)
+    )
+    with pytest.warns(match="gravity is missing"):
+        result = api.diagnose("two_link", [train], [held_out], with_report=False)
     document = result.document()
     assert {doubt["kind"] for doubt in document["doubts"]} == {"gravity"}
     assert all(entry["joint"] is None for entry in document["findings"])

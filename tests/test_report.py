@@ -15,7 +15,9 @@ from excite.collision import continuous_check, scene_file
 from excite.designer import criteria, identifiability, ramps
 from excite.designer.certificate import Certificate, LimitMargin, promised_share
 from excite.designer.constraint_margins import MotionConstraints
-from excite.report import DesignRecord, design_page, identifiability_page
+from excite.designer.multistart import Attempt
+from excite.designer.sqp import SearchState
+from excite.report import design_page, identifiability_page
 from excite.report.design import relative_margins
 from excite.report.figures.drawing import thin_curve
 from excite.report.figures.svg import round_ticks
@@ -126,23 +128,26 @@ def parts(source: str) -> tuple:
     return trajectory, loaded, standard, base, analysis
 
 
-def record() -> DesignRecord:
-    starts = [
-        {
-            "seed": k,
-            "value": 5.0 + 0.3 * k,
-            "feasible": k < 2,
-            "objective": [9.0, 5.0 + 0.3 * k],
-            "worst": [1.1, 1.0],
-        }
+def attempts() -> list[Attempt]:
+    motion = parts("ur10e")[0].motion.fourier
+    return [
+        Attempt(
+            number=k,
+            motion=motion,
+            objective=5.0 + 0.3 * k,
+            time=(0.0, 0.1),
+            values=(9.0, 5.0 + 0.3 * k),
+            worst=(1.1, 1.0),
+            stage=(0, 0),
+            state=SearchState(np.zeros(1), np.zeros(1), 0.0 if k < 2 else np.inf),
+        )
         for k in range(3)
     ]
-    return DesignRecord(starts=starts, chosen=0, notes=("One remark.",))
 
 
 @cache
 def page_of(source: str = "ur10e") -> str:
-    return design_page(*parts(source), record())
+    return design_page(*parts(source), attempts())
 
 
 def section(page: str, key: str) -> str:
@@ -201,7 +206,7 @@ def test_the_closest_limit_is_that_of_the_certificate() -> None:
     promising = dataclasses.replace(
         trajectory, design={**trajectory.design, "margin": {"velocity": 0.3}}
     )
-    page = design_page(promising, *context, record())
+    page = design_page(promising, *context, attempts())
     assert answer(page, "limits") == (
         "Yes; closest is the velocity of wrist_3_joint at 1.50 s, with a margin of 45 %, "
         "30 % promised."
@@ -226,7 +231,7 @@ def test_the_closest_limit_is_that_of_the_certificate() -> None:
 def test_limits_of_the_ramps_alone_are_marked() -> None:
     trajectory, *context = parts("ur10e")
     margins = [{**m, "ramps_only": True} for m in trajectory.margins]
-    page = design_page(dataclasses.replace(trajectory, margins=margins), *context, record())
+    page = design_page(dataclasses.replace(trajectory, margins=margins), *context, attempts())
     assert "velocity (ramps)" in section(page, "limits")
     assert "velocity (ramps)" not in section(page_of(), "limits")
 
@@ -262,7 +267,7 @@ def test_answers_are_computed_from_the_data() -> None:
         "derived",
         "1\u00a0% of each torque limit",
         "Collision not checked",
-        "One remark.",
+        "1 start found no motion inside all limits",
     ):
         assert text in page, text
     for joint in (*loaded.joints, *loaded.links):
@@ -283,7 +288,7 @@ def test_a_violated_limit_is_stated_on_the_first_screen() -> None:
         },
     ]
     page = design_page(
-        dataclasses.replace(trajectory, margins=margins, forced=True), *others, record()
+        dataclasses.replace(trajectory, margins=margins, forced=True), *others, attempts()
     )
     assert "FAILED" in page and "Do not run this motion" in page
     assert answer(page, "limits").startswith(
@@ -311,7 +316,7 @@ def test_texts_of_files_are_escaped() -> None:
         trajectory,
         dataclasses.replace(loaded, name=markup),
         *others,
-        dataclasses.replace(record(), notes=(markup,)),
+        attempts(),
     )
     assert "<script" not in page
     assert "&lt;script&gt;" in page
@@ -320,12 +325,10 @@ def test_texts_of_files_are_escaped() -> None:
 def test_robot_with_many_joints_and_a_sliding_one(tmp_path: Path) -> None:
     path = tmp_path / "chain.urdf"
     path.write_text(chain(12), encoding="utf-8")
-    page = design_page(*parts(str(path)), DesignRecord([]))
+    page = design_page(*parts(str(path)), attempts())
     check_page(page)
     assert section(page, "limits").count("<svg") == 4
-    assert (
-        "joint_3 (m)" in page and "joint_3 [N]" in page and "No history" in answer(page, "history")
-    )
+    assert "joint_3 (m)" in page and "joint_3 [N]" in page
 
 
 def test_report_of_directions_without_excitation() -> None:
@@ -345,7 +348,7 @@ def test_report_of_directions_without_excitation() -> None:
         standard,
         base,
         unseen,
-        DesignRecord([]),
+        attempts(),
         cases=(),
     )
     check_page(page)
@@ -379,7 +382,7 @@ def pair(source: str, independent: bool = True, overlap: float = 0.3, criterion:
         trajectory, motion=dataclasses.replace(trajectory.motion, fourier=moved)
     )
     return design_page(
-        dataclasses.replace(trajectory, design=design), *others, record(), second=second
+        dataclasses.replace(trajectory, design=design), *others, attempts(), second=second
     )
 
 
@@ -390,7 +393,7 @@ def test_clearances_are_drawn_and_listed() -> None:
     )
     assert cell is not None
     nearest = continuous_check.least_distances(cell, trajectory.motion)
-    page = design_page(trajectory, loaded, *others, record(), cell=cell, near=nearest)
+    page = design_page(trajectory, loaded, *others, attempts(), cell=cell, near=nearest)
     check_page(page)
     text = section(page, "collision")
     assert text.count("<svg") == 2 and "required [mm]" in text
@@ -447,7 +450,7 @@ def test_time_budget_lists_all_candidates() -> None:
         page = design_page(
             dataclasses.replace(trajectory, design={**trajectory.design, "plan": plan}),
             *others,
-            record(),
+            attempts(),
         )
         check_page(page)
         assert answer(page, "plan").startswith("25 s hold 3 periods of 8 s") and words in answer(
@@ -467,14 +470,16 @@ def test_names_with_dollar_signs_and_markup_stay_text_in_figures(tmp_path: Path)
     path = tmp_path / "chain.urdf"
     escaped = name.replace("&", "&amp;").replace("<", "&lt;")
     path.write_text(chain(2).replace('"joint_1"', f'"{escaped}"'), encoding="utf-8")
-    page = design_page(*parts(str(path)), record())
+    page = design_page(*parts(str(path)), attempts())
     check_page(page)
     pictures = "".join(re.findall(r"<svg.*?</svg>", page, flags=re.S))
     assert "a$b_1$ &amp; &lt;i&gt;" in pictures and "<i>" not in pictures
 
 
 def test_same_input_gives_the_same_bytes() -> None:
-    assert design_page(*parts("two_link"), record()) == design_page(*parts("two_link"), record())
+    assert design_page(*parts("two_link"), attempts()) == design_page(
+        *parts("two_link"), attempts()
+    )
 
 
 def test_thinned_curve_keeps_extremes() -> None:

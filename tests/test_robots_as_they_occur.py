@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import LIMIT, document, joint, link, loaded, pendulum, text_of
+from conftest import LIMIT, document, joint, link, loaded, pendulum, text_of, write_obj
 from identified_models import read_model, write_model
+from scipy.spatial import ConvexHull
 from shared_inputs import INPUTS, needs_inputs
 
 from excite.cli.main import main
@@ -210,15 +211,20 @@ def test_nominal_bodies_need_collision_shapes(tmp_path):
         nominal_inertia.nominal_inertias(str(path), 5.0)
 
 
-def test_the_inertia_of_a_hull_is_that_of_its_shape():
+def test_the_inertia_of_a_hull_is_that_of_its_shape(tmp_path):
     half = 0.5 * np.array([0.2, 0.4, 0.6])
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     corners = signs * half + np.array([1.0, 2.0, 3.0])
-    body = nominal_inertia._hull_inertia(corners, "box")
-    box = pin.Inertia.FromBox(0.2 * 0.4 * 0.6, 0.2, 0.4, 0.6)
-    assert body.mass == pytest.approx(box.mass)
-    assert body.lever == pytest.approx([1.0, 2.0, 3.0])
-    assert np.allclose(body.inertia, box.inertia, rtol=1e-9)
+    write_obj(tmp_path / "box.obj", corners, ConvexHull(corners).simplices)
+    mesh = '<collision><geometry><mesh filename="box.obj"/></geometry></collision>'
+    path = tmp_path / "robot.urdf"
+    path.write_text(pendulum(body=f'<link name="arm">{mesh}</link>'))
+    body = nominal_inertia.nominal_inertias(str(path), 5.0)["arm"]
+    xx, xy, yy, xz, yz, zz = body.tensor
+    assert body.mass == pytest.approx(5.0)
+    assert body.centre == pytest.approx([1.0, 2.0, 3.0])
+    box = pin.Inertia.FromBox(5.0, 0.2, 0.4, 0.6)
+    assert np.allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], box.inertia, rtol=1e-6)
 
 
 # -- mimic joints and trees ------------------------------------------------------------------------

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from identified_models import write_model
 from synthetic_recordings import sum_of_sines, write_joint_recording
 
 import excite
 from excite._types import FloatArray
+from excite.cli.main import main
 from excite.diagnosis.diagnosis import Diagnosis
 
 URDF = """<robot name="slide"><link name="base"/>
@@ -64,6 +66,20 @@ def diagnosed(
 def findings_of(result: Diagnosis) -> list[str]:
     """Return the names of the findings, the most probable first."""
     return [finding.effect for finding in result.findings]
+
+
+def test_forces_and_positions_have_the_units_of_a_sliding_joint(tmp_path, capsys):
+    pytest.importorskip("mujoco")
+    robot = tmp_path / "slide.urdf"
+    robot.write_text(URDF.replace('="1"', '="2"'), encoding="utf-8")  # no placeholder
+    excite.design(robot, starts=1, harmonics=2, samples=24, period=2.0).save(tmp_path / "design")
+    simulated = excite.simulate(robot, tmp_path / "design" / "trajectory.json")
+    assert ">N<" in simulated.picture() and "N m" not in simulated.picture()
+    run = simulated.save(tmp_path / "run.csv")[0]
+    model = write_model(tmp_path, str(robot))
+    assert main(["replay", str(model), str(run), "-o", str(tmp_path / "replay")]) == 0
+    (line,) = [x for x in capsys.readouterr().out.splitlines() if x.startswith("carriage")]
+    assert " m, " in line and " N " in line and "rad" not in line and "N m" not in line
 
 
 def test_the_wave_of_a_ball_screw_is_found(tmp_path):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from conftest import verified
 
 from excite.designer import certificate as certificate_module
 from excite.robot import robot
@@ -18,7 +19,7 @@ def test_every_built_in_robot_has_a_trajectory():
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda p: p.stem)
 def test_stored_trajectory_is_certified(path):
     trajectory = trajectory_file.read_trajectory(path)
-    certificate = certificate_module.verify_file(trajectory, trajectory.load_robot())
+    certificate = verified(trajectory)
     assert certificate.ok, (certificate.worst(), certificate.faults)
     assert certificate.clearance is certificate_module.CertificateVerdict.CERTIFIED
     assert not trajectory.forced

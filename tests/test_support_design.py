@@ -16,7 +16,7 @@ from excite.cli.main import main
 from excite.designer import support_certificate
 from excite.designer.criteria import Criterion
 from excite.designer.support_certificate import SupportConstraints
-from excite.designer.support_design import SupportOptions, _Search, design_support
+from excite.designer.support_design import SupportOptions, SupportSearch, design_support
 from excite.designer.support_evaluator import SupportEvaluator
 from excite.designer.support_kinematics import support_samples
 from excite.designer.support_model import BASE_COORDINATES
@@ -106,10 +106,10 @@ def options(*frames: str, **changes) -> SupportOptions:
     return SupportOptions(**{**values, **changes})
 
 
-def search(walker, table, *frames: str) -> _Search:
+def search(walker, table, *frames: str) -> SupportSearch:
     chosen = options(*frames)
     stance = standing(walker.joint_robot, table.reduced(), frames, chosen.soles, chosen.contact)
-    return _Search(walker, table, chosen, stance)
+    return SupportSearch(walker, table, chosen, stance)
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def single(walker, walker_limits):
 @pytest.fixture(params=["double", "single"])
 def evaluated(request):
     searched = request.getfixturevalue(request.param)
-    evaluator = SupportEvaluator(searched._problem(0.0, 0.0))
+    evaluator = SupportEvaluator(searched.problem(0.0, 0.0))
     x = 0.1 * np.random.default_rng(3).normal(size=evaluator.problem.size)
     assert np.isfinite(evaluator.max_constraint_value(x))
     return searched, evaluator, x
@@ -359,7 +359,7 @@ def test_the_command_designs_a_motion_on_one_foot(walker, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--support", "left_sole"], "add --floating"),
+        (["--support", "left_sole"], "is for a robot with --floating; add it"),
         (["--floating"], "--support FRAME"),
         (["--floating", "--support", "left_sole"], "--sole"),
         (["--floating", "--support", "a,b,c", "--sole", "0.2,0.1"], "one or two frames"),

@@ -18,7 +18,7 @@ from excite.collision import clearance_builder
 from excite.collision.continuous_check import approach_speeds
 from excite.designer import support_cell
 from excite.designer.support_cell import BASE_NAMES, Surroundings, robot_in_world
-from excite.designer.support_design import SupportOptions, _Search
+from excite.designer.support_design import SupportOptions, SupportSearch
 from excite.designer.support_evaluator import SupportEvaluator
 from excite.designer.support_stance import standing
 from excite.errors import UnusableInput
@@ -98,7 +98,7 @@ def test_the_gradients_of_clearances_are_exact(walker, table):
     stance = standing(walker.joint_robot, usable, chosen.frames, chosen.soles, chosen.contact)
     cell, _ = support_cell.find_cell(walker, table, stance, Surroundings())
     clearance = clearance_builder.build_constraint(cell)
-    problem = _Search(walker, table, chosen, stance, cell)._problem(0.0, 0.0)
+    problem = SupportSearch(walker, table, chosen, stance, cell).problem(0.0, 0.0)
     evaluator = SupportEvaluator(dataclasses.replace(problem, clearance=clearance))
     x = 0.2 * np.random.default_rng(3).normal(size=evaluator.problem.size)
     values = evaluator.constraint_values(x)

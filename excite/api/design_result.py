@@ -38,20 +38,18 @@ from ..designer.task_variance import TaskPrediction
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..recordings.periodicity import with_detected_period
-from ..report.design_record import DesignRecord
 from ..robot import dynamics, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
 from . import identification_result
 from .discriminating_design import DiagnosisQuestions, read_questions
 from .identification_result import reference_samples, robot_of_torque, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
-from .task_design import TaskDesign, read_task
+from .task_design import TaskDesign, read_task, trajectory_samples
 
 MOTION_FILES = ("trajectory.json", "trajectory.csv")
 """Files of a motion."""
@@ -268,7 +266,7 @@ class DesignResult(SavedResult):
             self.parameters,
             self.delivery.design.setup.base,
             self.analysis,
-            _record(self.delivery),
+            self.delivery.design.attempts,
             cases=self.comparison,
             second=second,
             cell=self.cell,
@@ -586,15 +584,7 @@ def motion_samples(
             with_trajectory(recordings.read(path, robot, columns=columns), executed)
         )
         return reference_samples(recording), robot_of_torque(robot, [recording]), None
-    trajectory = trajectory_file.read_trajectory(path)
-    if trajectory.joints != robot.joints:
-        raise UnusableInput(
-            f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; "
-            "choose them with --joints"
-        )
-    samples = trajectory.motion.samples(
-        trajectory.motion.grid(identification_result.REFERENCE_RATE)
-    )
+    samples, trajectory = trajectory_samples(path, robot)
     return samples, robot, trajectory
 
 
@@ -649,23 +639,6 @@ def _motion_root(delivery: pipeline.CertifiedDesign, robot: Robot) -> FloatArray
     )
     standard = delivery.design.setup.problem.parameters
     return identifiability.information_root(robot, standard, samples, trajectory.noise)
-
-
-def _record(delivery: pipeline.CertifiedDesign) -> DesignRecord:
-    starts = [
-        {
-            "seed": a.number,
-            "value": a.objective,
-            "feasible": True,
-            "time": a.time,
-            "objective": a.values,
-            "worst": a.worst,
-            "stage": a.stage,
-            "stopped": a.stopped,
-        }
-        for a in delivery.design.attempts
-    ]
-    return DesignRecord(starts=starts, chosen=0)
 
 
 __all__ = ["CellOptions", "DesignResult", "WorkspaceBox", "design"]

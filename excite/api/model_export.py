@@ -11,9 +11,8 @@ from .._system.output_files import output_files
 from ..errors import UnusableInput
 from ..exporters.model_formats import model_text, remainders, require_format
 from ..exporters.simulator_model import Remainder, SimulatorModel, simulator_model
-from ..identification.identified_model import model_from_document
+from ..identification.identified_model import model_file, model_from_document
 from ..recordings import Recording
-from ..schemas.document_file import DocumentFile
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from .identification_result import RecordingSource, read_recording
 from .robots import resolve_limits
@@ -77,7 +76,7 @@ def is_model(path: str | Path) -> bool:
         path: The file; where it cannot be read, the answer is False.
     """
     try:
-        content = _file(Path(path)).json()
+        content = model_file(Path(path)).json()
     except UnusableInput:
         return False
     schema = content.get("schema") if isinstance(content, dict) else None
@@ -101,7 +100,7 @@ def read_simulator_model(
     Raises:
         UnusableInput: A file cannot be used.
     """
-    file = _file(Path(model))
+    file = model_file(Path(model))
     content = file.json()
     file.schema(content, (MODEL_SCHEMA,))
     fitted = model_from_document(file, content)
@@ -112,12 +111,6 @@ def read_simulator_model(
         motion = read_recording(recording, fitted.robot)
     table = None if limits is None else resolve_limits(fitted.robot, limits)
     return simulator_model(fitted, content, recording=motion, limits=table)
-
-
-def _file(path: Path) -> DocumentFile:
-    return DocumentFile(
-        path, "a model", "identify or diagnose again", "the model.json of 'excite identify'"
-    )
 
 
 def _stated_recording(content: Mapping[str, Any], path: Path) -> Path | None:

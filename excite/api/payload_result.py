@@ -14,7 +14,7 @@ from .. import _json
 from .._system.progress import logger
 from ..errors import UnusableInput
 from ..identification import segments
-from ..identification.identified_model import IdentifiedModel, read_model
+from ..identification.identified_model import IdentifiedModel, model_file, read_model
 from ..identification.regression import IdentificationModel
 from ..payload.equations import build_payload_equations, payload_place
 from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
@@ -27,7 +27,6 @@ from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import COULOMB_WIDTH
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..schemas.document_file import DocumentFile
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..trajectory.trajectory_file import read_trajectory
 from .identification_result import (
@@ -274,7 +273,7 @@ def _recordings_of(path: Path) -> list[Path]:
     Raises:
         UnusableInput: The file is no model, or a recording is no longer in its place.
     """
-    file = DocumentFile(path, "a model", "identify again", "the model.json of 'excite identify'")
+    file = model_file(path)
     content = file.json()
     file.schema(content, (MODEL_SCHEMA,))
     out = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,6 +36,7 @@ class SimulatedRecording:
         severity: RMS of the effects' torque after a refit of the base model, over the noise RMS
             [1].
         severity_trusted: The same without a refit [1].
+        units: Unit of the torque of each joint, "N m" or "N".
     """
 
     recording: Any
@@ -44,6 +45,7 @@ class SimulatedRecording:
     undisturbed: Any
     severity: float
     severity_trusted: float
+    units: Mapping[str, str]
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -70,7 +72,9 @@ class SimulatedRecording:
         """Plot the torque with and without the hidden effects, as SVG."""
         from ..report.figures.simulation import torque_with_and_without_effects
 
-        return torque_with_and_without_effects(self.recording, self.undisturbed, self.effects)
+        return torque_with_and_without_effects(
+            self.recording, self.undisturbed, self.effects, self.units
+        )
 
     def save(self, path: str | Path) -> list[Path]:
         """Write the CSV file, its sidecar, its ground truth and a plot; return their paths.
@@ -182,7 +186,7 @@ def simulate(
         locate(str(robot)),
         None if like is None else _read_sibling(Path(like), stated),
     )
-    urdf.read(source)  # the simulator has a reader of its own, which checks less
+    description = urdf.read(source)  # the simulator has a reader of its own, which checks less
     chosen = _setting(given, None if sibling is None else sibling.setting)
     # the simulator has a reader of its own, which does not validate the file
     designed = trajectory_file.read_trajectory(Path(trajectory))
@@ -231,8 +235,9 @@ def simulate(
         "severity_trusted": dict(zip(plant.joints, unfitted.joints.tolist(), strict=True)),
     }
     truth = {"schema": session.truth["schema"], **facts, **session.truth}
+    units = {name: entry.unit("N m") for name, entry in description.joints.items()}
     return SimulatedRecording(
-        session.recording, truth, hidden, undisturbed, refit.value, unfitted.value
+        session.recording, truth, hidden, undisturbed, refit.value, unfitted.value, units
     )
 
 

@@ -22,6 +22,7 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..robot.samples import MIN_TRAVEL, Samples
 from ..trajectory import trajectory_file
+from ..trajectory.trajectory_file import Trajectory
 from .identification_result import REFERENCE_RATE
 
 MAX_TASK_SAMPLES = 4000
@@ -116,10 +117,19 @@ def _task_samples(path: Path, robot: Robot) -> Samples:
         samples = recording.samples()
         step = max(1, round(recording.rate / REFERENCE_RATE))
         return samples.rows(slice(None, None, step))
+    return trajectory_samples(path, robot)[0]
+
+
+def trajectory_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory]:
+    """Read a trajectory and its samples at REFERENCE_RATE.
+
+    Raises:
+        UnusableInput: The file cannot be used, or moves other joints.
+    """
     trajectory = trajectory_file.read_trajectory(path)
     if trajectory.joints != robot.joints:
         raise UnusableInput(
             f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; "
             "choose them with --joints"
         )
-    return trajectory.motion.samples(trajectory.motion.grid(REFERENCE_RATE))
+    return trajectory.motion.samples(trajectory.motion.grid(REFERENCE_RATE)), trajectory

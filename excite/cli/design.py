@@ -6,8 +6,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from .. import api
 from .._system.output_files import output_folder
 from .._system.progress import logger
@@ -15,9 +13,8 @@ from ..api.design_result import DESIGN_FILES
 from ..api.identification_result import REFERENCE_RATE
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
-from ..designer.options import DesignOptions, torque_noise_levels
+from ..designer.options import DesignOptions
 from ..robot.robot import Robot
-from ..trajectory.trajectory_file import Trajectory
 from . import options as shared
 from . import static_design, support_design
 from .outcome import Outcome, with_files, written_lines
@@ -32,7 +29,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 def _design(arguments: argparse.Namespace) -> Outcome:
     if arguments.floating:
         return support_design.run(arguments)
-    support_design.require_floating(arguments)
+    shared.require_floating(arguments, support_design.FLOATING_ONLY)
     if arguments.static or arguments.poses is not None:
         return static_design.run(arguments)
     robot = shared.robot(arguments)
@@ -83,13 +80,6 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> DesignOptions:
     )
 
 
-def _noise(trajectory: Trajectory) -> str:
-    """Describe the torque noise that the number of identifiable directions assumes."""
-    default = np.allclose(trajectory.noise, torque_noise_levels(trajectory.limits, None))
-    source = trajectory.design.get("torque_noise_source", "as stated")
-    return "1 % of the torque limits" if default else str(source)
-
-
 def _optimum(result: api.DesignResult) -> str:
     """State the value of what was optimised."""
     trajectory, design = result.trajectory, result.delivery.design
@@ -111,9 +101,11 @@ def _optimum(result: api.DesignResult) -> str:
 def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path]) -> str:
     trajectory, certificate = result.trajectory, result.delivery.certificate
     directions = f"{document['identifiable']} of {document['base_parameters']} directions"
+    source = trajectory.design.get("torque_noise_source", "as stated")
+    noise = shared.noise_in_words(trajectory.noise, trajectory.limits, source)
     lines = [
         f"{document['robot']}: {directions} practically identifiable "
-        f"(torque noise {_noise(trajectory)}, {REFERENCE_RATE:g} rows a second)",
+        f"(torque noise {noise}, {REFERENCE_RATE:g} rows a second)",
         _optimum(result) if result.payload is None else result.payload.text,
         f"{trajectory.motion.duration:.2f} s: "
         f"{' → '.join(s.kind for s in trajectory.motion.segments)}",

@@ -23,7 +23,9 @@ from . import options as shared
 from .floating_identify import load
 from .outcome import Outcome, written_lines
 
-FLOATING_ONLY = {"--rows": "rows", "--wrench-noise": "wrench_noise"}
+UNSUPPORTED = ("--trajectory",)
+"""Options of `excite identifiability` that a floating base does not have."""
+FLOATING_ONLY = ("--rows", "--wrench-noise")
 """Options that only a floating base has."""
 MAX_RATE_SHARE = 0.4
 """Cutoff frequency of the motion over its rate, at most."""
@@ -33,6 +35,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite identifiability --floating`."""
     from .. import report
 
+    shared.refuse_with_floating(arguments, UNSUPPORTED)
     output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
     robot = load(arguments)
     rows = Rows(arguments.rows or "base")

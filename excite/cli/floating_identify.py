@@ -17,23 +17,23 @@ from ..robot.floating_base import FloatingRobot, Rows
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
-UNSUPPORTED = {
-    "--align": "align",
-    "--hausman": "hausman",
-    "--simulate": "simulate",
-    "--refine": "refine",
-    "--check-lmi": "check_lmi",
-    "--prior": "prior",
-    "--period": "period",
-    "--window": "window",
-    "--trajectory": "trajectory",
-}
+UNSUPPORTED = (
+    "--align",
+    "--hausman",
+    "--simulate",
+    "--refine",
+    "--check-lmi",
+    "--prior",
+    "--period",
+    "--window",
+    "--trajectory",
+)
 """Options of `excite identify` that a floating base does not have."""
-FLOATING_ONLY = {
-    "--rows": "rows",
-    "--symmetric": "symmetric",
-    "--no-wrench-offsets": "no_wrench_offsets",
-}
+FLOATING_ONLY = (
+    "--rows",
+    "--symmetric",
+    "--no-wrench-offsets",
+)
 """Options that only a floating base has."""
 
 

@@ -14,24 +14,24 @@ from ..recordings.floating_signals import WORLD
 from . import options as shared
 from .outcome import Outcome, written_lines
 
-UNSUPPORTED = {
-    "--effect": "effect",
-    "--dense": "dense",
-    "--severity": "severity",
-    "--trusted": "trusted",
-    "--like": "like",
-    "--periods": "periods",
-    "--noise": "noise",
-    "--colour": "colour",
-    "--jitter": "jitter",
-    "--encoder": "encoder",
-}
+UNSUPPORTED = (
+    "--effect",
+    "--dense",
+    "--severity",
+    "--trusted",
+    "--like",
+    "--periods",
+    "--noise",
+    "--colour",
+    "--jitter",
+    "--encoder",
+)
 """Options of `excite simulate` that a floating base does not have."""
-FLOATING_ONLY = {
-    "--contact": "contact",
-    "--wrench-noise": "wrench_noise",
-    "--torque-noise": "torque_noise",
-}
+FLOATING_ONLY = (
+    "--contact",
+    "--wrench-noise",
+    "--torque-noise",
+)
 """Options that only a floating base has."""
 
 

@@ -52,7 +52,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     written = output.replace(contents)
     document = json.loads(text)
     identifiable = sum(bool(direction["identifiable"]) for direction in document["directions"])
-    assumed = "1 % of the torque limits" if stated is None else "as stated"
+    source = "as stated" if trajectory is None or stated else f"of {arguments.motion}"
+    assumed = shared.noise_in_words(noise, limits, source)
     line = (
         f"{robot.name}: {identifiable} of {base.count} directions practically identifiable "
         f"(torque noise {assumed}, {REFERENCE_RATE:g} rows a second)"

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
+from .._types import FloatArray
 from ..api.design_result import CellOptions
 from ..api.robots import load_robot, resolve_limits
-from ..designer.options import WorkspaceBox
+from ..designer.options import WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
 from ..robot import inertial_parameters
 from ..robot.limits import Limits
 from ..robot.robot import Payload, Robot
 
-OF_EXCITATION = {
-    "--jobs": "jobs",
-    "--backend": "backend",
-    "--cluster": "cluster",
-    "--parameters": "parameters",
-    "--without": "without",
-    "--threshold": "threshold",
-}
-"""Options of `excite design` for periodic excitations alone, with the names of their attributes."""
+OF_EXCITATION = (
+    "--jobs",
+    "--backend",
+    "--cluster",
+    "--parameters",
+    "--without",
+    "--threshold",
+)
+"""Options of `excite design` for periodic excitations alone."""
+ATTRIBUTES = {"--for": "for_task"}
+"""Names of attributes that are not those of their options."""
 
 
 def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -57,12 +62,12 @@ def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def require_floating(arguments: argparse.Namespace, options: Mapping[str, str]) -> None:
+def require_floating(arguments: argparse.Namespace, options: Iterable[str]) -> None:
     """Check that no option of a floating base is given without `--floating`.
 
     Args:
         arguments: The arguments.
-        options: Names of the attributes by option.
+        options: The options.
 
     Raises:
         UnusableInput: One is.
@@ -70,12 +75,12 @@ def require_floating(arguments: argparse.Namespace, options: Mapping[str, str]) 
     refuse_given(arguments, options, "is for a robot with --floating; add it")
 
 
-def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, str]) -> None:
+def refuse_with_floating(arguments: argparse.Namespace, options: Iterable[str]) -> None:
     """Check that no option is given that a floating base does not have.
 
     Args:
         arguments: The arguments.
-        options: Names of the attributes by option.
+        options: The options.
 
     Raises:
         UnusableInput: One is.
@@ -83,18 +88,19 @@ def refuse_with_floating(arguments: argparse.Namespace, options: Mapping[str, st
     refuse_given(arguments, options, "is not available with --floating; leave it out")
 
 
-def refuse_given(arguments: argparse.Namespace, options: Mapping[str, str], reason: str) -> None:
+def refuse_given(arguments: argparse.Namespace, options: Iterable[str], reason: str) -> None:
     """Check that none of some options has another value than its default.
 
     Args:
         arguments: The arguments.
-        options: Names of the attributes by option.
+        options: The options.
         reason: Reason and remedy, for the message.
 
     Raises:
         UnusableInput: One has.
     """
-    for option, name in options.items():
+    for option in options:
+        name = ATTRIBUTES.get(option, option[2:].replace("-", "_"))
         if getattr(arguments, name) != arguments.default_of(name):
             raise UnusableInput(f"{option}: {reason}")
 
@@ -192,3 +198,15 @@ def boxes(arguments: argparse.Namespace) -> tuple[WorkspaceBox, ...]:
     return tuple(
         WorkspaceBox(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5])) for frame, v in arguments.box
     )
+
+
+def noise_in_words(noise: FloatArray, limits: Limits, source: str) -> str:
+    """Describe the torque noise that a number of identifiable directions assumes.
+
+    Args:
+        noise: Standard deviation for each joint. Shape (n,) [N m or N].
+        limits: Limits of the robot.
+        source: Its source where it is not the default.
+    """
+    default = np.allclose(noise, torque_noise_levels(limits, None))
+    return "1 % of the torque limits" if default else source

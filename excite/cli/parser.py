@@ -193,12 +193,24 @@ def _check(commands: Commands) -> None:
         metavar="FILE",
         help="write a limits file with what is known and blanks for the rest",
     )
-    sub.add_argument(
+    _packages_option(sub)
+
+
+def _packages_option(group: argparse._ActionsContainer, others: str = "") -> None:
+    group.add_argument(
         "--packages",
         metavar="DIR",
         action="append",
         default=[],
-        help="a folder of package:// meshes",
+        help=f"folder of package:// meshes{others}",
+    )
+
+
+def _robot_argument(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "robot",
+        metavar="ROBOT",
+        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
 
 
@@ -210,11 +222,7 @@ def _robot_options(sub: argparse.ArgumentParser, *, payload: bool = True) -> Non
         payload: Whether a payload and the robot's mass may be stated.
     """
     group = sub.add_argument_group("robot")
-    group.add_argument(
-        "robot",
-        metavar="ROBOT",
-        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
-    )
+    _robot_argument(group)
     group.add_argument(
         "--joints", metavar="A,B,…", help="joints that move; the others are locked (default: all)"
     )
@@ -263,7 +271,7 @@ def _payload_options(group: argparse._ActionsContainer) -> None:
     )
 
 
-def _model_options(sub: argparse.ArgumentParser) -> None:
+def _model_options(sub: argparse.ArgumentParser) -> argparse._ActionsContainer:
     group = sub.add_argument_group("parameters")
     group.add_argument(
         "--parameters",
@@ -281,19 +289,23 @@ def _model_options(sub: argparse.ArgumentParser) -> None:
         help="joint parameters to leave out: rotor_inertia, viscous, coulomb, offset",
     )
     group.add_argument(
+        "--threshold",
+        type=Number(VARIANCE),
+        default=IDENTIFIABLE_VARIANCE,
+        help="largest scale-free variance of an identifiable direction (default %(default)s)",
+    )
+    return group
+
+
+def _torque_noise_option(group: argparse._ActionsContainer, default: str) -> None:
+    group.add_argument(
         "--torque-noise",
         type=Numbers(Range(1e-9, 1e9, "N m or N")),
         metavar="SIGMA[,…]",
         help=(
             "standard deviation of the torque noise, one value or one per joint [N m] (default: "
-            "1 %% of the torque limit)"
+            f"{default})"
         ),
-    )
-    group.add_argument(
-        "--threshold",
-        type=Number(VARIANCE),
-        default=IDENTIFIABLE_VARIANCE,
-        help="largest scale-free variance of an identifiable direction (default %(default)s)",
     )
 
 
@@ -351,7 +363,7 @@ def _design(commands: Commands) -> None:
         sub, "folder for trajectory.json, trajectory.csv, identifiability.json, report.html"
     )
     _robot_options(sub)
-    _model_options(sub)
+    _torque_noise_option(_model_options(sub), "1 %% of the torque limit")
     _support_options(sub)
     group = sub.add_argument_group("criterion")
     group.add_argument(
@@ -578,16 +590,7 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
             "always touch)"
         ),
     )
-    group.add_argument(
-        "--packages",
-        metavar="DIR",
-        action="append",
-        default=[],
-        help=(
-            "folder of package:// meshes, in addition to ROS_PACKAGE_PATH and the folders of the "
-            "URDF"
-        ),
-    )
+    _packages_option(group, ", in addition to ROS_PACKAGE_PATH and the folders of the URDF")
     group.add_argument(
         "--no-collision", action="store_true", help="do not check distances; the files state it"
     )
@@ -609,13 +612,7 @@ def _sources(sub: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--robot", metavar="URDF", help="URDF of the robot")
     group.add_argument("--limits", metavar="FILE", help="limits file")
-    group.add_argument(
-        "--packages",
-        metavar="DIR",
-        action="append",
-        default=[],
-        help="folder of package:// meshes",
-    )
+    _packages_option(group)
 
 
 def _export(commands: Commands) -> None:
@@ -702,7 +699,9 @@ def _identifiability(commands: Commands) -> None:
         "motion", metavar="TRAJECTORY_OR_RECORDING", help="a trajectory.json or a recording"
     )
     _recording_options(sub)
-    _model_options(sub)
+    _torque_noise_option(
+        _model_options(sub), "that of a trajectory.json, else 1 %% of the torque limit"
+    )
     group = sub.add_argument_group("floating base")
     _floating_option(group)
     _rows_option(group, "base")
@@ -748,25 +747,7 @@ def _identify(commands: Commands) -> None:
         "(default: estimated; then all torques are ratios to them)",
     )
     _floating_options(sub)
-    group = sub.add_argument_group("parameters")
-    group.add_argument(
-        "--without",
-        metavar="A,B,…",
-        default="",
-        help="joint parameters to leave out: rotor_inertia, viscous, coulomb, offset",
-    )
-    group.add_argument(
-        "--parameters",
-        choices=("inertial", "full"),
-        default="full",
-        help="inertial: link inertial parameters only; full: also the joint parameters (default)",
-    )
-    group.add_argument(
-        "--threshold",
-        type=Number(VARIANCE),
-        default=IDENTIFIABLE_VARIANCE,
-        help="largest scale-free variance of an identified direction (default %(default)s)",
-    )
+    _model_options(sub)
     group = sub.add_argument_group("signals")
     _band_option(group)
     group.add_argument(
@@ -1079,11 +1060,7 @@ def _simulate(commands: Commands) -> None:
         "simulate",
         "record a simulated robot that follows a trajectory, with effects that its model lacks",
     )
-    sub.add_argument(
-        "robot",
-        metavar="ROBOT",
-        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
-    )
+    _robot_argument(sub)
     sub.add_argument(
         "trajectory",
         metavar="TRAJECTORY",
@@ -1120,7 +1097,7 @@ def _simulate(commands: Commands) -> None:
         metavar="NAME:JOINT[:k=v,…]",
         action="append",
         default=[],
-        help="hidden effect; 'list' prints all effects",
+        help="hidden effect; 'excite effects' lists their names",
     )
     sub.add_argument(
         "--dense",

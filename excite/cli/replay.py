@@ -26,21 +26,25 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
     written = output.replace(result.contents())
     document = result.document()
-    return 0, with_files(document, written), "\n".join([*_lines(document), *written_lines(written)])
+    return (
+        0,
+        with_files(document, written),
+        "\n".join([*_lines(result, document), *written_lines(written)]),
+    )
 
 
-def _lines(document: dict[str, Any]) -> list[str]:
+def _lines(result: api.ReplayResult, document: dict[str, Any]) -> list[str]:
     """The errors of the free run as a table."""
     robots = document["robots"]
     lines = [f"{document['command']} replayed over {document['seconds']:.4g} s; RMS error"]
     names = "".join(f"{robot['name']!s:>30}" for robot in robots)
     lines.append(f"{'joint':25}{names}")
-    for joint in robots[0]["position_rmse"]:
+    for entry in result.model.model.robot.entries:
         cells = ""
         for robot in robots:
-            torque = robot["torque_rmse"][joint]
-            force = "" if torque is None else f", {torque:.3g} N m"
-            position = robot["position_rmse"][joint]
-            cells += f"{f'{position:.3g} rad{force}':>30}"
-        lines.append(f"{joint:25}{cells}")
+            torque = robot["torque_rmse"][entry.name]
+            force = "" if torque is None else f", {torque:.3g} {entry.unit('N m')}"
+            position = f"{robot['position_rmse'][entry.name]:.3g} {entry.unit('rad')}"
+            cells += f"{position + force:>30}"
+        lines.append(f"{entry.name:25}{cells}")
     return lines

@@ -14,22 +14,22 @@ from ..errors import UnusableInput
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
-UNSUPPORTED = {
-    "--plain": "plain",
-    "--given": "given",
-    "--for": "for_task",
-    "--discriminate": "discriminate",
-    "--validation": "validation",
-    "--time": "time",
-    "--period": "period",
-    "--optimise-period": "optimise_period",
-    "--harmonics": "harmonics",
-    "--periods": "periods",
-    "--samples": "samples",
-    "--starts": "starts",
-    "--iterations": "iterations",
-    **shared.OF_EXCITATION,
-}
+UNSUPPORTED = (
+    "--plain",
+    "--given",
+    "--for",
+    "--discriminate",
+    "--validation",
+    "--time",
+    "--period",
+    "--optimise-period",
+    "--harmonics",
+    "--periods",
+    "--samples",
+    "--starts",
+    "--iterations",
+    *shared.OF_EXCITATION,
+)
 """Options of `excite design` that static poses do not have."""
 
 

@@ -19,48 +19,39 @@ from . import floating_identify
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
-UNSUPPORTED = {
-    "--plain": "plain",
-    "--given": "given",
-    "--for": "for_task",
-    "--for-payload": "for_payload",
-    "--static": "static",
-    "--poses": "poses",
-    "--discriminate": "discriminate",
-    "--validation": "validation",
-    "--period": "period",
-    "--optimise-period": "optimise_period",
-    "--time": "time",
-    "--periods": "periods",
-    "--samples": "samples",
-    "--start": "start",
-    "--box": "box",
-    "--floor": "floor",
-    "--no-floor": "no_floor",
-    "--force": "force",
-    "--speed": "speed",
-    **shared.OF_EXCITATION,
-}
+UNSUPPORTED = (
+    "--plain",
+    "--given",
+    "--for",
+    "--for-payload",
+    "--static",
+    "--poses",
+    "--discriminate",
+    "--validation",
+    "--period",
+    "--optimise-period",
+    "--time",
+    "--periods",
+    "--samples",
+    "--start",
+    "--box",
+    "--floor",
+    "--no-floor",
+    "--force",
+    "--speed",
+    *shared.OF_EXCITATION,
+)
 """Options of `excite design` that a design in support does not have."""
-SUPPORT_ONLY = {
-    "--support": "support",
-    "--sole": "sole",
-    "--cop-margin": "cop_margin",
-    "--friction": "friction",
-    "--duration": "duration",
-    "--motions": "motions",
-    "--wrench-noise": "wrench_noise",
-}
+FLOATING_ONLY = (
+    "--support",
+    "--sole",
+    "--cop-margin",
+    "--friction",
+    "--duration",
+    "--motions",
+    "--wrench-noise",
+)
 """Options that only a design in support has."""
-
-
-def require_floating(arguments: argparse.Namespace) -> None:
-    """Check that no option of a design in support is given without `--floating`.
-
-    Raises:
-        UnusableInput: One is.
-    """
-    shared.refuse_given(arguments, SUPPORT_ONLY, "is for a robot that stands; add --floating")
 
 
 def run(arguments: argparse.Namespace) -> Outcome:

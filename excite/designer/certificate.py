@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from ..collision import continuous_check, scene_file
 from ..collision.continuous_check import PairDistance
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..robot import base_parameters, dynamics, inertial_parameters
-from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, Stand, from_sources
+from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, Stand
 from ..robot.robot import Robot, require_possible_bodies
 from ..robot.samples import Samples
 from ..trajectory.fourier import VERIFICATION_DENSITY, oversampling_bound
@@ -376,30 +375,6 @@ def recompute_criteria(
         )
         for name, part in parts.items()
     }
-
-
-def verify_file(
-    trajectory: Trajectory,
-    robot: Robot,
-    *,
-    folder: Path | None = None,
-    limits_file: Path | None = None,
-    packages: Sequence[str] = (),
-) -> Certificate:
-    """Verify a trajectory against the sources of its limits and its cell as they are on disk.
-
-    Args:
-        trajectory: The file's content.
-        robot: The robot of its URDF.
-        folder: Folder of the file, where a limits file is looked for, too.
-        limits_file: Path of the limits file; None: as the trajectory states.
-        packages: Further folders of `package://` meshes.
-
-    Raises:
-        UnusableInput: The limits file is missing or cannot be read.
-    """
-    truth = from_sources(robot, trajectory.limits, limits_file, folder)
-    return verify_with_cell_on_disk(trajectory, robot, truth, packages)
 
 
 def verify_with_cell_on_disk(

@@ -322,18 +322,3 @@ def select_criterion(criteria: Mapping[str, object], criterion: Criterion, *, pl
         return float(criteria["cond_regressor"])  # type: ignore[arg-type]
     metric = "plain" if plain else "geometric"
     return float(criteria[metric][criterion.value])  # type: ignore[index]
-
-
-def information_matrix(Y: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the information Σₜ Yᵀ Σ⁻¹ Y of all samples, in standard parameters.
-
-    Args:
-        Y: Regressor along the motion. Shape (N, n, P).
-        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
-
-    Returns:
-        Information matrix. Shape (P, P).
-    """
-    rows = (Y / noise[:, None]).reshape(-1, Y.shape[2])
-    out: FloatArray = rows.T @ rows
-    return out

@@ -140,7 +140,6 @@ class Separations:
 
     Attributes:
         values: T of each comparison. Shape (c,).
-        sizes: Squared torque of the true explanation after projection off the base. Shape (c,).
         coefficients: u of each comparison and column of its factor. Shape (K, t).
         base_coefficients: θ likewise. Shape (p, t).
         residuals: r likewise. Shape (m, t).
@@ -148,7 +147,6 @@ class Separations:
     """
 
     values: FloatArray
-    sizes: FloatArray
     coefficients: FloatArray
     base_coefficients: FloatArray
     residuals: FloatArray
@@ -182,8 +180,7 @@ def separations(
     """
     projection = BaseProjection.of(rows)
     gram = projection.gram
-    values, sizes = np.zeros(len(comparisons)), np.zeros(len(comparisons))
-    solutions, owner = [], []
+    values, solutions, owner = np.zeros(len(comparisons)), [], []
     for index, comparison in enumerate(comparisons):
         place = slices[comparison.true]
         factor = explanations[comparison.true].factor
@@ -197,12 +194,11 @@ def separations(
         u[others] -= _independent_solution(gram[np.ix_(others, others)], cross)
         solutions.append(u)
         owner += [index] * factor.shape[1]
-        sizes[index] = float(np.sum(factor * (gram[place, place] @ factor)))
     u = np.hstack(solutions) if solutions else np.zeros((len(gram), 0))
     theta = projection.coefficients @ u
     residuals = rows.columns @ u - rows.base @ theta
     np.add.at(values, owner, np.sum(residuals**2, axis=0))
-    return Separations(values, sizes, u, theta, residuals, np.array(owner, int))
+    return Separations(values, u, theta, residuals, np.array(owner, int))
 
 
 @dataclass(frozen=True)

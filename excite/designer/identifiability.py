@@ -228,39 +228,6 @@ def information_root(
     return root
 
 
-def analyse_information(
-    parameters: Parameters,
-    base: Base,
-    information: FloatArray,
-    noise: FloatArray,
-    robot: NamedRows,
-    *,
-    threshold: float = IDENTIFIABLE_VARIANCE,
-    samples: int | None = None,
-) -> Identifiability:
-    """Analyse identifiability from an information matrix.
-
-    `analyse_root` is more accurate where the eigenvalues differ much; prefer it where the regressor
-    is available.
-
-    Args:
-        parameters: Standard parameters of the robot.
-        base: Its base parameters.
-        information: Σₜ Yᵀ Σ⁻¹ Y of the whole recording, in standard parameters. Shape (P, P).
-        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
-        robot: The robot.
-        threshold: Largest scale-free variance of an identifiable direction [1].
-        samples: Number of samples of the recording, for the record.
-    """
-    values, vectors = np.linalg.eigh(base.geometric.T @ information @ base.geometric)
-    # smaller eigenvalues are rounding noise
-    excited = np.where(
-        values > len(values) * np.finfo(float).eps * max(float(values[-1]), 0.0), values, 0.0
-    )
-    eigensystem = _Eigensystem(parameters, base, excited[::-1], vectors[:, ::-1])
-    return _describe(eigensystem, robot, noise, threshold, samples)
-
-
 def analyse_root(
     parameters: Parameters,
     base: Base,

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from .._types import FloatArray
-from ..robot.inertial_parameters import Parameters, inverse_root
+from ..robot.inertial_parameters import Parameters, frame_map, inverse_root
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .criteria import Weighting
@@ -135,25 +135,8 @@ def payload_deviation(
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     covariance = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12)
     covariance = (covariance / np.outer(scale, scale))[:LINK_PARAMETERS, :LINK_PARAMETERS]
-    change = frame_change(placement.inverse())
+    change = frame_map(placement.inverse().homogeneous)
     std = np.sqrt(np.maximum(np.diag(change @ covariance @ change.T), 0.0))
     inverse = np.linalg.inv(_ball_root(placement))
     metric = np.sqrt(max(float(np.trace(inverse @ covariance @ inverse.T)), 0.0))
     return PayloadDeviation(float(std[0]), std[1:4], std[4:], float(metric))
-
-
-def frame_change(placement: pin.SE3) -> FloatArray:
-    """Map of inertial parameters from a frame to its parent. Shape (10, 10).
-
-    Parameters are linear in the mass distribution: twice ten bodies span them.
-    """
-    rng, bodies = np.random.default_rng(0), list[pin.Inertia]()
-    for _ in range(2 * LINK_PARAMETERS):
-        moments = rng.uniform(1.0, 1.5, 3)
-        axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        bodies.append(
-            pin.Inertia(rng.uniform(0.5, 1.5), rng.normal(size=3), (axes * moments) @ axes.T)
-        )
-    before = np.array([body.toDynamicParameters() for body in bodies])
-    after = np.array([placement.act(body).toDynamicParameters() for body in bodies])
-    return np.asarray(np.linalg.lstsq(before, after, rcond=None)[0].T)

@@ -22,7 +22,7 @@ from ..collision import clearance_builder
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import CheckFailed, Infeasible
 from ..robot import dynamics, inertial_parameters
-from ..robot.inertial_parameters import Parameters, spread_poses
+from ..robot.inertial_parameters import Parameters, frame_map, spread_poses
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
@@ -34,7 +34,7 @@ from .certificate import CELL_KEY, Certificate
 from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .options import DesignOptions, torque_noise_levels
-from .payload_weighting import LINK_PARAMETERS, frame_change, predicted_text
+from .payload_weighting import LINK_PARAMETERS, predicted_text
 from .ramps import EXTRA_CLEARANCE, RampPlanner, with_derived_limits
 
 GRAVITY_PARAMETERS = 4
@@ -216,7 +216,8 @@ class _StaticProblem:
     def deviation(self, chosen: _PoseSet) -> StaticDeviation:
         """Predict the standard deviations of a payload by chosen poses."""
         covariance = np.linalg.inv(_information(chosen.rows))
-        change = frame_change(self._placement.inverse())[:GRAVITY_PARAMETERS, :GRAVITY_PARAMETERS]
+        gravity = slice(GRAVITY_PARAMETERS)
+        change = frame_map(self._placement.inverse().homogeneous)[gravity, gravity]
         std = np.sqrt(np.diag(change @ covariance @ change.T))
         return StaticDeviation(float(std[0]), std[1:4], self.friction)
 

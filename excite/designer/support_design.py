@@ -265,7 +265,7 @@ def design_support(
         if surroundings is None
         else support_cell.find_cell(robot, limits, stance, surroundings)
     )
-    search = _Search(robot, limits, options, stance, cell, reason or NOT_CHECKED)
+    search = SupportSearch(robot, limits, options, stance, cell, reason or NOT_CHECKED)
     motions: list[PhaseProfile] = []
     certificates: list[Certificate] = []
     roots: list[FloatArray] = []
@@ -320,7 +320,7 @@ def _check_options(options: SupportOptions) -> None:
         raise UnusableInput("--friction should be positive and --cop-margin 0 or more")
 
 
-class _Search:
+class SupportSearch:
     """Search for the motions of a sequence.
 
     Attributes:
@@ -373,7 +373,7 @@ class _Search:
             np.maximum(usable - friction, 1e-3 * usable),
         )
 
-    def _problem(self, joint_reserve: float, contact_reserve: float) -> SupportProblem:
+    def problem(self, joint_reserve: float, contact_reserve: float) -> SupportProblem:
         """Return the problem of the next motion, which keeps shares of its limits free."""
         options = self.options.design_options()
         places = np.concatenate(
@@ -408,7 +408,7 @@ class _Search:
         reserves, reason = list(FIRST_RESERVES), ""
         x = self._apart(reserves, number)
         for tightening in range(MAX_TIGHTENINGS + 1):
-            problem = self._problem(*reserves)
+            problem = self.problem(*reserves)
             if tightening:
                 x = self._repaired(SupportEvaluator(problem), x)
             motion = problem.motion(x)
@@ -436,12 +436,12 @@ class _Search:
             reserves: Shares of joint limits and contact limits that are kept free.
             number: Number of the motion.
         """
-        evaluator = SupportEvaluator(self._problem(*reserves))
+        evaluator = SupportEvaluator(self.problem(*reserves))
         state = self._optimised(evaluator, sqp.initial_state(self._start(evaluator, number)))
         for _ in range(MAX_COLLISION_ROUNDS):
             if not self._clearance.add_near_pairs(evaluator.clearance_poses(state.best)):
                 break
-            evaluator = SupportEvaluator(self._problem(*reserves))
+            evaluator = SupportEvaluator(self.problem(*reserves))
             state = self._optimised(evaluator, sqp.initial_state(_shrink(evaluator, state.best)))
         return state.best
 

@@ -211,19 +211,6 @@ class SupportTrajectory:
         return Stance(feet, self.contact, weight, self.base, self.pose)
 
 
-def read_support_trajectory(path: Path) -> SupportTrajectory:
-    """Read the `trajectory.json` of a design in support.
-
-    Args:
-        path: Path of the file.
-
-    Raises:
-        UnusableInput: The file is missing, is of another schema, or breaks a rule of
-            `schemas.support_trajectory`.
-    """
-    return parse_support_trajectory(_document_file(path).json(), path)
-
-
 def parse_support_trajectory(content: Any, path: Path) -> SupportTrajectory:
     """Validate the parsed JSON of the trajectory file of a design in support.
 

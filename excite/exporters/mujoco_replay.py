@@ -38,8 +38,6 @@ LARGEST_LAG = 0.03
 """Largest time by which the recorded torque is sought behind the command of the loop [s]."""
 SATURATION_MARGIN = 0.05
 """Time around saturated torque that is not fitted, as the low-pass filter smears it [s]."""
-START_SECONDS = 1.0
-"""Time from which the state of a loop's integrator is found [s]."""
 MIN_SEGMENT_ROWS = 50
 """Smallest number of rows of a recording that is replayed."""
 
@@ -237,25 +235,6 @@ def fit_position_loop(data: ReplayInput, limit: FloatArray, source: str) -> Posi
     lag = np.maximum([fit.late for fit in fits] - data.torque_delay, 0.0)
     never, explained = np.full(n, np.inf), np.array([fit.explained for fit in fits])
     return PositionLoop(x[0], x[1:4], x[4], np.zeros(n), never, lag, explained)
-
-
-def continued_loop(loop: PositionLoop, data: ReplayInput) -> PositionLoop:
-    """Return a loop with the state that its integrator has at the start of another recording.
-
-    The constant c is that of the recorded torque in the first `START_SECONDS`.
-
-    Args:
-        loop: The loop, fitted to one recording.
-        data: Another recording, with torque.
-    """
-    assert data.smooth_torque is not None
-    first = data.t < START_SECONDS
-    late = loop.lag + data.torque_delay
-    missing = [
-        np.mean(data.smooth_torque[first, j] - np.interp(data.t[first] - late[j], data.t, x))
-        for j, x in enumerate(loop_torque(loop, data).T)
-    ]
-    return dataclasses.replace(loop, constant=loop.constant + np.array(missing))
 
 
 def loop_torque(loop: PositionLoop, data: ReplayInput) -> FloatArray:

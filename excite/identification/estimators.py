@@ -429,22 +429,19 @@ def _instrumental(
     )
 
 
-def student_quantile(freedom: float, level: float = CONFIDENCE_LEVEL) -> float:
+def student_quantile(freedom: float) -> float:
     """Return Student's t for a two-sided interval, as the noise variance is estimated too."""
     from scipy import stats  # slow to import
 
-    return float(stats.t.ppf(0.5 + 0.5 * level, max(freedom, 1.0)))
+    return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE_LEVEL, max(freedom, 1.0)))
 
 
-def interval_half_widths(
-    estimate: Estimate, combinations: FloatArray, level: float = CONFIDENCE_LEVEL
-) -> FloatArray:
+def interval_half_widths(estimate: Estimate, combinations: FloatArray) -> FloatArray:
     """Compute half-widths of confidence intervals of linear combinations of θ.
 
     Args:
         estimate: The estimate.
         combinations: Coefficients of the combinations. Shape (m, p).
-        level: Confidence level.
 
     Returns:
         Half-widths; ∞ for combinations that the data do not excite. Shape (m,).
@@ -455,4 +452,4 @@ def interval_half_widths(
         np.maximum(np.einsum("mi,ij,mj->m", combinations, covariance, combinations), 0.0)
     )
     deviation[np.any(np.abs(combinations[:, hidden]) > 0.0, axis=1)] = np.inf
-    return student_quantile(estimate.degrees_of_freedom, level) * deviation
+    return student_quantile(estimate.degrees_of_freedom) * deviation

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,15 +17,21 @@ from ..recordings.floating_signals import COMPONENTS, WORLD
 from ..robot import floating_base
 from ..robot import robot as robots
 from ..robot.floating_base import FloatingRobot, Rows
-from ..robot.inertial_parameters import DRIVE, Parameters
+from ..robot.inertial_parameters import Parameters
 from ..schemas.document_file import DocumentFile
 from ..schemas.model import SCHEMA, ModelDocument
 from ..trajectory import trajectory_file
-from . import estimators, floating_regression
+from . import floating_regression
 from .floating_identification import FloatingIdentification
 from .floating_regression import RowFilter
 from .identification import MAX_BAND_SHARE, Prediction
-from .identified_model import INERTIAL_UNITS, JOINT_PARAMETER_UNITS, at_row_times, robot_entry
+from .identified_model import (
+    at_row_times,
+    base_parameter_table,
+    load_stated_urdf,
+    robot_entry,
+    standard_parameter_table,
+)
 from .lowpass import FRICTION_BANDWIDTH_RATIO, Grid
 from .urdf_export import identified_urdf
 
@@ -190,9 +195,13 @@ def model_document(
         "joints": list(robot.joints),
         "links": list(parameters.links),
         "drive": list(parameters.drive),
-        "standard_parameters": _standard_parameter_table(identification),
+        "standard_parameters": standard_parameter_table(
+            parameters, joint_robot, identification.posterior
+        ),
         "coulomb_width": dict(zip(robot.joints, model.widths.tolist(), strict=True)),
-        "base_parameters": _base_parameter_table(identification),
+        "base_parameters": base_parameter_table(
+            parameters, model.base, identification.data, identification.psi
+        ),
         "directions": [
             {
                 "variance": direction.variance,
@@ -232,49 +241,6 @@ def model_document(
     }
 
 
-def _standard_parameter_table(identification: FloatingIdentification) -> list[dict[str, Any]]:
-    """Nominal and identified value, standard deviation and unit of each standard parameter."""
-    parameters = identification.model.parameters
-    deviation = np.sqrt(np.maximum(np.diag(identification.posterior.covariance), 0.0))
-    entries = identification.model.robot.joint_robot.entries
-    units = [*INERTIAL_UNITS] * parameters.bodies + [
-        entry.unit(JOINT_PARAMETER_UNITS[kind]) for kind in parameters.drive for entry in entries
-    ]
-    keys = ("name", "of", "nominal", "value", "std", "unit")
-    columns = (
-        parameters.names,
-        parameters.owners(),
-        parameters.nominal.tolist(),
-        identification.psi.tolist(),
-        deviation.tolist(),
-        units,
-    )
-    return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
-
-
-def _base_parameter_table(identification: FloatingIdentification) -> list[dict[str, Any]]:
-    """Base parameters: nominal, from the data with 95 % interval, and of the model."""
-    base, data = identification.model.base, identification.data
-    parameters = identification.model.parameters
-    half = estimators.interval_half_widths(data, np.eye(base.count))
-    spread = base.matrix @ identification.posterior.covariance @ base.matrix.T
-    value, nominal = base.matrix @ identification.psi, base.matrix @ parameters.nominal
-    return [
-        {
-            "name": parameters.names[base.independent[k]],
-            "expression": base.expressions[k],
-            "nominal": float(nominal[k]),
-            "value": float(value[k]),
-            "std": float(np.sqrt(max(spread[k, k], 0.0))),
-            "data": float(data.theta[k]) if np.isfinite(half[k]) else None,
-            "interval": [float(data.theta[k] - half[k]), float(data.theta[k] + half[k])]
-            if np.isfinite(half[k])
-            else None,
-        }
-        for k in range(base.count)
-    ]
-
-
 def prediction_summary(prediction: Prediction, rows: Sequence[str]) -> dict[str, Any]:
     """Return the errors of one recording, row by row."""
     signals = prediction.measured.std(axis=0)
@@ -306,29 +272,15 @@ def model_from_document(file: DocumentFile, content: Any) -> FloatingIdentifiedM
     document = file.converted(content, ModelDocument)
     stated = document.floating_base
     assert stated is not None
-    with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder) / "identified.urdf"
-        urdf.write_text(document.urdf, encoding="utf-8")
-        try:
-            fixed = robots.load(
-                str(urdf),
-                joints=document.joints,
-                gravity=document.robot.gravity,
-                require_mass=False,
+    robot, drive = load_stated_urdf(
+        file,
+        document,
+        lambda path: floating_base.load(
+            robots.load(
+                path, joints=document.joints, gravity=document.robot.gravity, require_mass=False
             )
-            robot = floating_base.load(fixed)
-        except UnusableInput as error:
-            raise file.error(str(error).replace(str(urdf), "the URDF in it"), "urdf") from error
-    drive = tuple(kind for kind in DRIVE if kind in document.drive)
-    if (
-        list(robot.joints) != document.joints
-        or list(robot.links) != document.links
-        or list(drive) != document.drive
-    ):
-        raise file.error(
-            "its joints, links and joint parameters are not in the order of the URDF in it",
-            "urdf",
-        )
+        ),
+    )
     for frame in stated.contacts:
         floating_base.require_frame(robot, frame, str(file.path))
     return FloatingIdentifiedModel(

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from .._types import FloatArray
-from ..robot.dynamics import regressor
+from ..robot.dynamics import inverse_dynamics, regressor
 from ..robot.inertial_parameters import model_with_inertias
 from ..robot.samples import Samples
 from .regression import IdentificationModel
@@ -112,17 +112,8 @@ class RobotDynamics:
 
     def rigid_torque(self, motion: Samples) -> FloatArray:
         """Compute the torque of links and rotors along a motion, without friction. Shape (N, n)."""
-        spread = self.model.robot.spread
-        rows = zip(
-            self.model.robot.expand(motion.q),
-            motion.dq @ spread.T,
-            motion.ddq @ spread.T,
-            strict=True,
-        )
-        return np.asarray(
-            np.array([pin.rnea(self.body, self.data, *row) for row in rows]) @ spread
-            + self.inertia * motion.ddq
-        )
+        links = inverse_dynamics(self.model.robot, self.body, motion)
+        return np.asarray(links + self.inertia * motion.ddq)
 
     def regressor(self, motion: Samples) -> FloatArray:
         """Compute Γ with the widths of this model. Shape (N, n, p)."""

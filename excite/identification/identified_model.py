@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from .. import __version__
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..recordings import Recording
+from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
+from ..robot.floating_base import FloatingRobot
 from ..robot.inertial_parameters import DRIVE, Parameters
 from ..robot.robot import Robot, load
 from ..robot.samples import Samples
@@ -24,13 +26,16 @@ from ..schemas.model import SCHEMA, ModelDocument, PositionLoopDocument
 from ..trajectory import trajectory_file
 from . import estimators
 from .consistency import ConsistentEstimate, Prior
+from .estimators import Estimate
 from .hausman_test import HausmanTest
 from .identification import MAX_BAND_SHARE, Identification, Prediction
 from .link_estimates import LinkEstimate, link_estimates
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
-from .regression import BLOCK_ROWS, IdentificationModel
+from .regression import BLOCK_ROWS
 from .simulation_error import SimulationError
 from .urdf_export import identified_urdf
+
+StatedRobot = TypeVar("StatedRobot", Robot, FloatingRobot)
 
 JOINT_PARAMETER_UNITS = {
     "rotor_inertia": "kg m²",
@@ -244,10 +249,12 @@ def model_document(
         "links": list(parameters.links),
         "drive": list(parameters.drive),
         "standard_parameters": standard_parameter_table(
-            identification.model, identification.posterior, identification.reduced.psi
+            parameters, robot, identification.posterior, identification.reduced.psi
         ),
         "coulomb_width": dict(zip(robot.joints, widths.tolist(), strict=True)),
-        "base_parameters": base_parameter_table(identification),
+        "base_parameters": base_parameter_table(
+            parameters, identification.model.base, data, identification.psi
+        ),
         "directions": _direction_table(identification),
         "identifiable": identification.analysis.identifiable_count,
         "threshold": identification.options.threshold,
@@ -306,21 +313,24 @@ def robot_entry(robot: Robot) -> dict[str, Any]:
 
 
 def standard_parameter_table(
-    model: IdentificationModel, posterior: ConsistentEstimate, reduced: FloatArray | None = None
+    parameters: Parameters,
+    robot: Robot,
+    posterior: ConsistentEstimate,
+    reduced: FloatArray | None = None,
 ) -> list[dict[str, Any]]:
     """Return nominal and identified value, standard deviation and unit of each parameter.
 
     Args:
-        model: The model.
+        parameters: The standard parameters.
+        robot: The robot.
         posterior: The estimate.
         reduced: Values with the unidentified directions at their nominal values. Shape (P,).
     """
-    parameters = model.parameters
     deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0))
     joint_units = [
         entry.unit(JOINT_PARAMETER_UNITS[kind])
         for kind in parameters.drive
-        for entry in model.robot.entries
+        for entry in robot.entries
     ]
     units = [*INERTIAL_UNITS] * parameters.bodies + joint_units
     columns = (
@@ -370,14 +380,21 @@ def joint_gamma(parameters: Parameters, prior: Prior) -> dict[str, list[float]]:
     }
 
 
-def base_parameter_table(identification: Identification) -> list[dict[str, Any]]:
-    """Return the base parameters: nominal, from the data with 95 % interval, of the model."""
-    base, data = identification.model.base, identification.data
-    names = [identification.model.parameters.names[i] for i in base.independent]
+def base_parameter_table(
+    parameters: Parameters, base: Base, data: Estimate, psi: FloatArray
+) -> list[dict[str, Any]]:
+    """Return the base parameters: nominal, from the data with 95 % interval, of the model.
+
+    Args:
+        parameters: The standard parameters.
+        base: The base parameters.
+        data: Their estimate from the data alone.
+        psi: Standard parameters of the model. Shape (P,).
+    """
+    names = [parameters.names[i] for i in base.independent]
     half = estimators.interval_half_widths(data, np.eye(base.count))
     deviation = np.sqrt(np.diag(data.covariance))
-    value = base.matrix @ identification.psi
-    nominal = base.matrix @ identification.model.parameters.nominal
+    value, nominal = base.matrix @ psi, base.matrix @ parameters.nominal
     return [
         {
             "name": names[k],
@@ -465,23 +482,11 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
             "is the model of a robot with a floating base, which only 'excite predict' reads",
             "floating_base",
         )
-    with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder) / "identified.urdf"
-        urdf.write_text(document.urdf, encoding="utf-8")
-        try:
-            robot = load(str(urdf), joints=document.joints, gravity=document.robot.gravity)
-        except UnusableInput as error:
-            raise file.error(str(error).replace(str(urdf), "the URDF in it"), "urdf") from error
-    drive = tuple(kind for kind in DRIVE if kind in document.drive)
-    if (
-        list(robot.joints) != document.joints
-        or list(robot.links) != document.links
-        or list(drive) != document.drive
-    ):
-        raise file.error(
-            "its joints, links and joint parameters are not in the order of the URDF in it",
-            "urdf",
-        )
+    robot, drive = load_stated_urdf(
+        file,
+        document,
+        lambda path: load(path, joints=document.joints, gravity=document.robot.gravity),
+    )
     psi = np.array([entry.value for entry in document.standard_parameters], float)
     widths = np.array([document.coulomb_width[joint] for joint in robot.joints], float)
     return IdentifiedModel(
@@ -494,3 +499,39 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
         tuple(document.effects),
         document.position_loop,
     )
+
+
+def load_stated_urdf(
+    file: DocumentFile, document: ModelDocument, loader: Callable[[str], StatedRobot]
+) -> tuple[StatedRobot, tuple[str, ...]]:
+    """Load the robot of the URDF in a `model.json`.
+
+    Args:
+        file: The file, for error messages.
+        document: Its content.
+        loader: Loads the robot from the path of a URDF.
+
+    Returns:
+        The robot and the kinds of its joint parameters.
+
+    Raises:
+        UnusableInput: The URDF is invalid, or its order is not that of the parameters.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        urdf = Path(folder) / "identified.urdf"
+        urdf.write_text(document.urdf, encoding="utf-8")
+        try:
+            robot = loader(str(urdf))
+        except UnusableInput as error:
+            raise file.error(str(error).replace(str(urdf), "the URDF in it"), "urdf") from error
+    drive = tuple(kind for kind in DRIVE if kind in document.drive)
+    if (
+        list(robot.joints) != document.joints
+        or list(robot.links) != document.links
+        or list(drive) != document.drive
+    ):
+        raise file.error(
+            "its joints, links and joint parameters are not in the order of the URDF in it",
+            "urdf",
+        )
+    return robot, drive

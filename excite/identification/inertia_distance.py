@@ -18,12 +18,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .._types import FloatArray
-from ..robot.inertial_parameters import metric, pseudo_inertia
+from ..robot.inertial_parameters import PSEUDO_INERTIA_BASIS, metric
 
 EIGENVALUE_ROUNDING = 1e-12
 """Rounding error of the smallest eigenvalue relative to the largest, subtracted to be safe."""
-PSEUDO_INERTIA_BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
-"""∂P/∂φ. Shape (10, 4, 4)."""
 MIN_EIGENVALUE = 1e-12
 """Smallest eigenvalue of M of which the Riemannian distance takes a logarithm."""
 EQUAL_EIGENVALUES = 1e-6

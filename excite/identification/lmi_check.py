@@ -16,7 +16,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..errors import UnusableInput
-from ..robot.inertial_parameters import Parameters
+from ..robot.inertial_parameters import PSEUDO_INERTIA_BASIS, Parameters
 from .consistency import (
     BARRIER_WEIGHTS,
     MIN_PSEUDO_INERTIA,
@@ -28,7 +28,7 @@ from .consistency import (
     map_objective,
     prior_information,
 )
-from .inertia_distance import PSEUDO_INERTIA_BASIS, Distance, distance_metrics, pseudo_inertias
+from .inertia_distance import Distance, distance_metrics, pseudo_inertias
 
 AGREEMENT_TOLERANCE = 1e-4
 """Difference of the objectives, relative to the objective where that is above 1, up to which the

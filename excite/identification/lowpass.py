@@ -154,8 +154,6 @@ class LowPassFilter:
         *,
         source: Grid = Grid.RECORDED,
         bandwidth_ratio: float = 1.0,
-        delay: float = 0.0,
-        time_constant: float = 0.0,
     ) -> FloatArray:
         """Filter signals and differentiate them, from one grid to a coarser one.
 
@@ -165,13 +163,11 @@ class LowPassFilter:
             order: Order of the time derivative.
             source: Grid of `x`.
             bandwidth_ratio: Cutoff in units of `hertz`; at most half the rate of `source`.
-            delay: Time by which the result is delayed [s].
-            time_constant: Time constant of an additional first-order lag [s].
 
         Returns:
             The derivative below the cutoff. Shape (samples(to), …).
         """
-        return self.transform(x, source).filter(to, order, bandwidth_ratio, delay, time_constant)
+        return self.transform(x, source).filter(to, order, bandwidth_ratio)
 
     def transform(self, x: FloatArray, source: Grid = Grid.RECORDED) -> SignalSpectrum:
         """Compute the Fourier coefficients of signals, to filter the same signals several times.
@@ -230,6 +226,8 @@ class SignalSpectrum:
         """Filter and differentiate the signals; arguments as in `LowPassFilter.filter`.
 
         Args:
+            delay: Time by which the result is delayed [s].
+            time_constant: Time constant of an additional first-order lag [s].
             response: Frequency response of an additional filter, a function of frequencies [Hz].
         """
         rate = self.band.rate_of(self.source)

@@ -22,6 +22,7 @@ import pinocchio as pin
 
 from .._types import BoolArray, FloatArray
 from ..recordings import Recording, Remark, RemarkKind
+from ..robot.dynamics import inverse_dynamics
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 
@@ -169,13 +170,10 @@ def nominal_torque(robot: Robot, motion: Samples) -> tuple[FloatArray, FloatArra
     Returns:
         Two arrays. Shapes (N, n) [N m or N].
     """
-    data, model, spread = robot.model.createData(), robot.model, robot.spread
-    q, dq, ddq = robot.expand(motion.q), motion.dq @ spread.T, motion.ddq @ spread.T
-    gravity = np.array([pin.computeGeneralizedGravity(model, data, row) for row in q]) @ spread
-    total = (
-        np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)]) @ spread
-    )
-    return gravity, total - gravity
+    model, data, q = robot.model, robot.model.createData(), robot.expand(motion.q)
+    held = np.array([pin.computeGeneralizedGravity(model, data, row) for row in q])
+    gravity = held @ robot.spread
+    return gravity, inverse_dynamics(robot, model, motion) - gravity
 
 
 def _comparison(

@@ -46,7 +46,9 @@ def servo_model_document(
         "joints": list(robot.joints),
         "links": list(parameters.links),
         "drive": list(parameters.drive),
-        "standard_parameters": standard_parameter_table(model, identification.posterior),
+        "standard_parameters": standard_parameter_table(
+            model.parameters, model.robot, identification.posterior
+        ),
         "coulomb_width": dict(zip(robot.joints, model.widths.tolist(), strict=True)),
         "identified_from": "position",
         "scale": {

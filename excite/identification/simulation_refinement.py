@@ -119,8 +119,6 @@ def refine(
     data: Estimate,
     prior: Prior,
     bounds: Bounds | None = None,
-    *,
-    anchored: bool = True,
 ) -> Refinement:
     """Refine parameters so that they predict positions best.
 
@@ -135,7 +133,6 @@ def refine(
         data: Equation-error estimate of the base parameters.
         prior: ψ₀, the distance and γ.
         bounds: Bounds of masses and centres of mass.
-        anchored: Keep the equation-error term in the cost.
 
     Raises:
         UnusableInput: There is no window, or the starting parameters lose the recorded motion.
@@ -155,9 +152,8 @@ def refine(
                 "inertia, or leave --refine out"
             )
     root, target = data.information_root @ model.base.matrix, data.information_root @ data.theta
-    kept = slice(None) if anchored else slice(0)
     weights = tuple(_error_weights(dynamics, windows) for windows in groups)
-    problem = _RefinementProblem(widened, groups, root[kept], target[kept], prior, bounds, weights)
+    problem = _RefinementProblem(widened, groups, root, target, prior, bounds, weights)
     iterate = _Iterate(start, tuple(windows.states for windows in groups))
     costs = [problem.cost(iterate)]
     for _ in range(MAX_STEPS):

@@ -14,7 +14,7 @@ import pinocchio as pin
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.floating_base import FloatingRobot
-from ..robot.inertial_parameters import Parameters, metric, of_pseudo_inertia, pseudo_inertia
+from ..robot.inertial_parameters import Parameters, frame_map, metric
 from .consistency import consistent_nominal, inertial_rows
 
 RELATIVE_DEVIATION = 0.05
@@ -76,13 +76,8 @@ def symmetry_root(
     nominal = inertial_rows(parameters, consistent_nominal(parameters))
     out = np.zeros((10 * len(pairs), parameters.count))
     for k, (i, j) in enumerate(pairs):
-        map_to_right = np.linalg.solve(placements[j], mirror @ placements[i])
-        reflected = np.array(
-            [
-                of_pseudo_inertia(map_to_right @ pseudo_inertia(unit) @ map_to_right.T)
-                for unit in np.eye(10)
-            ]
-        ).T
+        map_to_right = np.asarray(np.linalg.solve(placements[j], mirror @ placements[i]))
+        reflected = frame_map(map_to_right)
         root = np.linalg.cholesky(metric(nominal[j])).T / RELATIVE_DEVIATION
         out[10 * k : 10 * k + 10, 10 * j : 10 * j + 10] = root
         out[10 * k : 10 * k + 10, 10 * i : 10 * i + 10] = -root @ reflected

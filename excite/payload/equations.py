@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from .._types import FloatArray, IntArray
 from ..identification.friction_width import fit_widths
@@ -36,7 +35,7 @@ from ..identification.regression import (
 )
 from ..identification.segments import RecordingSegment
 from ..robot.dynamics import regressor
-from ..robot.inertial_parameters import pseudo_inertia
+from ..robot.inertial_parameters import frame_map
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 
@@ -79,27 +78,7 @@ def payload_place(robot: Robot, link: str) -> PayloadPlace:
         UnusableInput: There is no such link, or it does not move.
     """
     body, placement = robot.carrying_body(link, "--link")
-    return PayloadPlace(link, body, frame_map(placement))
-
-
-def frame_map(placement: pin.SE3) -> FloatArray:
-    """Return the map of inertial parameters from a frame to its parent, by P' = T P Tᵀ.
-
-    Args:
-        placement: Pose of the frame in its parent.
-
-    Returns:
-        Shape (10, 10).
-    """
-    T = placement.homogeneous
-    columns = []
-    for unit in np.eye(LINK_PARAMETERS):
-        P = T @ pseudo_inertia(unit) @ T.T
-        second = P[:3, :3]
-        tensor = np.trace(second) * np.eye(3) - second
-        moments = [tensor[k] for k in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
-        columns.append([P[3, 3], *P[:3, 3], *moments])
-    return np.array(columns).T
+    return PayloadPlace(link, body, frame_map(placement.homogeneous))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,12 @@ import pinocchio as pin
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..identification.estimators import Estimate, estimate, student_quantile
-from ..robot.inertial_parameters import metric, pseudo_inertia
+from ..robot.inertial_parameters import (
+    PSEUDO_INERTIA_BASIS,
+    metric,
+    of_pseudo_inertia,
+    pseudo_inertia,
+)
 from .equations import LINK_PARAMETERS, LOAD_SHAPES, SPEED_SHAPES, PayloadEquations
 from .shape import PayloadShape, ball_of_mass
 
@@ -37,7 +42,6 @@ SMALLEST_MASS = 1e-3
 """Mass that the prior has at least [kg]."""
 UNSHOWN_INFORMATION = 1e-14
 """Least information of a direction in coordinates of unit information: rounding leaves no more."""
-_UNITS = np.array([pseudo_inertia(unit) for unit in np.eye(LINK_PARAMETERS)])
 QUANTITIES = (
     ("mass", "kg"),
     ("centre_x", "m"),
@@ -278,10 +282,9 @@ def _start(
 
 def _body(mass: float, centre: FloatArray, second: FloatArray) -> FloatArray:
     """Inertial parameters of a body by its mass, centre and second moments over the mass."""
-    S = mass * (second + np.outer(centre, centre))
-    tensor = np.trace(S) * np.eye(3) - S
-    moments = [tensor[k] for k in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
-    return np.array([mass, *(mass * centre), *moments])
+    point, spread = np.append(centre, 1.0), np.zeros((4, 4))
+    spread[:3, :3] = second
+    return of_pseudo_inertia(mass * (np.outer(point, point) + spread))
 
 
 def _shaped(phi: FloatArray, shape: PayloadShape, mass: float | None) -> FloatArray:
@@ -313,11 +316,7 @@ def _shifts(phi: FloatArray) -> list[FloatArray]:
     for k in range(3):
         D = np.zeros((4, 4))
         D[k, 3] = 1.0
-        change = D @ P + P @ D.T
-        S = change[:3, :3]
-        tensor = np.trace(S) * np.eye(3) - S
-        moments = [tensor[i] for i in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
-        out.append(np.array([change[3, 3], *change[:3, 3], *moments]))
+        out.append(of_pseudo_inertia(D @ P + P @ D.T))
     return out
 
 
@@ -334,7 +333,7 @@ def _physical_body(
         start: A body from which to start. Shape (10,).
     """
     inverse0 = np.linalg.inv(pseudo_inertia(phi0))
-    linear = np.einsum("ab,iba->i", inverse0, _UNITS)
+    linear = np.einsum("ab,iba->i", inverse0, PSEUDO_INERTIA_BASIS)
 
     def value(phi: FloatArray) -> float:
         P = pseudo_inertia(phi)
@@ -347,7 +346,7 @@ def _physical_body(
 
     phi = start.copy()
     for _ in range(NEWTON_ITERATIONS):
-        scaled = np.linalg.solve(pseudo_inertia(phi), _UNITS)
+        scaled = np.linalg.solve(pseudo_inertia(phi), PSEUDO_INERTIA_BASIS)
         gradient = information @ (phi - target) + weight * (
             linear - np.trace(scaled, axis1=1, axis2=2)
         )

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import BoolArray, FloatArray
+from ..designer.static_poses import GRAVITY_PARAMETERS, SETTLING_TIME
 from ..errors import UnusableInput
 from ..identification.identified_model import IdentifiedModel
 from ..identification.regression import IdentificationModel
@@ -34,14 +35,10 @@ QUANTIZATION_RANGE = 12.0
 """The same over the standard deviation of the quantisation error: between three and four steps."""
 ARRIVAL_DISTANCE = 2.5
 """Distance from a pose at which the direction of the arrival is taken, over the largest range."""
-SETTLING_TIME = 0.25
-"""Time after an arrival in which torques settle and are not used [s]."""
 SHORTEST_REST = 0.3
 """Shortest rest without its settling time [s]."""
 FEWEST_RESTS = 3
 """Fewest poses that show mass and centre of mass."""
-GRAVITY_PARAMETERS = 4
-"""Parameters of a body that the torque at rest depends on: mass and first moments."""
 ITERATIONS = 4
 """Number of times that variances and the load in the friction are computed from the estimate."""
 FEWEST_RESTS_FOR_LOAD = 10

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from .design import design_page
-from .design_record import DesignRecord
 from .diagnosis import diagnosis_page
 from .identifiability import identifiability_page
 from .identification import identification_page
 
 __all__ = [
-    "DesignRecord",
     "design_page",
     "diagnosis_page",
     "identifiability_page",

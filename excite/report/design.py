@@ -17,6 +17,7 @@ from ..designer.discrimination_result import DiscriminationResult
 from ..designer.experiment_comparison import Scenario, compare_scenarios
 from ..designer.identifiability import Identifiability
 from ..designer.isolability_forecast import PairForecast
+from ..designer.multistart import Attempt
 from ..designer.stand_load import stand_loads
 from ..designer.task_variance import TaskPrediction
 from ..robot.base_parameters import Base
@@ -32,7 +33,6 @@ from .design_provenance import (
     is_for_purpose,
     provenance_section,
 )
-from .design_record import DesignRecord
 from .discrimination import discrimination_section, isolability_section
 from .figures import collision as collision_figures
 from .figures import time_budget as time_budget_figure
@@ -83,7 +83,6 @@ class _Subject:
     parameters: Parameters
     base: Base
     identifiability: Identifiability
-    record: DesignRecord
     cell: Cell | None = None
 
     @property
@@ -98,7 +97,7 @@ def design_page(
     parameters: Parameters,
     base: Base,
     identifiability: Identifiability,
-    record: DesignRecord,
+    attempts: Sequence[Attempt],
     *,
     cases: Sequence[Scenario] | None = None,
     second: Trajectory | None = None,
@@ -116,7 +115,7 @@ def design_page(
         parameters: Its nominal parameters.
         base: Its base parameters.
         identifiability: Analysis of the motion.
-        record: Course of the optimisation.
+        attempts: Results of all starts of the optimiser, the best first.
         cases: Results of `compare_scenarios`; None: computed here.
         second: A second motion for validation.
         cell: Bodies that must not touch, where clearances were checked.
@@ -125,7 +124,7 @@ def design_page(
         discrimination: What the recording is expected to decide between explanations.
         isolability: Expected log-odds between often confused effects, the least first.
     """
-    subject = _Subject(trajectory, robot, parameters, base, identifiability, record, cell)
+    subject = _Subject(trajectory, robot, parameters, base, identifiability, cell)
     if cases is None:
         cases = compare_scenarios(
             robot,
@@ -150,9 +149,9 @@ def design_page(
         *([isolability_section(isolability)] if isolability else []),
         *([] if second is None else [_validation_section(trajectory, second, robot)]),
         *([_plan_section(trajectory.design["plan"])] if "plan" in trajectory.design else []),
-        history_section(record),
+        history_section(attempts),
         criteria_section(trajectory),
-        provenance_section(trajectory, robot, parameters, record),
+        provenance_section(trajectory, robot, parameters),
     ]
     content = ReportContent(
         title=f"Excitation of {robot.name}",
@@ -171,11 +170,9 @@ def design_page(
     return render("design", content)
 
 
-def criterion_value(
-    criteria: Mapping[str, Any], name: str, plain: bool, part: str = "optimum"
-) -> float | None:
+def _criterion_value(criteria: Mapping[str, Any], name: str, plain: bool) -> float | None:
     """Look up a value of a trajectory's `criteria`; None where it is absent."""
-    entries = criteria.get(part, {})
+    entries = criteria.get("optimum", {})
     value = (
         entries.get(name)
         if name == "cond_regressor"
@@ -213,7 +210,7 @@ def _cards(subject: _Subject) -> list[tuple[str, str]]:
     motion = trajectory.motion
     name = str(trajectory.design.get("criterion", "a"))
     is_plain = bool(trajectory.design.get("plain", False))
-    value = criterion_value(trajectory.criteria, name, is_plain)
+    value = _criterion_value(trajectory.criteria, name, is_plain)
     criterion = (number(value), f"criterion: {_CRITERIA.get(name, name)}, per sample")
     return [
         *key_figures(subject.identifiability, subject.robot, subject.base),
@@ -286,7 +283,7 @@ def _identifiability_banner(identifiability: Identifiability) -> Banner:
 
 def _warnings(subject: _Subject) -> list[str]:
     """Further warnings to read before the motion is run."""
-    warnings = list(subject.record.notes)
+    warnings = list[str]()
     limits = subject.trajectory.limits
     if subject.parameters.repaired:
         links = ", ".join(subject.parameters.repaired)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
+from ..designer.multistart import Attempt
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import QUANTITIES
 from ..robot.robot import Robot
 from ..trajectory.rest_to_rest import SegmentKind
 from ..trajectory.trajectory_file import Trajectory
 from .content import Section, Table, TableCell
-from .design_record import DesignRecord
 from .figures import information_spectrum
 from .formatting import number, plural, significant
 
@@ -36,40 +36,36 @@ _LABELS = {
 _HIGHER_IS_BETTER = ("d", "e")
 
 
-def history_section(record: DesignRecord) -> Section:
+def history_section(attempts: Sequence[Attempt]) -> Section:
     """Build the section on the starts of the optimiser.
 
     It counts iterations, not seconds: a report is the same from run to run.
     """
-    starts, question = record.starts, "How was it found?"
-    if not starts:
-        return Section("history", question, "No history of the optimisation was kept.")
-    values = np.array([float(s["value"]) for s in starts])
-    best = starts[record.chosen]
-    iterations = plural(len(best["objective"]), "iteration")
-    if len(starts) == 1:
+    values, best = np.array([a.objective for a in attempts]), attempts[0]
+    iterations = plural(len(best.values), "iteration")
+    if len(attempts) == 1:
         answer = (
             f"The only start converged after {iterations}; a single start tells nothing about "
             "better local optima."
         )
     else:
-        near = int(np.sum(values <= values[record.chosen] + NEAR_BEST))
-        log_excess = float(values.max() - values[record.chosen])
+        near = int(np.sum(values <= values[0] + NEAR_BEST))
+        log_excess = float(values.max() - values[0])
         excess = max(100.0 * np.expm1(min(log_excess, MAX_LOG_EXCESS)), 0.0)
-        stopped = sum(bool(s.get("stopped")) for s in starts)
+        stopped = sum(a.stopped for a in attempts)
         behind = f" ({stopped} were stopped early, being behind)" if stopped else ""
         answer = (
-            f"The best of {len(starts)} starts is number {best['seed']}, after {iterations}; "
-            f"{near} of {len(starts)} starts end within {100 * NEAR_BEST:.0f} % of it, the worst "
+            f"The best of {len(attempts)} starts is number {best.number}, after {iterations}; "
+            f"{near} of {len(attempts)} starts end within {100 * NEAR_BEST:.0f} % of it, the worst "
             f"{significant(excess)} % above{behind}. One more start would be better with a "
-            f"probability of 1 in {len(starts) + 1}."
+            f"probability of 1 in {len(attempts) + 1}."
         )
-    infeasible = sum(not s["feasible"] for s in starts)
+    infeasible = sum(not a.feasible for a in attempts)
     data = {
-        "figure": Markup(information_spectrum.draw_history(record)),
+        "figure": Markup(information_spectrum.draw_history(attempts)),
         "infeasible": plural(infeasible, "start") if infeasible else "",
     }
-    return Section("history", question, answer, data)
+    return Section("history", "How was it found?", answer, data)
 
 
 def criteria_section(trajectory: Trajectory) -> Section:
@@ -164,9 +160,7 @@ def _ramps_answer(trajectory: Trajectory, before: float | None, after: float | N
     return f"{answer} and make the criterion per sample {size} {'worse' if is_worse else 'better'}."
 
 
-def provenance_section(
-    trajectory: Trajectory, robot: Robot, parameters: Parameters, record: DesignRecord
-) -> Section:
+def provenance_section(trajectory: Trajectory, robot: Robot, parameters: Parameters) -> Section:
     """Build the section on options, sources of limits, and versions."""
     motion, design = trajectory.motion, trajectory.design
     series = f"{motion.fourier.harmonics} harmonics of {1.0 / motion.fourier.period:.4g} Hz"
@@ -191,7 +185,6 @@ def provenance_section(
         "facts": Table(("option", "value"), [(k, v or "–") for k, v in facts.items()]),
         "limits": _limits_table(trajectory),
         "noise_source": _noise_source(trajectory),
-        "notes": list(record.notes),
     }
     answer = (
         f"With excite {trajectory.versions.get('excite', '')} and seed {trajectory.seed}; the same "

@@ -13,7 +13,7 @@ from ..identification.identification import Identification
 from ..identification.identified_model import JOINT_PARAMETER_UNITS, base_parameter_table
 from ..identification.link_estimates import link_estimates
 from ..robot.inertial_parameters import Parameters
-from ..robot.parameter_names import percent, spoken
+from ..robot.parameter_names import DRIVE_WORDS, percent, spoken
 from .content import Section, Table, TableCell
 from .figures import inertia_ellipsoids, information_spectrum
 from .figures import parameters as parameter_figures
@@ -29,12 +29,6 @@ NOTABLE_DISTANCE = 0.05
 """Distance of two inertias from which a change is notable: a mass by 7 %."""
 SMALLEST_DISTANCE = 0.01
 """Distances below this are not stated as numbers."""
-_DRIVE_WORDS = {
-    "rotor_inertia": "rotor inertia",
-    "viscous": "viscous friction",
-    "coulomb": "Coulomb friction",
-    "offset": "offset",
-}
 
 
 # -- base parameters -------------------------------------------------------------------------------
@@ -44,7 +38,7 @@ def parameters_section(identification: Identification) -> Section:
     """Build the section on base parameters, nominal and identified."""
     model = identification.model
     parameters, base = model.parameters, model.base
-    entries = base_parameter_table(identification)
+    entries = base_parameter_table(parameters, base, identification.data, identification.psi)
     scale = np.sqrt(identification.metric.norms(base.matrix))
     drive_start = 10 * parameters.bodies
     changes = [
@@ -141,8 +135,7 @@ def _drive_table(identification: Identification) -> Table:
         rows.append(cells)
     to_unit = robot.entries[0].unit if all(is_prismatic(robot)) else str
     head = [
-        f"{_DRIVE_WORDS[kind]} [{to_unit(JOINT_PARAMETER_UNITS[kind])}]"
-        for kind in parameters.drive
+        f"{DRIVE_WORDS[kind]} [{to_unit(JOINT_PARAMETER_UNITS[kind])}]" for kind in parameters.drive
     ]
     return Table(("joint", *head), rows)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,15 +42,12 @@ _DISTANCES = {
 def identification_page(
     identification: Identification,
     remarks: Sequence[Remark] = (),
-    *,
-    stated: Mapping[str, str] | None = None,
 ) -> str:
     """Render the report of `excite identify` as HTML.
 
     Args:
         identification: The result.
         remarks: Remarks of the data-quality checks on the recordings.
-        stated: Further facts to list, name to text.
     """
     content = ReportContent(
         title=f"Identification of {identification.model.robot.name}",
@@ -65,7 +62,7 @@ def identification_page(
             bodies_section(identification),
             noise_section(identification),
             _next_section(identification),
-            _provenance_section(identification, remarks, stated or {}),
+            _provenance_section(identification, remarks),
         ],
         footer=f"excite {package_versions()['excite']}",
     )
@@ -223,9 +220,7 @@ def _weak_parts(identification: Identification, weak: Sequence[Direction]) -> li
 # -- provenance ------------------------------------------------------------------------------------
 
 
-def _provenance_section(
-    identification: Identification, remarks: Sequence[Remark], stated: Mapping[str, str]
-) -> Section:
+def _provenance_section(identification: Identification, remarks: Sequence[Remark]) -> Section:
     """Method, options, data and versions."""
     robot, options = identification.model.robot, identification.options
     method = _METHODS[options.method.value]
@@ -256,7 +251,6 @@ def _provenance_section(
         "threshold of identified": f"variance {number(options.threshold)}, ±{accuracy}",
         "bounds": _bounds(identification),
         "delay": "removed (--align)" if options.align else "left as recorded",
-        **stated,
         "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
     trials = [(number(gamma, 2), number(error, 4)) for gamma, error in identification.gamma_trials]

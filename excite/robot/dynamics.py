@@ -42,6 +42,13 @@ def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> FloatArr
     return out
 
 
+def inverse_dynamics(robot: Robot, model: pin.Model, motion: Samples) -> FloatArray:
+    """Torque of rigid bodies, those of a variant of the robot's model. Shape (N, n) [N m]."""
+    data, spread = model.createData(), robot.spread
+    states = zip(robot.expand(motion.q), motion.dq @ spread.T, motion.ddq @ spread.T, strict=True)
+    return np.asarray(np.array([pin.rnea(model, data, *state) for state in states]) @ spread)
+
+
 def regressor_blocks(robot: Robot, parameters: Parameters, motion: Samples) -> Iterator[FloatArray]:
     """Y at consecutive samples, in blocks of at most BLOCK_NUMBERS numbers. Shape (≤ N, n, P)
     each."""

@@ -293,19 +293,6 @@ def regressor_blocks(
         yield regressor(robot, parameters, motion.rows(slice(start, start + size)), rows)
 
 
-def generalised_forces(robot: FloatingRobot, motion: FloatingMotion) -> FloatArray:
-    """Compute the inverse dynamics of the nominal rigid bodies: the total wrench on the base and
-    the joint torques. Shape (N, 6 + n)."""
-    data = robot.model.createData()
-    q = robot.configurations(motion)
-    v, a = (robot.model_velocities(x) for x in (motion.velocity, motion.acceleration))
-    out = np.empty((len(motion), 6 + robot.n))
-    for t in range(len(motion)):
-        tau = pin.rnea(robot.model, data, q[t], v[t], a[t])
-        out[t, :6], out[t, 6:] = tau[:6], robot.joint_robot.spread.T @ tau[6:]
-    return out
-
-
 # -- parameters ------------------------------------------------------------------------------------
 
 

@@ -165,7 +165,20 @@ def of_pseudo_inertia(matrix: FloatArray) -> FloatArray:
     )
 
 
-_UNITS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
+PSEUDO_INERTIA_BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
+"""∂P/∂φ. Shape (10, 4, 4)."""
+
+
+def frame_map(T: FloatArray) -> FloatArray:
+    """Return the map of inertial parameters by P' = T P Tᵀ.
+
+    Args:
+        T: Homogeneous transformation from a frame to another one, or a reflection. Shape (4, 4).
+
+    Returns:
+        Shape (10, 10).
+    """
+    return np.column_stack([of_pseudo_inertia(T @ unit @ T.T) for unit in PSEUDO_INERTIA_BASIS])
 
 
 def metric(phi: FloatArray) -> FloatArray:
@@ -177,7 +190,7 @@ def metric(phi: FloatArray) -> FloatArray:
     Returns:
         The metric g. Shape (10, 10).
     """
-    scaled = np.linalg.solve(pseudo_inertia(phi), _UNITS)
+    scaled = np.linalg.solve(pseudo_inertia(phi), PSEUDO_INERTIA_BASIS)
     return 0.5 * np.einsum("iab,jba->ij", scaled, scaled)
 
 

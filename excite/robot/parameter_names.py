@@ -13,12 +13,13 @@ SMALLEST_SHARE = 0.01
 """Share of a direction below which a parameter is not mentioned [1]."""
 _AXES = {"mcx": "x", "mcy": "y", "mcz": "z"}
 _ABOUT = {"Ixx": "x", "Iyy": "y", "Izz": "z"}
-_DRIVE_WORDS = {
+DRIVE_WORDS = {
     "rotor_inertia": "rotor inertia",
     "viscous": "viscous friction",
     "coulomb": "Coulomb friction",
     "offset": "torque offset",
 }
+"""Joint parameters in words."""
 
 
 def sentence(
@@ -84,7 +85,7 @@ def _groups(parameters: Parameters, shares: FloatArray) -> list[tuple[str, float
     start, n = 10 * parameters.bodies, len(parameters.joints)
     for k, kind in enumerate(parameters.drive):
         out += [
-            (f"the {_DRIVE_WORDS[kind]} of {joint}", float(shares[start + k * n + j]))
+            (f"the {DRIVE_WORDS[kind]} of {joint}", float(shares[start + k * n + j]))
             for j, joint in enumerate(parameters.joints)
         ]
     return out
@@ -114,7 +115,7 @@ def spoken(name: str, parameters: Parameters) -> str:
     owner = parameters.owners()[index]
     if index >= 10 * parameters.bodies:
         kind = parameters.drive[(index - 10 * parameters.bodies) // len(parameters.joints)]
-        return f"{_DRIVE_WORDS[kind]} of {owner}"
+        return f"{DRIVE_WORDS[kind]} of {owner}"
     symbol = INERTIAL[index % 10]
     if symbol == "m":
         return f"mass of {owner}"

@@ -325,12 +325,6 @@ class CommandDelay(Quantity):
     accepted = Range(0.0, 10.0, "s")
 
 
-class FrictionCoefficient(Quantity):
-    """A coefficient of friction of a contact."""
-
-    accepted = Range(1e-3, 10.0, "1")
-
-
 class Statistic(Quantity):
     """A number that is reported and not used in a computation."""
 

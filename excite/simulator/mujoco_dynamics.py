@@ -99,17 +99,6 @@ class RigidBodyDynamics:
             out[k] = part
         return out
 
-    def total_energy(self, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Return kinetic plus potential energy. Shapes (N, n) to (N,) [J]."""
-        import mujoco
-
-        model, data, out = self.model, self.data, np.empty(len(q))
-        for k in range(len(q)):
-            mass, _ = self.mass_and_bias(q[k], v[k])
-            mujoco.mj_energyPos(model, data)
-            out[k] = 0.5 * v[k] @ mass @ v[k] + data.energy[0]
-        return out
-
 
 def build_dynamics(
     tree: UrdfTree,

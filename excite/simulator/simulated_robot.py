@@ -62,10 +62,6 @@ class SimulatedRobot:
             if (spring := effect.transmission_spring()) is not None
         ]
 
-    def without_effects(self) -> SimulatedRobot:
-        """Return the same robot with no hidden effect."""
-        return replace(self, effects=())
-
     def dynamics(self) -> RigidBodyDynamics:
         """Build the rigid-body dynamics with the bodies and frames that the effects change.
 

@@ -79,16 +79,13 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def render_svg(
-    label: str, height: float, draw: Callable[[Any], None], width: float = FIGURE_WIDTH
-) -> str:
+def render_svg(label: str, height: float, draw: Callable[[Any], None]) -> str:
     """Draw a figure and return its SVG, the same from run to run.
 
     Args:
         label: Description for screen readers.
         height: Height [in].
         draw: Draws on the matplotlib figure.
-        width: Width [in].
     """
     import matplotlib
     from matplotlib.figure import Figure
@@ -97,11 +94,11 @@ def render_svg(
     with matplotlib.rc_context({**_STYLE, "svg.hashsalt": label}), warnings.catch_warnings():
         # the browser sets the text; matplotlib's own font is only used to measure it
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure = Figure(figsize=(width, height))
+        figure = Figure(figsize=(FIGURE_WIDTH, height))
         draw(figure)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return svg.shorten(buffer.getvalue(), label, width)
+    return svg.shorten(buffer.getvalue(), label, FIGURE_WIDTH)
 
 
 def axes_grid(

@@ -10,8 +10,8 @@ import numpy as np
 from ..._types import FloatArray
 from ...designer.experiment_comparison import Scenario
 from ...designer.identifiability import Identifiability, IdentifiableShare
+from ...designer.multistart import Attempt
 from ...robot.parameter_names import percent
-from ..design_record import DesignRecord
 from .drawing import (
     BLUE,
     GREEN,
@@ -293,11 +293,11 @@ def draw_scenarios(cases: Sequence[Scenario], threshold: float) -> str:
     return render_svg("Variances with twice the time and twice the speed", 2.9, draw)
 
 
-def draw_history(record: DesignRecord) -> str:
+def draw_history(attempts: Sequence[Attempt]) -> str:
     """Draw the objective of all starts against iterations, and their final values."""
 
-    several = len(record.starts) > 1
-    final = max(max(s.get("stage") or [0]) for s in record.starts)
+    several = len(attempts) > 1
+    final = max(max(a.stage) for a in attempts)
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
@@ -309,12 +309,10 @@ def draw_history(record: DesignRecord) -> str:
                 (height - 0.72) / height,
             )
         )
-        order = [k for k in range(len(record.starts)) if k != record.chosen] + [record.chosen]
-        for k in order:
-            start, best = record.starts[k], k == record.chosen
-            stage = np.array(start.get("stage") or [0] * len(start["objective"]), int)
-            last = stage == final
-            value, worst = (np.array(start[key], float)[last] for key in ("objective", "worst"))
+        for attempt in reversed(attempts):
+            best = attempt is attempts[0]
+            last = np.array(attempt.stage) == final
+            value, worst = (np.array(row)[last] for row in (attempt.values, attempt.worst))
             iteration = np.flatnonzero(last)
             inside = worst <= 1.0 + 1e-3
             color = BLUE if best else GREY
@@ -338,22 +336,21 @@ def draw_history(record: DesignRecord) -> str:
                 figure.add_axes(
                     (8.0 / width, 0.42 / height, 2.4 / width, (height - 0.72) / height)
                 ),
-                record,
+                attempts,
             )
         limit_ticks(left, 6, 5)
 
     return render_svg("Objective of every start against iterations", 3.0, draw)
 
 
-def _ends(axes: Any, record: DesignRecord) -> None:
+def _ends(axes: Any, attempts: Sequence[Attempt]) -> None:
     """Draw the final value of each start above the best."""
-    values = np.array([float(s["value"]) for s in record.starts])
+    values = np.array([a.objective for a in attempts])
     excess = 100.0 * np.expm1(np.minimum(values - values.min(), 20.0))
     for place, k in enumerate(np.argsort(values, kind="stable"), start=1):
-        feasible = bool(record.starts[k]["feasible"])
-        color = BLUE if k == record.chosen else GREY if feasible else RED
-        stopped = bool(record.starts[k].get("stopped"))
-        fill = "white" if stopped else color
+        feasible = attempts[k].feasible
+        color = BLUE if k == 0 else GREY if feasible else RED
+        fill = "white" if attempts[k].stopped else color
         axes.plot(
             place,
             excess[k],
@@ -362,7 +359,7 @@ def _ends(axes: Any, record: DesignRecord) -> None:
             markerfacecolor=fill,
             markersize=4 if len(values) <= 40 else 2.5,
         )
-    any_stopped = any(s.get("stopped") for s in record.starts)
+    any_stopped = any(a.stopped for a in attempts)
     axes.set_title(
         "Final values" + (" (○ stopped early)" if any_stopped else ", sorted"), loc="left"
     )

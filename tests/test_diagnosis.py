@@ -275,12 +275,6 @@ def test_the_catalogue_has_the_effects_of_the_contract():
         assert effect.units and effect.signature and effect.experiment and effect.equation
 
 
-def test_options_select_the_effects():
-    names = {e.effect for e in diagnose(recordings_of(None), names=("drag", "stribeck")).effects}
-    dense = {"nonlinear_viscous", "hysteresis", "load_friction", "delay"}
-    assert names and not names - {"drag", "stribeck", *dense}
-
-
 def test_the_document_has_the_keys_of_the_contract():
     stated = json.loads(json.dumps(document(diagnosed("torque_ripple")), allow_nan=False))
     assert stated["schema"] == "excite.diagnosis/1" and stated["verdict"] == "explained"

@@ -65,12 +65,10 @@ class DiagnosisOptions:
         band: Cutoff frequency [Hz]; chosen from the data when None.
         trusted: By index of a standard parameter: the value of a trusted prior. These parameters
             are not refit.
-        names: Effects to look for; all when empty.
     """
 
     band: float | None = None
     trusted: Mapping[int, float] = field(default_factory=dict)
-    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -208,7 +206,7 @@ def diagnose(
             raise segments.too_short(group[0].source, 2.0 * settling_time(hertz), hertz)
     progress("fitting all frictions jointly, then rare effects")
     model, rare, small = selection.find_rare_effects(
-        identified, halves[0], bool(options.trusted), options.names, progress
+        identified, halves[0], bool(options.trusted), progress
     )
     progress("evidence of each effect")
     judged = _Judgement.of(model, rare)

@@ -67,14 +67,14 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         diagnosis: The diagnosis.
     """
     joints = diagnosis.identified.model.robot.joints
-    held_out, floor = diagnosis.held_out, diagnosis.floor
+    held_out, noise = diagnosis.held_out, diagnosis.noise
     torque_rms = rms(held_out.torque, held_out.moving)
     motion = motion_rows.motion_rows(diagnosis.model.motions)
     speed_ratio = _largest_speed(held_out.motions) / _largest_speed(diagnosis.model.motions)
     rows = {
         joint: joint_entry(
-            float(floor[i]),
-            diagnosis.method,
+            float(noise.floor[i]),
+            noise.method,
             float(held_out.rmse_before[i]),
             float(held_out.rmse_after[i]),
         )
@@ -246,7 +246,7 @@ def _stated(
 def _systematic_share(diagnosis: Diagnosis, joint: int | None) -> float:
     """Systematic share of a joint's error, or the largest of all joints."""
     before = np.maximum(diagnosis.held_out.rmse_before, 1e-300)
-    share = np.maximum(1.0 - (diagnosis.floor / before) ** 2, 0.0)
+    share = np.maximum(1.0 - (diagnosis.noise.floor / before) ** 2, 0.0)
     return float(share.max() if joint is None else share[joint])
 
 

@@ -42,6 +42,7 @@ class CandidateModel:
             joint.
         prior_shares: Share of `prior_std` of each coefficient; empty: 1.
         form_columns: Number of last columns that are the discrepancy of its form.
+        exact: The model without this discrepancy; None of a model that has none.
         signature: Description of the residual, if it differs from the effect's.
         alternatives: Number of models, each as likely, of which it was chosen before it became a
             candidate.
@@ -62,6 +63,7 @@ class CandidateModel:
     prior_std: float | None = None
     prior_shares: tuple[float, ...] = ()
     form_columns: int = 0
+    exact: CandidateModel | None = None
     signature: str = ""
     alternatives: float = 1.0
 

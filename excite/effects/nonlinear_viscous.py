@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, no_candidates, single_joint_rows
-from .friction import joint_speed, max_speed
+from .friction import max_speed
 from .recorded_motion import RecordedMotion
 
 ASINH_SPEEDS = (0.02, 0.1, 0.4)
@@ -23,7 +23,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     j, top_speed = model.joint_index, model.values["top_speed"]
     columns = motion.for_all_fits(
         f"viscous curves of joint {j} up to {top_speed}",
-        lambda: motion.lowpass(_curves(np.clip(joint_speed(motion, j) / top_speed, -1.0, 1.0))),
+        lambda: motion.lowpass(_curves(np.clip(motion.samples.dq[:, j] / top_speed, -1.0, 1.0))),
     )
     return single_joint_rows(motion, j, columns)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, no_candidates, single_joint_columns
-from .friction import joint_speed, max_speed
+from .friction import max_speed
 from .recorded_motion import RecordedMotion
 
 DENSE_VELOCITIES = np.geomspace(0.03, 0.3, 4)
@@ -19,7 +19,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Exponential and Gaussian curves."""
     j = model.joint_index
     velocities = DENSE_VELOCITIES * model.values["top_speed"]
-    share = np.abs(joint_speed(motion, j)) / velocities[:, None]
+    share = np.abs(motion.samples.dq[:, j]) / velocities[:, None]
     curves = np.vstack([np.exp(-share), np.exp(-(share**2))])
     return single_joint_columns(motion, j, (motion.sign(j) * curves).T)
 

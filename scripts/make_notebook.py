@@ -414,7 +414,7 @@ def draw_residual(result, joint, seconds=None):
     for residual, colour, label in curves:
         moving = np.where(motion.moving, residual[: len(motion)], np.nan)[shown, joint]
         axes.plot(motion.time[shown], moving, color=colour, linewidth=0.9, label=label)
-    floor = result.diagnosis.floor[joint]
+    floor = result.diagnosis.noise.floor[joint]
     axes.axhspan(-floor, floor, color="tab:red", alpha=0.15, label="± noise floor")
     name = result.diagnosis.identified.model.robot.joints[joint]
     axes.set(xlabel="time [s]", ylabel="residual, held out", title=name)

@@ -65,7 +65,7 @@ def case(request, tmp_path_factory) -> DenseCase:
         (e.name, None if e.joint is None else joints.index(e.joint)): e.values
         for e in robot.effects
     }
-    np.testing.assert_allclose(result.diagnosis.noise_rms, robot.noise, rtol=0.15)
+    np.testing.assert_allclose(result.diagnosis.noise.noise_rms, robot.noise, rtol=0.15)
     return DenseCase(truth, result.diagnosis, probability == 1.0)
 
 

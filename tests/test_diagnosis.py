@@ -102,7 +102,7 @@ def test_the_saved_model_predicts_held_out_torque_to_the_noise(name):
 def test_a_robot_without_effects_has_no_findings():
     result = diagnosed(None)
     assert result.verdict == "no-mismatch" and not findings_of(result) and not result.unmodelled
-    np.testing.assert_allclose(result.held_out.rmse_after, result.noise_rms, rtol=0.25)
+    np.testing.assert_allclose(result.held_out.rmse_after, result.noise.noise_rms, rtol=0.25)
 
 
 class Paused(FourierSeries):
@@ -252,7 +252,7 @@ def test_no_joint_is_predicted_worse_than_by_the_base_model(name):
 def test_a_large_held_out_error_is_not_called_explained():
     result = diagnosed("torque_ripple")
     assert result.verdict == "explained"
-    errors = dataclasses.replace(result.held_out, rmse_after=2.0 * result.noise_rms)
+    errors = dataclasses.replace(result.held_out, rmse_after=2.0 * result.noise.noise_rms)
     assert dataclasses.replace(result, held_out=errors).verdict == "partly-explained"
 
 
@@ -273,12 +273,6 @@ def test_the_catalogue_has_the_effects_of_the_contract():
     assert len(effects.EFFECTS) == len(EFFECT_NAMES)
     for effect in effects.EFFECTS:
         assert effect.units and effect.signature and effect.experiment and effect.equation
-
-
-def test_options_select_the_effects():
-    names = {e.effect for e in diagnose(recordings_of(None), names=("drag", "stribeck")).effects}
-    dense = {"nonlinear_viscous", "hysteresis", "load_friction", "delay"}
-    assert names and not names - {"drag", "stribeck", *dense}
 
 
 def test_the_document_has_the_keys_of_the_contract():

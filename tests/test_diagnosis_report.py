@@ -20,11 +20,10 @@ from synthetic_recordings import (
 )
 from test_report import answer, check_page, section
 
-from excite.api.diagnosis_result import withhold_findings
 from excite.cli.diagnose import diagnosis_text
 from excite.diagnosis import diagnosis, rejection
 from excite.diagnosis.diagnosis import Diagnosis
-from excite.diagnosis.diagnosis_file import document
+from excite.diagnosis.diagnosis_file import document, withhold_findings
 from excite.recordings import Remark, RemarkKind
 from excite.report import diagnosis_page
 from excite.report.figures.diagnosis import draw_budget

@@ -62,9 +62,9 @@ def test_a_contact_is_one_finding_of_one_model():
 
 
 def test_a_contact_does_not_count_as_noise():
-    floor = diagnosed(None).floor
-    assert (diagnosed("contact").floor < 1.2 * floor).all()
-    assert (diagnosed("contact_of_a_period").floor < 4.0 * floor).all()
+    floor = diagnosed(None).noise.floor
+    assert (diagnosed("contact").noise.floor < 1.2 * floor).all()
+    assert (diagnosed("contact_of_a_period").noise.floor < 4.0 * floor).all()
 
 
 def test_torque_that_recurs_with_the_period_is_no_contact():

@@ -16,7 +16,7 @@ from .._system.progress import Progress, logger
 from ..diagnosis import decisions, diagnosis
 from ..diagnosis.decisions import Decisions, ExpectedEvidence
 from ..diagnosis.diagnosis_file import document as diagnosis_document
-from ..diagnosis.diagnosis_file import joint_entry
+from ..diagnosis.diagnosis_file import withhold_findings
 from ..errors import UnusableInput
 from ..identification import identified_model
 from ..identification import prior as prior_module
@@ -40,8 +40,6 @@ from .saved_result import SavedResult
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
 """Files of a diagnosis."""
-WITHHELD = "withheld: a recording is in doubt"
-"""Why an effect is no finding if a recording may not hold what its columns say."""
 
 
 @dataclass(frozen=True)
@@ -119,52 +117,6 @@ class DiagnosisResult(SavedResult):
         robot, document = self.diagnosis.identified.model.robot, self._document
         effects = ", ".join(str(entry["effect"]) for entry in document["findings"]) or "no finding"
         return f"<DiagnosisResult {robot.name}: {document['verdict']}, {effects}>"
-
-
-def withhold_findings(
-    document: Mapping[str, Any], doubts: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:
-    """Return a diagnosis without findings and changes at joints, because a recording is in doubt.
-
-    If a column may hold another quantity than assumed, a residual is no evidence about a joint. The
-    withheld findings are listed among those that were considered.
-
-    Args:
-        document: Content of `diagnosis.json`.
-        doubts: Unrepaired doubts about the recordings.
-    """
-    withheld = [entry for entry in document["findings"] if entry["joint"] is not None]
-    kept = [entry for entry in document["findings"] if entry["joint"] is None]
-    verdict = document["verdict"]
-    if (not kept and verdict != "no-mismatch") or verdict == "explained":
-        verdict = "partly-explained" if kept else "unexplained"
-    return {
-        **document,
-        "verdict": "unexplained" if verdict == "no-mismatch" else verdict,
-        "findings": kept,
-        "considered": [
-            *({**entry, "modelled": False, "reason": WITHHELD} for entry in withheld),
-            *({**entry, "modelled": False} for entry in document["considered"]),
-        ],
-        "unknown": [],
-        "between_recordings": [],
-        **({"decisions": []} if "decisions" in document else {}),
-        "joints": {
-            joint: entry
-            | joint_entry(
-                entry["noise_floor"],
-                entry["noise_floor_method"],
-                entry["rmse_before"],
-                entry["rmse_before"],
-            )
-            for joint, entry in document["joints"].items()
-        },
-        "model_check": {j: entry["rmse_before"] for j, entry in document["joints"].items()},
-        "budget": {joint: {"residual": {"share": 1.0, "std": 0.0}} for joint in document["joints"]},
-        "recording_filter": None,
-        "parameters": [],
-        "doubts": [dict(doubt) for doubt in doubts],
-    }
 
 
 def diagnose(

@@ -17,11 +17,12 @@ import numpy as np
 
 from .._types import FloatArray
 from ..effects.recorded_motion import RecordedMotion
+from ..identification import consistency
 from ..identification.identification import Identification
 from ..schemas.effects import is_recording_filter
-from . import final_model
 from .estimates import EffectEstimate
 from .final_model import FinalModel
+from .regression import independent_share, rms
 
 if TYPE_CHECKING:
     from .diagnosis import HeldOutErrors
@@ -65,8 +66,8 @@ def torque_budget(
     """
     fitted, held_out_motions = motions
     gamma = np.concatenate([motion.gamma for motion in held_out_motions])
-    absorbed = final_model.absorbed_parameters(final, identified, fitted)
-    torques = final_model.effect_torques(final, held_out.motions)
+    absorbed = _absorbed_parameters(final, identified, fitted)
+    torques = _effect_torques(final, held_out.motions)
     base = held_out.base / np.maximum(np.sum(held_out.base**2, axis=0), 1e-300)
     relative = {(e.effect, e.joint): e.relative_std for e in effects}
     n = base.shape[1]
@@ -93,3 +94,39 @@ def torque_budget(
     return TorqueBudget(
         shares, {name: np.sqrt(v) for name, v in variances.items()}, 1.0 - explained
     )
+
+
+def _effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
+    """Torque of each saved effect along motions, shapes (N, n) [N m].
+
+    The motions have the saved base model.
+    """
+    return [
+        np.concatenate([effect.shape.columns(motion) @ effect.coefficients for motion in motions])
+        for effect in final.saved_effects
+    ]
+
+
+def _absorbed_parameters(
+    final: FinalModel, identified: Identification, motions: Sequence[RecordedMotion]
+) -> list[FloatArray]:
+    """Base parameters, shape (p,), that a base model fitted alone absorbs of each saved effect.
+
+    The fitted motions have that base model.
+    """
+    torques = _effect_torques(final, final.motions)
+    gamma = np.concatenate([motion.gamma for motion in motions])
+    residual = np.concatenate([motion.residual for motion in motions])
+    moving = final.regression.moving
+    weight = np.sqrt(independent_share(residual, moving)) / rms(residual, moving) * moving
+    x = (gamma * weight[:, :, None]).reshape(-1, gamma.shape[2])
+    a = x.T @ x
+    if not identified.options.trusted:
+        a += consistency.base_prior_information(
+            identified.model.parameters, identified.model.base, identified.prior
+        )
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
+    inverse = np.linalg.pinv(a * scale[:, None] * scale, rcond=1e-9, hermitian=True)
+    return [
+        scale * (inverse @ (scale * (x.T @ (torque * weight).reshape(-1)))) for torque in torques
+    ]

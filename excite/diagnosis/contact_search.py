@@ -14,7 +14,7 @@ from ..effects.recorded_motion import RecordedMotion
 from .joint_model import JointModel
 
 WINDOWS = 40
-"""The shortest window in which a contact is sought is this share of a motion."""
+"""Length of a motion over that of the shortest window in which a contact is sought."""
 BLOCKS = 400
 """Blocks of a motion at whose edges a contact may begin and end."""
 DOUBLINGS = 5

@@ -45,6 +45,7 @@ from .final_model import FinalModel
 from .flexible_models import UNMODELLED
 from .gear_encoders import GearEstimate
 from .joint_model import JointModel
+from .noise import NoiseEstimate
 from .posterior import EffectEvidence
 from .regression import rms
 from .selection import RareEffect
@@ -65,12 +66,10 @@ class DiagnosisOptions:
         band: Cutoff frequency [Hz]; chosen from the data when None.
         trusted: By index of a standard parameter: the value of a trusted prior. These parameters
             are not refit.
-        names: Effects to look for; all when empty.
     """
 
     band: float | None = None
     trusted: Mapping[int, float] = field(default_factory=dict)
-    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -107,9 +106,7 @@ class Diagnosis:
         model: The joint model of the training recordings.
         effects: All effects that were considered, the most probable first.
         final: The model that is saved.
-        floor: RMS noise below the cutoff, shape (n,) [N m].
-        method: How the noise was found: "periods" or "differences".
-        noise_rms: RMS that a right model may leave, with encoder quantisation, shape (n,) [N m].
+        noise: Noise of the joint model's residual.
         residual: RMS residual of the joint model on the training recordings, shape (n,) [N m].
         unmodelled: Torque that no effect explains, by joint.
         held_out: Errors on the held-out recordings.
@@ -125,9 +122,7 @@ class Diagnosis:
     model: JointModel
     effects: tuple[EffectEstimate, ...]
     final: FinalModel
-    floor: FloatArray
-    method: str
-    noise_rms: FloatArray
+    noise: NoiseEstimate
     residual: FloatArray
     unmodelled: tuple[UnmodelledTorque, ...]
     held_out: HeldOutErrors
@@ -155,7 +150,7 @@ class Diagnosis:
         """Verdict: "no-mismatch", "explained", "partly-explained" or "unexplained"."""
         if not self.findings:
             return "unexplained" if self.unmodelled else "no-mismatch"
-        allowed = EXPLAINED_RMSE_RATIO * np.maximum(self.noise_rms, self.residual)
+        allowed = EXPLAINED_RMSE_RATIO * np.maximum(self.noise.noise_rms, self.residual)
         if self.unmodelled or bool((self.held_out.rmse_after > allowed).any()):
             return "partly-explained"
         return "explained"
@@ -208,15 +203,15 @@ def diagnose(
             raise segments.too_short(group[0].source, 2.0 * settling_time(hertz), hertz)
     progress("fitting all frictions jointly, then rare effects")
     model, rare, small = selection.find_rare_effects(
-        identified, halves[0], bool(options.trusted), options.names, progress
+        identified, halves[0], bool(options.trusted), progress
     )
     progress("evidence of each effect")
     judged = _Judgement.of(model, rare)
     residual = model.regression.residual(model.regression.without(judged.left_out))
     residual = np.where(model.regression.moving, residual, 0.0)
     parts = recorded_motion.split_by_motion(residual, model.motions)
-    floor = noise.estimate_noise(identified.model, model.motions, parts, train)
-    remaining = unmodelled.find(model, judged.left_out, judged.evidence, floor)
+    estimate = noise.estimate_noise(identified.model, model.motions, parts, train)
+    remaining = unmodelled.find(model, judged.left_out, judged.evidence, estimate, residual)
     considered = [*judged.effects, *estimates.small_effects(small)]
     effects = estimates.with_unmodelled(considered, model, remaining)
     effects = estimates.without_doubtful(effects)
@@ -233,9 +228,7 @@ def diagnose(
         model,
         tuple(effects),
         final,
-        floor.floor,
-        floor.method,
-        floor.noise_rms,
+        estimate,
         rms(residual, model.regression.moving),
         tuple(remaining),
         held_out,

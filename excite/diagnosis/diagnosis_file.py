@@ -58,6 +58,8 @@ NEUTRAL_VALUES = {"exponent": 1.0}
 """Values of parameters at which there is no effect, where that is not zero."""
 SINGLE_JOINT_REPETITION = "the same positions at half the speed, then with another load"
 """Experiment on torque that repeats with the motion of a robot of one joint."""
+WITHHELD = "withheld: a recording is in doubt"
+"""Why an effect is no finding if a recording may not hold what its columns say."""
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -67,14 +69,14 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         diagnosis: The diagnosis.
     """
     joints = diagnosis.identified.model.robot.joints
-    held_out, floor = diagnosis.held_out, diagnosis.floor
+    held_out, noise = diagnosis.held_out, diagnosis.noise
     torque_rms = rms(held_out.torque, held_out.moving)
     motion = motion_rows.motion_rows(diagnosis.model.motions)
     speed_ratio = _largest_speed(held_out.motions) / _largest_speed(diagnosis.model.motions)
     rows = {
-        joint: joint_entry(
-            float(floor[i]),
-            diagnosis.method,
+        joint: _joint_entry(
+            float(noise.floor[i]),
+            noise.method,
             float(held_out.rmse_before[i]),
             float(held_out.rmse_after[i]),
         )
@@ -109,7 +111,7 @@ def _largest_speed(motions: Sequence[RecordedMotion]) -> FloatArray:
     return np.maximum(np.max(largest, axis=0), 1e-12)
 
 
-def joint_entry(floor: float, method: str, before: float, after: float) -> dict[str, Any]:
+def _joint_entry(floor: float, method: str, before: float, after: float) -> dict[str, Any]:
     """Return an element of "joints".
 
     Args:
@@ -126,6 +128,52 @@ def joint_entry(floor: float, method: str, before: float, after: float) -> dict[
         "rmse_after": after,
         "systematic_share": shares[0],
         "unexplained_share": shares[1],
+    }
+
+
+def withhold_findings(
+    document: Mapping[str, Any], doubts: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return a diagnosis without findings and changes at joints, because a recording is in doubt.
+
+    If a column may hold another quantity than assumed, a residual is no evidence about a joint. The
+    withheld findings are listed among those that were considered.
+
+    Args:
+        document: Content of `diagnosis.json`.
+        doubts: Unrepaired doubts about the recordings.
+    """
+    withheld = [entry for entry in document["findings"] if entry["joint"] is not None]
+    kept = [entry for entry in document["findings"] if entry["joint"] is None]
+    verdict = document["verdict"]
+    if (not kept and verdict != "no-mismatch") or verdict == "explained":
+        verdict = "partly-explained" if kept else "unexplained"
+    return {
+        **document,
+        "verdict": "unexplained" if verdict == "no-mismatch" else verdict,
+        "findings": kept,
+        "considered": [
+            *({**entry, "modelled": False, "reason": WITHHELD} for entry in withheld),
+            *({**entry, "modelled": False} for entry in document["considered"]),
+        ],
+        "unknown": [],
+        "between_recordings": [],
+        **({"decisions": []} if "decisions" in document else {}),
+        "joints": {
+            joint: entry
+            | _joint_entry(
+                entry["noise_floor"],
+                entry["noise_floor_method"],
+                entry["rmse_before"],
+                entry["rmse_before"],
+            )
+            for joint, entry in document["joints"].items()
+        },
+        "model_check": {j: entry["rmse_before"] for j, entry in document["joints"].items()},
+        "budget": {joint: {"residual": {"share": 1.0, "std": 0.0}} for joint in document["joints"]},
+        "recording_filter": None,
+        "parameters": [],
+        "doubts": [dict(doubt) for doubt in doubts],
     }
 
 
@@ -246,7 +294,7 @@ def _stated(
 def _systematic_share(diagnosis: Diagnosis, joint: int | None) -> float:
     """Systematic share of a joint's error, or the largest of all joints."""
     before = np.maximum(diagnosis.held_out.rmse_before, 1e-300)
-    share = np.maximum(1.0 - (diagnosis.floor / before) ** 2, 0.0)
+    share = np.maximum(1.0 - (diagnosis.noise.floor / before) ** 2, 0.0)
     return float(share.max() if joint is None else share[joint])
 
 

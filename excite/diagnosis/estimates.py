@@ -22,6 +22,7 @@ from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .normal_equations import Solution
 from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence, Key
+from .regression import rms
 from .selection import RareEffect, SmallEffect
 from .unmodelled import UnmodelledTorque
 
@@ -378,16 +379,12 @@ class _Posterior:
 
     def severity_of(self, change: FloatArray) -> float:
         """Return the same for given coefficients, shape (K,)."""
-        regression = self.model.regression
-        coefficients, places = change, np.flatnonzero(change)
-        absorbed = self._base_inverse @ (
-            self._weighted[np.ix_(self._base, places)] @ coefficients[places]
-        )
-        beyond = coefficients.copy()
-        beyond[self._base] -= absorbed
-        torque = regression.torque_along(beyond)
-        rms = np.sqrt(np.sum(torque**2, axis=0) / np.maximum(regression.moving.sum(axis=0), 1))
-        return float((rms / regression.sigma).max())
+        regression, places = self.model.regression, np.flatnonzero(change)
+        shared = self._weighted[np.ix_(self._base, places)] @ change[places]
+        beyond = change.copy()
+        beyond[self._base] -= self._base_inverse @ shared
+        size = rms(regression.torque_along(beyond), regression.moving)
+        return float((size / regression.sigma).max())
 
     def relative_std(self, effects: Sequence[int]) -> float:
         """Return the relative standard deviation of an effect's torque along its estimate."""

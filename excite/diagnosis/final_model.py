@@ -19,7 +19,7 @@ from ..effects import delay
 from ..effects.effect import CandidateModel
 from ..effects.form_error import without_form_error
 from ..effects.recorded_motion import RecordedMotion
-from ..identification import consistency, identification, identified_model
+from ..identification import identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
 from . import fitted_effects, joint_model, recording_chain, session_changes
@@ -27,7 +27,7 @@ from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel, model_columns
 from .recording_chain import RecordingChain
-from .regression import JointRegression, independent_share, rms
+from .regression import JointRegression
 
 
 @dataclass(frozen=True)
@@ -241,47 +241,3 @@ def renewed(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[Record
     identified = final.identified
     psi = joint_model.initial_parameters(identified)
     return joint_model.renewed(identified, motions, psi, identified.model.widths)
-
-
-def effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
-    """Return the torque of each saved effect along motions, shapes (N, n) [N m].
-
-    Args:
-        final: The model.
-        motions: Motions with the saved base model.
-    """
-    return [
-        np.concatenate([effect.shape.columns(motion) @ effect.coefficients for motion in motions])
-        for effect in final.saved_effects
-    ]
-
-
-def absorbed_parameters(
-    final: FinalModel, identified: Identification, motions: Sequence[RecordedMotion]
-) -> list[FloatArray]:
-    """Return what the base model that is fitted alone absorbs of each saved effect.
-
-    Args:
-        final: The saved model.
-        identified: The base model that is fitted alone.
-        motions: The fitted motions with the latter.
-
-    Returns:
-        Base parameters, shape (p,), for each effect.
-    """
-    torques = effect_torques(final, final.motions)
-    gamma = np.concatenate([motion.gamma for motion in motions])
-    residual = np.concatenate([motion.residual for motion in motions])
-    moving = final.regression.moving
-    weight = np.sqrt(independent_share(residual, moving)) / rms(residual, moving) * moving
-    x = (gamma * weight[:, :, None]).reshape(-1, gamma.shape[2])
-    a = x.T @ x
-    if not identified.options.trusted:
-        a += consistency.base_prior_information(
-            identified.model.parameters, identified.model.base, identified.prior
-        )
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
-    inverse = np.linalg.pinv(a * scale[:, None] * scale, rcond=1e-9, hermitian=True)
-    return [
-        scale * (inverse @ (scale * (x.T @ (torque * weight).reshape(-1)))) for torque in torques
-    ]

@@ -54,7 +54,8 @@ class NoiseEstimate:
 
     Attributes:
         floor: RMS noise [N m], shape (n,).
-        method: "periods" if it was found by repetition, else "differences".
+        method: "periods" if it was found by repetition, else "differences", the contract's name of
+            an estimate by the spectral density above the motion.
         steps: RMS of the model torque's error by encoder quantisation, which repeats with the
             motion [N m], shape (n,).
         periods: By recording that repeats: its period and window.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -155,20 +155,15 @@ class CandidateColumns:
     as well; the best of them are computed anew. Contacts alone are sought again.
     """
 
-    def __init__(self, model: JointModel, trusted: bool, names: Collection[str] = ()) -> None:
+    def __init__(self, model: JointModel, trusted: bool) -> None:
         self._trusted = trusted
         shapes: list[CandidateModel] = []
         for effect in EFFECTS:
-            if effect.name in DENSE_NAMES or (effect.prior_only and not trusted):
-                continue
-            if names and effect.name not in names:
-                continue
-            shapes += effect.candidates(model.motions)
-        if not names or "encoder_error" in names:
-            shapes += ripple_search.encoder_errors(model)
+            if effect.name not in DENSE_NAMES and (trusted or not effect.prior_only):
+                shapes += effect.candidates(model.motions)
+        shapes += ripple_search.encoder_errors(model)
         shapes += flexible_models(model.motions, model.regression.sigma)
         self._shapes = CandidateShapes.of(model, shapes)
-        self._seeks_contacts = not names or "contact" in names
         self._contacts = CandidateShapes.of(model, ())
 
     def seek_contacts(self, model: JointModel) -> None:
@@ -177,8 +172,7 @@ class CandidateColumns:
         Args:
             model: The joint model of whose residual they explain a part.
         """
-        if self._seeks_contacts:
-            self._contacts = CandidateShapes.of(model, contact_search.contacts(model))
+        self._contacts = CandidateShapes.of(model, contact_search.contacts(model))
 
     def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
         """Return the ranking of the shapes of every effect at every joint.

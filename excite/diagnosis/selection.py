@@ -123,7 +123,6 @@ def find_rare_effects(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     trusted: bool = False,
-    names: Collection[str] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[JointModel, tuple[RareEffect, ...], tuple[SmallEffect, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
@@ -133,14 +132,13 @@ def find_rare_effects(
         motions: The motions to fit.
         trusted: Whether the base model is a trusted prior, so that effects that a refit absorbs can
             be found as well.
-        names: Effects to look for; all when empty.
         progress: Called with a line of text for each candidate.
 
     Returns:
         The joint model, its rare effects, and those that are too small.
     """
     search = _Search(identified, motions, progress)
-    search.add_effects(CandidateColumns(search.model, trusted, names))
+    search.add_effects(CandidateColumns(search.model, trusted))
     search.put_flexible_models()
     return search.model, tuple(search.effects), search.small_effects()
 

@@ -92,6 +92,7 @@ def find(
     left_out: Collection[int],
     evidence: Sequence[EffectEvidence],
     estimate: NoiseEstimate,
+    residual: FloatArray,
 ) -> list[UnmodelledTorque]:
     """Find torque that no effect of a joint model explains.
 
@@ -100,11 +101,11 @@ def find(
         left_out: Numbers of the effects that are not needed.
         evidence: Evidence of all effects.
         estimate: The noise of its residual.
+        residual: That residual, zero at standstill, shape (N, n) [N m].
     """
     rows = motion_rows(model.motions)
     regression = model.regression
     solution = regression.without(left_out)
-    residual = np.where(regression.moving, regression.residual(solution), 0.0)
     products = noise.products_of_periods(estimate.periods, model.motions, residual)
     present = posterior.probabilities(model.n, evidence)
     out = []

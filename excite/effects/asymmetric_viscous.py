@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, is_between, single_joint_columns
-from .friction import joint_speed, max_speed
+from .friction import max_speed
 from .recorded_motion import RecordedMotion
 
 MAX_EXCESS = 1.5
@@ -19,7 +19,7 @@ friction that refits with it may be larger by half."""
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """|q̇|: half of the difference between both directions."""
     return single_joint_columns(
-        motion, model.joint_index, np.abs(joint_speed(motion, model.joint_index))
+        motion, model.joint_index, np.abs(motion.samples.dq[:, model.joint_index])
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -42,6 +43,7 @@ class CandidateModel:
             joint.
         prior_shares: Share of `prior_std` of each coefficient; empty: 1.
         form_columns: Number of last columns that are the discrepancy of its form.
+        exact: The model without this discrepancy; None of a model that has none.
         signature: Description of the residual, if it differs from the effect's.
         alternatives: Number of models, each as likely, of which it was chosen before it became a
             candidate.
@@ -62,6 +64,7 @@ class CandidateModel:
     prior_std: float | None = None
     prior_shares: tuple[float, ...] = ()
     form_columns: int = 0
+    exact: CandidateModel | None = None
     signature: str = ""
     alternatives: float = 1.0
 
@@ -235,6 +238,21 @@ class Effect:
 def no_candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Yield nothing: the joint model of a diagnosis has the effect, or its residual shows it."""
     return iter(())
+
+
+def one_per_joint(
+    name: str, torque_columns: TorqueColumns, **attributes: Any
+) -> Callable[[Sequence[RecordedMotion]], Iterator[CandidateModel]]:
+    """Return a function that yields a model of an effect at every joint.
+
+    Args:
+        name: Name of the effect.
+        torque_columns: Its columns.
+        **attributes: Further attributes of `CandidateModel`.
+    """
+    return lambda motions: (
+        CandidateModel(name, j, torque_columns, **attributes) for j in range(motions[0].n)
+    )
 
 
 def single_joint_columns(motion: RecordedMotion, joint: int, x: FloatArray) -> FloatArray:

@@ -18,7 +18,6 @@ from dataclasses import replace
 import numpy as np
 
 from .._types import FloatArray
-from . import EFFECTS_BY_NAME
 from .effect import CandidateModel
 from .recorded_motion import RecordedMotion, position_range
 
@@ -75,6 +74,7 @@ def with_form_error(
         parameters=lambda c: model.parameters(c[:k]),
         nonnegative=(*(model.nonnegative or (False,) * k), *(False,) * count),
         form_columns=count,
+        exact=model,
     )
 
 
@@ -84,11 +84,4 @@ def without_form_error(model: CandidateModel) -> CandidateModel:
     Args:
         model: A model of the catalogue, with or without it.
     """
-    if not model.form_columns:
-        return model
-    return replace(
-        model,
-        torque_columns=EFFECTS_BY_NAME[model.effect].torque_columns,
-        nonnegative=model.nonnegative[: -model.form_columns],
-        form_columns=0,
-    )
+    return model.exact or model

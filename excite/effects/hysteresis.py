@@ -1,7 +1,4 @@
-"""Presliding hysteresis: friction that builds up over a travel after each reversal.
-
-Maxwell-slip elements (a Prandtl-Ishlinskii model), and Dahl's model.
-"""
+"""Presliding hysteresis: friction that builds up over a travel after each reversal."""
 
 from __future__ import annotations
 
@@ -11,13 +8,7 @@ from itertools import accumulate
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from .effect import (
-    CandidateModel,
-    Effect,
-    no_candidates,
-    single_joint_columns,
-    single_joint_rows,
-)
+from .effect import CandidateModel, Effect, no_candidates, single_joint_rows
 from .recorded_motion import RecordedMotion, radian
 
 DENSE_REACH = 1e-3
@@ -27,24 +18,6 @@ REACH_RATIOS = 2.0 ** np.arange(0.0, 8.0, 0.5)
 """Deflections at which all of them slip, over that of the first."""
 UNEQUAL_ELEMENTS = [6, 10]
 """Elements of `dense_model` that may have unequal branches."""
-
-
-def dahl(q: FloatArray, stiffness: float) -> FloatArray:
-    """Return the state z of Dahl's model of unit friction, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968).
-
-    In closed form from one reversal to the next.
-
-    Args:
-        q: Joint position, shape (M,).
-        stiffness: σ [1/rad].
-    """
-    stroke, travel, distance = _strokes(q)
-    limits, decays = np.sign(travel), np.exp(-stiffness * np.abs(travel))
-    strokes = zip(limits.tolist(), decays.tolist(), strict=True)
-    *starts, _ = accumulate(strokes, lambda z, s: s[0] + (z - s[0]) * s[1], initial=0.0)
-    return np.asarray(
-        limits[stroke] + (np.array(starts) - limits)[stroke] * np.exp(-stiffness * np.abs(distance))
-    )
 
 
 def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:
@@ -77,26 +50,20 @@ def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Presliding friction minus the smooth sign function that it replaces.
-
-    The elements of `dense_model`, or Dahl's model of `designer.effect_columns`.
-    """
+    """Presliding friction minus the smooth sign function that it replaces."""
     j = model.joint_index
-    if "elements" in model.values:
-        reaches = model.values["reach"] * REACH_RATIOS
+    reaches = model.values["reach"] * REACH_RATIOS
 
-        def low_passed() -> FloatArray:
-            q = motion.samples.q[:, j]
-            elements = np.column_stack([maxwell_slip(q, d) for d in reaches.tolist()])
-            unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
-            return motion.lowpass(np.hstack([elements, unequal]))
+    def low_passed() -> FloatArray:
+        q = motion.samples.q[:, j]
+        elements = np.column_stack([maxwell_slip(q, d) for d in reaches.tolist()])
+        unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
+        return motion.lowpass(np.hstack([elements, unequal]))
 
-        name = f"Maxwell-slip elements of joint {j} from {reaches[0]}"
-        columns = motion.for_all_fits(name, low_passed).copy()
-        columns[:, : len(REACH_RATIOS)] -= motion.lowpass(motion.sign(j)[:, None])
-        return single_joint_rows(motion, j, columns)
-    state = dahl(motion.samples.q[:, j], 1.0 / model.values["reach"])
-    return single_joint_columns(motion, j, state - motion.sign(j))
+    name = f"Maxwell-slip elements of joint {j} from {reaches[0]}"
+    columns = motion.for_all_fits(name, low_passed).copy()
+    columns[:, : len(REACH_RATIOS)] -= motion.lowpass(motion.sign(j)[:, None])
+    return single_joint_rows(motion, j, columns)
 
 
 def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:

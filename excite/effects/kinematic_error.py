@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
+from ..robot.dynamics import inverse_dynamics
 from .effect import CandidateModel, Effect
 from .recorded_motion import RecordedMotion
 
@@ -32,8 +33,6 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     robot, columns, samples = motion.fitted_robot.robot, [], motion.coarse_samples
     is_angle, body = model.values["angle"] > 0.0, robot.body_of(model.joint_index)
     pinocchio_model = motion.fitted_robot.model
-    Q = robot.expand(samples.q)
-    V, A = samples.dq @ robot.spread.T, samples.ddq @ robot.spread.T
     children = [i for i in range(1, pinocchio_model.njoints) if pinocchio_model.parents[i] == body]
     for axis in range(3):
         moved = pinocchio_model.copy()
@@ -44,11 +43,7 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
             moved.jointPlacements[i] = change * moved.jointPlacements[i]
         if model.values["whole"]:
             moved.inertias[body] = change.act(moved.inertias[body])
-        data = moved.createData()
-        torque = (
-            np.array([pin.rnea(moved, data, *state) for state in zip(Q, V, A, strict=True)])
-            @ robot.spread
-        )
+        torque = inverse_dynamics(robot, moved, samples)
         columns.append((torque - motion.rigid_torque) / (ANGLE_STEP if is_angle else LENGTH_STEP))
     out = np.stack(columns, axis=2)
     largest = np.abs(out).max(axis=(0, 1))

@@ -17,15 +17,13 @@ PRIOR_COEFFICIENT = 0.2
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """The columns of `dense_model`, or μ |τ_L|^k sgn q̇ of `designer.effect_columns`."""
-    values, j = model.values, model.joint_index
-    scale, load, sign = values["scale"], motion.transmitted_torque[:, j], motion.sign(j)
+    """|τ_L| sgn q̇, its square over the scale, and the load."""
+    scale, j = model.values["scale"], model.joint_index
+    load, sign = motion.transmitted_torque[:, j], motion.sign(j)
     share = np.abs(load) / scale
-    if "dense" in values:
-        return single_joint_columns(
-            motion, j, scale * np.array([sign * share, sign * share**2, load / scale]).T
-        )
-    return single_joint_columns(motion, j, sign * scale * share ** values["power"])
+    return single_joint_columns(
+        motion, j, scale * np.array([sign * share, sign * share**2, load / scale]).T
+    )
 
 
 def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:

@@ -7,14 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import (
-    CandidateModel,
-    Effect,
-    no_candidates,
-    single_joint_columns,
-    single_joint_rows,
-)
-from .friction import joint_speed, max_speed
+from .effect import CandidateModel, Effect, no_candidates, single_joint_rows
+from .friction import max_speed
 from .recorded_motion import RecordedMotion
 
 ASINH_SPEEDS = (0.02, 0.1, 0.4)
@@ -24,19 +18,14 @@ TANH_SPEEDS = (0.1, 0.4)
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """The curves of `dense_model`, or |q̇|^k sgn q̇ of `designer.effect_columns`."""
-    j = model.joint_index
-    if "top_speed" in model.values:
-        # beyond the speeds of the fit the friction goes on linearly
-        top_speed = model.values["top_speed"]
-        columns = motion.for_all_fits(
-            f"viscous curves of joint {j} up to {top_speed}",
-            lambda: motion.lowpass(_curves(np.clip(joint_speed(motion, j) / top_speed, -1.0, 1.0))),
-        )
-        return single_joint_rows(motion, j, columns)
-    return single_joint_columns(
-        motion, j, motion.sign(j) * np.abs(joint_speed(motion, j)) ** model.values["exponent"]
+    """Concave and convex friction curves."""
+    # beyond the speeds of the fit the friction goes on linearly
+    j, top_speed = model.joint_index, model.values["top_speed"]
+    columns = motion.for_all_fits(
+        f"viscous curves of joint {j} up to {top_speed}",
+        lambda: motion.lowpass(_curves(np.clip(motion.samples.dq[:, j] / top_speed, -1.0, 1.0))),
     )
+    return single_joint_rows(motion, j, columns)
 
 
 def _curves(share: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter
 from ..identification.regression import IdentificationModel, filtered_friction, filtered_regressor
 from ..identification.segments import RecordingSegment
 from ..identification.standstill import moving_rows
+from ..robot.dynamics import inverse_dynamics
 from ..robot.inertial_parameters import Parameters, model_with_inertias
 from ..robot.robot import Robot
 from ..robot.samples import MIN_TRAVEL, Samples
@@ -286,15 +287,15 @@ class RecordedMotion:
     @memoized
     def rigid_torque(self) -> FloatArray:
         """Torque of the rigid links without actuators [N m], shape (C, n)."""
-        return self._inverse_dynamics(
-            self.coarse_samples.q, self.coarse_samples.dq, self.coarse_samples.ddq
-        )
+        robot = self.fitted_robot
+        return inverse_dynamics(robot.robot, robot.model, self.coarse_samples)
 
     @memoized
     def initial_torque(self) -> FloatArray:
         """Static torque of the rigid links in the first pose [N m], shape (n,)."""
-        q = self.coarse_samples.q[:1]
-        return np.asarray(self._inverse_dynamics(q, np.zeros_like(q), np.zeros_like(q))[0])
+        robot, q = self.fitted_robot, self.coarse_samples.q[:1]
+        still = Samples(q, np.zeros_like(q), np.zeros_like(q))
+        return np.asarray(inverse_dynamics(robot.robot, robot.model, still)[0])
 
     @memoized
     def transmitted_torque(self) -> FloatArray:
@@ -323,15 +324,6 @@ class RecordedMotion:
         The noiseless torque of a joint model that is fitted to the motion takes its place.
         """
         return self.band.filter(self.segment.torque, Grid.RECORDED)
-
-    def _inverse_dynamics(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> FloatArray:
-        """Torque of the rigid links by recursive Newton-Euler; shapes (C, n)."""
-        robot, data = self.fitted_robot.robot, self.fitted_robot.model.createData()
-        Q, V, A = robot.expand(q), dq @ robot.spread.T, ddq @ robot.spread.T
-        out = np.array(
-            [pin.rnea(self.fitted_robot.model, data, *state) for state in zip(Q, V, A, strict=True)]
-        )
-        return out @ robot.spread
 
     @memoized
     def derivatives(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -367,15 +359,11 @@ class RecordedMotion:
         robot = self.fitted_robot.robot
         out = np.empty((len(self.coarse_samples), robot.n, 3))
         q, zero = self.coarse_samples.q, np.zeros_like(self.coarse_samples.q)
+        still = Samples(q, zero, zero)
         for axis in range(3):
             model = self.fitted_robot.model.copy()
             model.gravity.linear = -np.eye(3)[axis]
-            data = model.createData()
-            torque = [
-                pin.rnea(model, data, pose, still, still)
-                for pose, still in zip(robot.expand(q), zero @ robot.spread.T, strict=True)
-            ]
-            out[:, :, axis] = np.array(torque) @ robot.spread
+            out[:, :, axis] = inverse_dynamics(robot, model, still)
         return out
 
     @memoized

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, named_coefficients, single_joint_columns
+from .effect import CandidateModel, Effect, named_coefficients, one_per_joint, single_joint_columns
 from .recorded_motion import RecordedMotion
 
 
@@ -14,17 +12,11 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return single_joint_columns(motion, model.joint_index, motion.samples.ddq[:, model.joint_index])
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """One candidate a joint."""
-    for j in range(motions[0].n):
-        yield CandidateModel("rotor_inertia", j, _columns, parameters=named_coefficients("inertia"))
-
-
 ROTOR_INERTIA = Effect(
     "rotor_inertia",
     "I_a q̈",
     _columns,
-    _candidates,
+    one_per_joint("rotor_inertia", _columns, parameters=named_coefficients("inertia")),
     {"inertia": "kg m²"},
     "like the joint's own acceleration, at any pose",
     "small fast motion at several poses",

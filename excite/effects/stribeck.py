@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, no_candidates, single_joint_columns
-from .friction import joint_speed, max_speed
+from .friction import max_speed
 from .recorded_motion import RecordedMotion
 
 DENSE_VELOCITIES = np.geomspace(0.03, 0.3, 4)
@@ -16,15 +16,12 @@ DENSE_VELOCITIES = np.geomspace(0.03, 0.3, 4)
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """The curves of `dense_model`, or one curve exp(−(|q̇|/v)^δ) of `designer.effect_columns`."""
-    j, values = model.joint_index, model.values
-    speed, sign = np.abs(joint_speed(motion, j)), motion.sign(j)
-    if "top_speed" in values:
-        share = speed / (DENSE_VELOCITIES * values["top_speed"])[:, None]
-        curves = np.vstack([np.exp(-share), np.exp(-(share**2))])
-        return single_joint_columns(motion, j, (sign * curves).T)
-    curve = np.exp(-((speed / values["velocity"]) ** values["exponent"]))
-    return single_joint_columns(motion, j, sign * curve)
+    """Exponential and Gaussian curves."""
+    j = model.joint_index
+    velocities = DENSE_VELOCITIES * model.values["top_speed"]
+    share = np.abs(motion.samples.dq[:, j]) / velocities[:, None]
+    curves = np.vstack([np.exp(-share), np.exp(-(share**2))])
+    return single_joint_columns(motion, j, (motion.sign(j) * curves).T)
 
 
 def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:

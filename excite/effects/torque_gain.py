@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, is_between, single_joint_columns
+from .effect import CandidateModel, Effect, is_between, one_per_joint, single_joint_columns
 from .recorded_motion import RecordedMotion
 
 CHANGES = (-0.7, 2.0)
@@ -19,23 +17,17 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     )
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """One candidate a joint. The recorded torque is the true one over the gain."""
-    for j in range(motions[0].n):
-        yield CandidateModel(
-            "torque_gain",
-            j,
-            _columns,
-            parameters=lambda c: {"gain": 1.0 / (1.0 + float(c[0]))},
-            is_plausible=is_between(*CHANGES),
-        )
-
-
 TORQUE_GAIN = Effect(
     "torque_gain",
     "τ = (1 + ε) k_t i",
     _columns,
-    _candidates,
+    one_per_joint(
+        "torque_gain",
+        _columns,
+        # the recorded torque is the true one over the gain
+        parameters=lambda c: {"gain": 1.0 / (1.0 + float(c[0]))},
+        is_plausible=is_between(*CHANGES),
+    ),
     {"gain": "1"},
     "every term of one joint scaled",
     "two known loads",

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, named_coefficients, single_joint_columns
+from .effect import CandidateModel, Effect, named_coefficients, one_per_joint, single_joint_columns
 from .recorded_motion import RecordedMotion
 
 
@@ -16,17 +14,11 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return single_joint_columns(motion, model.joint_index, np.ones(len(motion.segment)))
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """One candidate a joint."""
-    for j in range(motions[0].n):
-        yield CandidateModel("torque_offset", j, _columns, parameters=named_coefficients("offset"))
-
-
 TORQUE_OFFSET = Effect(
     "torque_offset",
     "τ₀",
     _columns,
-    _candidates,
+    one_per_joint("torque_offset", _columns, parameters=named_coefficients("offset")),
     {"offset": "N m"},
     "constant, whatever the motion",
     "hold a pose, reached from both sides",

@@ -18,13 +18,11 @@ from .recorded_motion import RecordedMotion
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """A wave of one order; with a "load", also a wave that grows with the load."""
+    """A wave of one order, and one that grows with the load."""
     j = model.joint_index
     waves = harmonic_columns(model.values, motion.samples.q[:, j])
-    if "load" in model.values:
-        load = motion.transmitted_torque[:, j] / model.values["load"]
-        waves = np.hstack([waves, load[:, None] * waves])
-    return single_joint_columns(motion, j, waves)
+    load = motion.transmitted_torque[:, j] / model.values["load"]
+    return single_joint_columns(motion, j, np.hstack([waves, load[:, None] * waves]))
 
 
 def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> CandidateModel:

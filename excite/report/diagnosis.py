@@ -237,7 +237,7 @@ def _budget_section(
         ],
         "shown": SHOWN_SENTENCES,
         "seconds": number(seconds, 2 if seconds < 100.0 else 3),
-        "is_noise_known": diagnosis.method == "periods",
+        "is_noise_known": diagnosis.noise.method == "periods",
         "has_changed": bool(changed),
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),
     }
@@ -383,7 +383,7 @@ def _next_section(
         answer = "Motions that decide what these recordings leave open."
     elif document["findings"]:
         answer = "Nothing must be decided: every finding is sure, and no other effect resembles it."
-    if diagnosis.method != "periods":
+    if diagnosis.noise.method != "periods":
         lines.append(
             "Repeat the same period a few times in one recording: the difference between periods "
             "is noise, and the noise floor becomes known."
@@ -444,7 +444,7 @@ def _provenance_section(diagnosis: Diagnosis, remarks: Sequence[Remark]) -> Sect
         "held out": ", ".join(held_out),
         "band": f"below {number(diagnosis.hertz)} Hz",
         "parameters fixed by --prior": str(len(trusted)),
-        "noise floor": _NOISE_FLOORS.get(diagnosis.method, diagnosis.method),
+        "noise floor": _NOISE_FLOORS.get(diagnosis.noise.method, diagnosis.noise.method),
         "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
     table = Table(("quantity", "value"), list(facts.items()))

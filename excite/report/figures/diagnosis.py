@@ -196,7 +196,7 @@ def held_out_predictions(diagnosis: Diagnosis, *, withheld: bool) -> Iterator[Pr
             measured,
             measured - np.concatenate(before),
             measured - np.concatenate(after),
-            diagnosis.floor,
+            diagnosis.noise.floor,
             tuple(np.cumsum([0, *(len(motion) for motion in motions)])[:-1].tolist()),
             np.concatenate([motion.moving for motion in motions]),
         )

@@ -240,8 +240,8 @@ def test_cross_validation_is_a_refit_without_the_fold(nonnegative):
 def test_coefficients_of_a_fold_of_its_own_are_fitted_to_its_errors():
     regression, columns = random_regression(6, nonnegative=False)
     fold = np.arange(60) % 3 == 0
-    own = np.arange(7) < 1
-    errors = regression.cross_validated([fold, ~fold], [()], own, slice(0, 1))
+    unused = np.arange(7) < 1
+    errors = regression.cross_validated([fold, ~fold], [()], unused, slice(0, 1))
     other = JointRegression.of_base(
         regression.torque[~fold],
         np.ones((40, 2), bool),

@@ -315,7 +315,7 @@ class JointRegression:
         folds: Sequence[BoolArray],
         variants: Sequence[Collection[int]],
         unused: BoolArray,
-        own: slice,
+        per_fold: slice,
     ) -> FloatArray:
         """Return squared errors on rows that the coefficients were not fitted to.
 
@@ -323,8 +323,8 @@ class JointRegression:
             folds: Rows of each fold, shape (N,).
             variants: Effects that are left out, by variant of the model.
             unused: Coefficients that say nothing about other rows, shape (K,).
-            own: Those among them that each fold has for itself: they are fitted to its errors, with
-                their prior.
+            per_fold: Those of them that differ from fold to fold, which are fitted to the errors
+                of each, with their prior.
 
         Returns:
             Sum over the rows of each fold [(N m)²], shape (folds, variants, n).
@@ -348,7 +348,7 @@ class JointRegression:
                     x = c[gram.places]
                     left = score - matrix @ x
                     square = power - float(x @ (score + left))
-                    of_fold = (gram.places >= own.start) & (gram.places < own.stop)
+                    of_fold = (gram.places >= per_fold.start) & (gram.places < per_fold.stop)
                     prior = np.diag(self.prior_matrix)[gram.places[of_fold]] / self.weights[j]
                     information = matrix[np.ix_(of_fold, of_fold)] + np.diag(prior)
                     square -= float(left[of_fold] @ np.linalg.solve(information, left[of_fold]))

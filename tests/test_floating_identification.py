@@ -205,6 +205,7 @@ def run(*words):
     return main([str(word) for word in words])
 
 
+@pytest.mark.filterwarnings("ignore:.*begins or ends in motion:excite.errors.ExciteWarning")
 def test_the_saved_model_predicts_as_the_result_does(folder, plate):
     plate.save(folder / "model")
     predicted = predict(folder / "model" / "model.json", folder / "validation.csv")
@@ -222,6 +223,7 @@ def test_the_saved_model_predicts_as_the_result_does(folder, plate):
         assert np.allclose(values, expected, atol=0.02 * np.abs(expected).max())
 
 
+@pytest.mark.filterwarnings("ignore:.*begins or ends in motion:excite.errors.ExciteWarning")
 def test_joint_torque_is_predicted_with_the_recorded_wrenches(folder):
     identify_floating(folder / "biped.urdf", [folder / "plate_feet.csv"], gamma=10.0).save(
         folder / "both"
@@ -237,6 +239,7 @@ def test_joint_torque_is_predicted_with_the_recorded_wrenches(folder):
     assert (error < 0.2 * np.std(measured[inner], axis=0) + 0.5).all()
 
 
+@pytest.mark.filterwarnings("ignore:.*begins or ends in motion:excite.errors.ExciteWarning")
 def test_the_order_of_wrench_columns_does_not_matter(folder):
     header, *rows = (folder / "validation_feet.csv").read_text(encoding="utf-8").splitlines()
     backward = folder / "backward.csv"
@@ -322,6 +325,7 @@ def test_other_commands_refuse_the_model_in_one_line(folder, plate, capsys):
 # -- the recorded human ----------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore:.*begins or ends in motion:excite.errors.ExciteWarning")
 @needs_human
 def test_the_wrench_of_the_human_is_predicted_below_the_baseline(tmp_path):
     """As scripts/human_wrench.py judges it, with γ of its cross-validation to save time."""

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from excite import api
-from excite.diagnosis import bandwidth
 from excite.errors import UnusableInput
 from excite.identification import position_bandwidth, regression, segments
 from excite.identification.nominal_comparison import nominal_torque
@@ -59,7 +58,6 @@ def test_the_recording_with_the_most_jitter_limits_the_band(two_link):
     parts = [segment(two_link, 0.0), jittered]
     carried = functools.partial(position_bandwidth.position_bandwidth, robot=two_link)
     assert segments.torque_spectra(parts, None, carried).hertz == carried(jittered) < 20.0
-    assert bandwidth.chosen_hertz(parts, parts, two_link) == carried(jittered)
 
 
 def test_the_filter_leaves_half_of_a_short_recording(two_link):

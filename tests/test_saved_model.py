@@ -51,6 +51,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.filterwarnings("ignore:.*begins or ends in motion:excite.errors.ExciteWarning")
 def test_the_model_file_predicts_with_the_stated_error(folder):
     """Measured torque below the cutoff, minus the torque that `excite predict` writes."""
     stated = json.loads((folder / "5" / "diagnosis.json").read_text())

@@ -21,8 +21,6 @@ BACKLASH = 4e-4
 """Backlash of the second gear [rad]."""
 READ_DELAY = 2.5e-3
 """Time by which the link encoder is read after the motor encoder [s]."""
-NAMES = ("drag",)
-"""Effects to look for: gears are estimated whatever is found."""
 ECCENTRICITY = 3e-4
 """Amplitude of the error of an eccentric link encoder [rad]."""
 
@@ -69,7 +67,7 @@ def two_encoder_recordings(
 
 
 def test_gear_parameters_despite_delay_and_eccentric_encoder(subject):
-    result = diagnose(two_encoder_recordings(subject), names=NAMES)
+    result = diagnose(two_encoder_recordings(subject))
     first, second = result.gears
     for gear, true in zip((first, second), STIFFNESS, strict=True):
         assert gear.stiffness is not None
@@ -83,14 +81,14 @@ def test_gear_parameters_despite_delay_and_eccentric_encoder(subject):
 
 
 def test_rigid_gear_gets_no_finite_stiffness(subject):
-    for gear in diagnose(two_encoder_recordings(subject, stiff=True), names=NAMES).gears:
+    for gear in diagnose(two_encoder_recordings(subject, stiff=True)).gears:
         assert gear.stiffness is None or gear.stiffness[0] > 50.0 * max(STIFFNESS)
         assert abs(gear.read_delay[0]) < 5e-5
 
 
 def test_no_gear_without_a_second_encoder(subject):
     pair = two_encoder_recordings(subject, linked=False)
-    result = diagnose(pair, names=NAMES)
+    result = diagnose(pair)
     assert result.gears == () and document(result)["encoders"] == {}
 
 
@@ -98,7 +96,7 @@ def test_gears_are_reported_in_document_and_report(subject):
     pair = two_encoder_recordings(subject)
     # joint 2 has no second encoder in one recording: its gear cannot be validated
     pair[1].qlink[:, 1] = np.nan  # type: ignore[index]
-    result = diagnose(pair, names=NAMES)
+    result = diagnose(pair)
     stated = document(result)
     (name,) = stated["encoders"]
     assert (

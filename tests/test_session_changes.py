@@ -161,7 +161,7 @@ def test_the_uncertainty_of_a_change_is_that_of_its_recording():
     ratios = list[float]()
     for seed in range(3):
         recordings = [recording_of(None, seed), recording_of(None, seed + 10)]
-        result = diagnose(recordings, names=("drag",))
+        result = diagnose(recordings)
         assert not result.changes
         held_out = result.held_out
         changes = session_changes.changes(held_out.motions, held_out.final, held_out.moving)

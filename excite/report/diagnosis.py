@@ -209,7 +209,7 @@ def _budget_section(
     elif improved:
         most = (
             f", most at {improved[0].joint}: {improved[0].error}"
-            if budgets[1:]
+            if improved[1:]
             else f": {improved[0].error}"
         )
         places = joint_words([b.joint for b in improved], len(budgets))

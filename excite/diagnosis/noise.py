@@ -19,7 +19,7 @@ from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
 from ..recordings import Recording, periodicity, quantization
 from ..recordings.missing_values import true_runs
-from ..recordings.padding import pad_by_reflection
+from ..recordings.padding import with_response
 
 Draw = Callable[[np.random.Generator], FloatArray]
 """Draws the residual that encoder steps alone would leave, shape (N, n)."""
@@ -44,8 +44,6 @@ FILTERED_SHARE = 0.95
 filtered before."""
 SPECTRUM_PERIODS = 40.0
 """Length of the windows of the spectrum, in periods of the cutoff frequency."""
-SHIFT_PADDING = 32
-"""Rows by which a signal is continued before it is shifted."""
 
 
 @dataclass(frozen=True)
@@ -260,13 +258,7 @@ def shifted(x: FloatArray, by: float) -> FloatArray:
     """
     if by < 1e-6:
         return x
-    reach = min(SHIFT_PADDING, len(x) - 1)
-    padded = pad_by_reflection(x, reach, reach)
-    spectrum = (
-        np.fft.rfft(padded, axis=0)
-        * np.exp(2j * np.pi * np.fft.rfftfreq(len(padded)) * by)[:, None]
-    )
-    return np.asarray(np.fft.irfft(spectrum, len(padded), axis=0)[reach : reach + len(x)])
+    return with_response(x, lambda frequency: np.exp(2j * np.pi * frequency * by))
 
 
 def estimate_period(recording: Recording) -> Period | None:

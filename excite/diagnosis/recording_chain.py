@@ -18,12 +18,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._types import FloatArray
 from ..effects import delay
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.lowpass import Grid
-from ..recordings.padding import pad_by_reflection
+from ..recordings.padding import with_response
 from ..schemas.effects import FILTER_COEFFICIENTS
 from .regression import FIXED_STD
 
@@ -34,8 +35,6 @@ MIN_DELAY = 1e-5
 FILTER_HERTZ = 20.0
 """Frequency at which the prior standard deviation of the filter, by a, p or b, is a factor of e
 [Hz]: no one filters a robot's torque at much less."""
-PADDING = 32
-"""Rows by which a column is continued before it passes the filter."""
 COLUMNS = 1 + FILTER_COEFFICIENTS
 """Columns of a recording chain: the delay, then the filter."""
 
@@ -88,13 +87,14 @@ class RecordingChain:
         """
         if not self.is_filtered:
             return rows
-        reach = 0 if motion.band.periodic else min(PADDING, len(rows) - 1)
-        padded = pad_by_reflection(rows.reshape(len(rows), -1), reach, reach)
-        step = 1.0 / motion.band.rate_of(Grid.KEPT)
-        x = np.asarray(np.fft.rfftfreq(len(padded), step) / motion.band.hertz)
-        response = delay.filter_response(np.array(self.filter), x)
-        passed = np.fft.irfft(np.fft.rfft(padded, axis=0) * response[:, None], len(padded), axis=0)
-        return np.asarray(passed[reach : reach + len(rows)]).reshape(rows.shape)
+        rate = motion.band.rate_of(Grid.KEPT)
+
+        def response(frequency: FloatArray) -> NDArray[np.complex128]:
+            return delay.filter_response(
+                np.array(self.filter), frequency * rate / motion.band.hertz
+            )
+
+        return with_response(rows, response, motion.band.periodic)
 
     def gain(self, frequencies: FloatArray, hertz: float) -> FloatArray:
         """Return the gain at frequencies up to the cutoff frequency, shape (k,).

@@ -268,6 +268,22 @@ class JointRegression:
             out.append((x.T @ x, x.T @ tau, float(tau @ tau)))
         return out
 
+    def _with_fitted(self, joint: int, products: _Products, fitted: slice) -> _Products:
+        """Products of a joint's rows to which some coefficients are always fitted.
+
+        The squared error of the others is then the minimum over those, with their prior.
+        """
+        places, (matrix, score, power) = self._grams[joint].places, products
+        on = (places >= fitted.start) & (places < fitted.stop)
+        prior = np.diag(self.prior_matrix)[places[on]] / self.weights[joint]
+        right = np.column_stack([matrix[on], score[on]])
+        follow = np.linalg.solve(matrix[np.ix_(on, on)] + np.diag(prior), right)
+        return (
+            matrix - matrix[:, on] @ follow[:, :-1],
+            score - matrix[:, on] @ follow[:, -1],
+            power - float(score[on] @ follow[:, -1]),
+        )
+
     def _system_of(self, parts: Sequence[Sequence[_Products]]) -> System:
         """Normal equations of the weighted rows of some parts and of the priors."""
         matrix, score = self.prior_matrix.copy(), self._prior_score.copy()
@@ -340,19 +356,14 @@ class JointRegression:
             # a sum over the other folds: a difference would leave the rounding errors of the whole
             system = self._system_of([part for part in parts if part is not held_out])
             elimination = self._elimination_of(system, ~unused)
+            reduced = [self._with_fitted(j, p, per_fold) for j, p in enumerate(held_out)]
             for v, mask in enumerate(used):
                 c = elimination.minimum(system, mask, self.solution.active).coefficients
                 for j, (gram, (matrix, score, power)) in enumerate(
-                    zip(self._grams, held_out, strict=True)
+                    zip(self._grams, reduced, strict=True)
                 ):
                     x = c[gram.places]
-                    left = score - matrix @ x
-                    square = power - float(x @ (score + left))
-                    of_fold = (gram.places >= per_fold.start) & (gram.places < per_fold.stop)
-                    prior = np.diag(self.prior_matrix)[gram.places[of_fold]] / self.weights[j]
-                    information = matrix[np.ix_(of_fold, of_fold)] + np.diag(prior)
-                    square -= float(left[of_fold] @ np.linalg.solve(information, left[of_fold]))
-                    errors[v, j] = max(square, 0.0)
+                    errors[v, j] = max(power - float(x @ (2.0 * score - matrix @ x)), 0.0)
         return out
 
     def residual(self, solution: Solution | None = None) -> FloatArray:

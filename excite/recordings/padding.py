@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from .._types import FloatArray
+
+RESPONSE_PADDING = 32
+"""Rows by which a signal is continued at either end before it passes a filter; the impulse
+responses of a shift by less than a row, and of filters of recorded torque, are shorter [rows]."""
 
 
 def pad_by_reflection(x: FloatArray, before: int, after: int) -> FloatArray:
@@ -21,3 +28,25 @@ def pad_by_reflection(x: FloatArray, before: int, after: int) -> FloatArray:
     head = 2.0 * x[0] - x[before:0:-1]
     tail = 2.0 * x[-1] - x[-2 : -after - 2 : -1]
     return np.concatenate([head, x, tail])
+
+
+def with_response(
+    x: FloatArray,
+    response: Callable[[FloatArray], NDArray[np.complex128]],
+    periodic: bool = False,
+) -> FloatArray:
+    """Return signals that have passed a filter.
+
+    Args:
+        x: Evenly sampled signals. Shape (N, …).
+        response: Frequency response over the frequencies [1/row].
+        periodic: Whether the signals repeat; otherwise their ends are continued by reflection.
+
+    Returns:
+        The filtered signals. Shape (N, …).
+    """
+    reach = 0 if periodic else min(RESPONSE_PADDING, len(x) - 1)
+    padded = pad_by_reflection(x.reshape(len(x), -1), reach, reach)
+    factor = response(np.asarray(np.fft.rfftfreq(len(padded))))
+    passed = np.fft.irfft(np.fft.rfft(padded, axis=0) * factor[:, None], len(padded), axis=0)
+    return np.asarray(passed[reach : reach + len(x)]).reshape(x.shape)

@@ -40,6 +40,26 @@ def test_solution_without_constraints_is_least_squares(seed):
 
 
 @given(seed=st.integers(0, 1000))
+def test_information_of_the_data_is_not_lost_next_to_a_strong_prior(seed):
+    """A prior 10²⁰ times as strong as the data must not leave its rounding errors."""
+    rng = np.random.default_rng(seed)
+    base, extra = rng.normal(size=(60, 2, 3)), rng.normal(size=(60, 2, 4))
+    torque, prior = rng.normal(size=(60, 2)), (np.ones(3), 1e22 * np.eye(3))
+    regression = JointRegression.of_base(
+        torque, np.ones((60, 2), bool), base, prior, np.array([0.5, 2.0]), 0.7
+    )
+    regression.add(columns_on_all_joints(extra, np.zeros(4, bool), np.full(4, 1e6)))
+    information, score, follow = regression.data_information(3)
+    weight = np.sqrt(np.repeat(regression.weights[None], 60, axis=0)).ravel()
+    first, others = (x.reshape(120, -1) * weight[:, None] for x in (base, extra))
+    fitted = np.linalg.lstsq(others, first, rcond=None)[0]
+    residual = first - others @ fitted
+    np.testing.assert_allclose(information, residual.T @ residual, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(score, residual.T @ (torque.ravel() * weight), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(follow, -fitted, rtol=1e-6, atol=1e-6)
+
+
+@given(seed=st.integers(0, 1000))
 def test_constrained_solution_satisfies_the_optimality_conditions(seed):
     """Karush-Kuhn-Tucker: the gradient vanishes at active coefficients, and is ≥ 0 at zero."""
     regression, columns = random_regression(seed, nonnegative=True)

@@ -22,7 +22,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
-from . import fitted_effects, joint_model, recording_chain, session_changes
+from . import base_estimate, fitted_effects, joint_model, recording_chain, session_changes
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel, model_columns
@@ -143,10 +143,14 @@ def fit(
         # between them would be fitted by other parameters, and the noise of torque whose filter is
         # undone is large
         joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
-        refitted = dataclasses.replace(
-            refitted,
-            posterior=joint_model.consistent_estimate(refitted, joint),
-            model=dataclasses.replace(refitted.model, widths=_widths(refitted, model, shapes)),
+        refitted = identification.with_estimate(
+            dataclasses.replace(
+                refitted,
+                model=dataclasses.replace(refitted.model, widths=_widths(refitted, model, shapes)),
+            ),
+            # not of the saved effects alone: those that were left out are not known to be zero
+            base_estimate.base_estimate(model),
+            joint_model.consistent_estimate(refitted, joint),
         )
     psi = joint_model.initial_parameters(refitted)
     motions = joint_model.renewed(identified, model.motions, psi, refitted.model.widths)

@@ -37,7 +37,7 @@ from ..identification.identification import Identification
 from . import recording_chain, ripple_search, session_changes
 from .columns import Columns
 from .flexible_models import UNMODELLED
-from .normal_equations import RIDGE, Solution
+from .normal_equations import Solution
 from .recording_chain import RecordingChain
 from .regression import JointRegression, independent_share, rms
 
@@ -570,27 +570,14 @@ def consistent_estimate(identified: Identification, fitted: JointModel) -> Consi
 
     The information of the base parameters is what the data hold after elimination of all effects.
     """
-    model = identified.model
-    p = len(fitted.free)
-    solution = fitted.solution
-    others = solution.active.copy()
-    others[:p] = False
-    eliminated = np.flatnonzero(others)
-    a = solution.information
-    scale = 1.0 / np.sqrt(np.diag(a)[eliminated])
-    block = a[eliminated][:, eliminated] * scale[:, None] * scale
-    cross = scale[:, None] * a[eliminated][:, :p]
-    schur = a[:p, :p] - cross.T @ np.linalg.solve(block + RIDGE * np.eye(len(scale)), cross)
-    mean, prior = _base_prior(identified, fitted.motions, fitted.free)
-    information = 0.5 * (schur + schur.T) - prior[:p, :p]
-    score = schur @ solution.coefficients[:p] - prior[:p, :p] @ mean[:p]
+    information, score, _ = fitted.regression.data_information(len(fitted.free))
     values, vectors = np.linalg.eigh(information)
     known = values > 1e-12 * values.max()
     root = np.sqrt(values[known])[:, None] * vectors[:, known].T
     target = (vectors[:, known].T @ score) / np.sqrt(values[known])
     return consistency.maximum_a_posteriori(
-        model.parameters,
-        root @ model.base.matrix,
+        identified.model.parameters,
+        root @ identified.model.base.matrix,
         target,
         identified.prior,
         identified.options.bounds,

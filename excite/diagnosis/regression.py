@@ -20,7 +20,7 @@ from scipy import linalg
 from .._types import BoolArray, FloatArray, IntArray
 from .candidate_fits import CandidateBatch, CandidateFit
 from .columns import Columns
-from .normal_equations import Elimination, Solution, System
+from .normal_equations import RIDGE, Elimination, Solution, System
 
 MAX_LAG = 40
 """Lags of the autocorrelation that are summed [rows]."""
@@ -251,9 +251,12 @@ class JointRegression:
     def _assembled(self) -> System:
         """Normal equations of the weighted rows and the priors."""
         if self._system is None:
-            products = [(gram.matrix, gram.score, gram.power) for gram in self._grams]
-            self._system = self._system_of([products])
+            self._system = self._system_of([self._whole()])
         return self._system
+
+    def _whole(self) -> list[_Products]:
+        """Products of all rows, for each joint."""
+        return [(gram.matrix, gram.score, gram.power) for gram in self._grams]
 
     def _products(self, rows: BoolArray, torque: FloatArray) -> list[_Products]:
         """Products XᵀX, Xᵀτ and τᵀτ of some rows, for each joint.
@@ -284,9 +287,18 @@ class JointRegression:
             power - float(score[on] @ follow[:, -1]),
         )
 
-    def _system_of(self, parts: Sequence[Sequence[_Products]]) -> System:
-        """Normal equations of the weighted rows of some parts and of the priors."""
-        matrix, score = self.prior_matrix.copy(), self._prior_score.copy()
+    def _system_of(
+        self,
+        parts: Sequence[Sequence[_Products]],
+        prior: tuple[FloatArray, FloatArray] | None = None,
+    ) -> System:
+        """Normal equations of the weighted rows of some parts and of the priors.
+
+        Args:
+            parts: Products of each part, by joint.
+            prior: Information and score of the priors; those of the regression if None.
+        """
+        matrix, score = (x.copy() for x in prior or (self.prior_matrix, self._prior_score))
         power = self._prior_power
         for part in parts:
             for gram, products, weight in zip(
@@ -325,6 +337,36 @@ class JointRegression:
         """Normal equations from which the used coefficients of the base model are eliminated."""
         base = np.flatnonzero(used[: self.base_count])
         return Elimination.of(system, base, self.nonnegative[self.base_count :])
+
+    def data_information(self, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what the data say of the first coefficients after elimination of all others.
+
+        Their own prior is left out from the start: a difference of information matrices would leave
+        the rounding errors of a strong prior.
+
+        Args:
+            count: Number of these coefficients, p.
+
+        Returns:
+            Their information, shape (p, p); their score, shape (p,); and how the other active
+            coefficients follow them, shape (a − p, p).
+        """
+        prior = self.prior_matrix.copy()
+        prior[:count, :count] = 0.0
+        system = self._system_of([self._whole()], (prior, np.zeros(len(prior))))
+        active = np.flatnonzero(self.solution.active)
+        others = active[active >= count]
+        assert len(active) - len(others) == count  # the base model has no sign constraints
+        scale = 1.0 / np.sqrt(np.diag(system.matrix)[others])
+        block = system.matrix[np.ix_(others, others)] * scale[:, None] * scale
+        cross = scale[:, None] * np.column_stack(
+            [system.matrix[others, :count], system.score[others]]
+        )
+        half = np.linalg.solve(block + RIDGE * np.eye(len(others)), cross)
+        reduced = cross[:, :count].T @ half
+        information = system.matrix[:count, :count] - reduced[:, :count]
+        score = system.score[:count] - reduced[:, count]
+        return 0.5 * (information + information.T), score, -scale[:, None] * half[:, :count]
 
     def cross_validated(
         self,

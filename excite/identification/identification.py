@@ -331,15 +331,8 @@ def identify(
     if options.simulate or options.refine:
         progress("simulating the identified robot")
         posterior, simulation = _simulate(fit, data, posterior, prior, options, spectra.hertz)
-    metric, metric_base = _identifiability_metric(parameters, base, posterior.psi)
-    analysis = identifiability.analyse_root(
-        metric,
-        metric_base,
-        data.information_root @ base.matrix,
-        data.noise,
-        robot,
-        threshold=options.threshold,
-        samples=sum(len(r) for r in recordings),
+    metric, metric_base, analysis = _analysed(
+        fit.model, data, posterior, options.threshold, sum(len(r) for r in recordings)
     )
     predict = functools.partial(
         _predict,
@@ -371,6 +364,52 @@ def identify(
         endogeneity=endogeneity,
         simulation=simulation,
     )
+
+
+def with_estimate(
+    identified: Identification, data: Estimate, posterior: ConsistentEstimate
+) -> Identification:
+    """Return an identification with another estimate from the same recordings.
+
+    Args:
+        identified: The identification.
+        data: Base parameters by the data.
+        posterior: The physically consistent estimate.
+    """
+    model, options = identified.model, identified.options
+    metric, metric_base, analysis = _analysed(
+        model, data, posterior, options.threshold, identified.analysis.samples
+    )
+    return dataclasses.replace(
+        identified,
+        data=data,
+        posterior=posterior,
+        reduced=_reduced_estimate(metric, metric_base, data, identified.prior, options),
+        metric=metric,
+        metric_base=metric_base,
+        analysis=analysis,
+    )
+
+
+def _analysed(
+    model: IdentificationModel,
+    data: Estimate,
+    posterior: ConsistentEstimate,
+    threshold: float,
+    samples: int | None,
+) -> tuple[Parameters, Base, Identifiability]:
+    """Parameters and base in the metric of identifiability, and identifiability in that metric."""
+    metric, metric_base = _identifiability_metric(model.parameters, model.base, posterior.psi)
+    analysis = identifiability.analyse_root(
+        metric,
+        metric_base,
+        data.information_root @ model.base.matrix,
+        data.noise,
+        model.robot,
+        threshold=threshold,
+        samples=samples,
+    )
+    return metric, metric_base, analysis
 
 
 def _fit_data(

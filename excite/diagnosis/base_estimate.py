@@ -1,0 +1,110 @@
+"""Base parameters by the joint regression, with an uncertainty that includes all that is fitted.
+
+With the columns Γ of the base model, X of all else with the prior information Λ, and weights W,
+
+    θ̂ = I⁻¹ ZᵀWτ,   Z = Γ − X F,   F = (XᵀWX + Λ)⁻¹ XᵀWΓ,   I = ΓᵀWZ,
+    Cov θ̂ = I⁻¹ (ZᵀW S WZ + FᵀΛF) I⁻¹,
+
+with the covariance S of the residual by its spectrum, as in `identification.estimators`. Were the
+effects taken as known, the intervals would leave out what an effect and the base model share.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._types import FloatArray
+from ..identification.estimators import ZERO_COLUMN_RATIO, Estimate, Method
+from ..identification.noise_spectrum import noise_spectrum
+from ..identification.regression import TorqueEquations
+from ..robot.samples import Samples
+from .joint_model import JointModel
+from .regression import JointRegression
+
+EXCITED = 1e-12
+"""Eigenvalue of the information, each parameter in units of its column, relative to the largest,
+above which a combination of base parameters counts as excited."""
+
+
+def base_estimate(joint: JointModel) -> Estimate:
+    """Return the base parameters by the data, with all else of a joint model unknown.
+
+    Args:
+        joint: The joint model, all of whose base parameters are free.
+    """
+    regression, p = joint.regression, len(joint.free)
+    information, score, follow = regression.data_information(p)
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    size[size <= ZERO_COLUMN_RATIO * size.max()] = 1.0
+    values, vectors = np.linalg.eigh(information / size[:, None] / size)
+    known = values > EXCITED * values.max()
+    half = vectors[:, known] / np.sqrt(values[known]) / size[:, None]
+    inward = (vectors[:, known] * np.sqrt(values[known])).T * size
+    theta = half @ (half.T @ score)
+    along = np.vstack([half, follow @ half])
+    white = np.sqrt(regression.weights)
+    residual = np.where(regression.moving, regression.residual(), 0.0)
+    leverage, scores = _rows(regression, along)
+    spectrum, spread = noise_spectrum(
+        _equations(joint), residual * white, leverage, np.diag(1.0 / white), scores
+    )
+    others = np.flatnonzero(regression.solution.active)[p:]
+    spread += along[p:].T @ regression.prior_matrix[np.ix_(others, others)] @ along[p:]
+    covariance = half @ spread @ half.T
+    hidden = np.any(np.abs(vectors[:, ~known]) > 1e-6, axis=1)
+    covariance[hidden, hidden] = np.inf
+    freedom = float(regression.moving.sum() - regression.fitted_per_joint().sum())
+    return Estimate(
+        Method.WLS,
+        theta,
+        np.linalg.solve(np.linalg.cholesky(spread), inward),
+        covariance,
+        np.diag(regression.sigma),
+        spectrum,
+        residual,
+        freedom,
+    )
+
+
+def _rows(regression: JointRegression, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weighted rows whose squares are leverages, and those of directions of the coefficients.
+
+    Args:
+        regression: The regression.
+        along: Directions of the active coefficients, shape (a, r).
+
+    Returns:
+        Shapes (N, n, k), k the most coefficients of a joint, and (N, n, r).
+    """
+    joints = range(regression.n)
+    columns, places = zip(*(regression.active_columns(j) for j in joints), strict=True)
+    inverse = regression.solution.solve(np.eye(len(along)))
+    leverage = np.zeros((*regression.torque.shape, max(map(len, places))))
+    scores = np.zeros((*regression.torque.shape, along.shape[1]))
+    for j, weight in enumerate(np.sqrt(regression.weights).tolist()):
+        values, vectors = np.linalg.eigh(inverse[np.ix_(places[j], places[j])])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        leverage[:, j, : len(places[j])] = weight * columns[j] @ root
+        scores[:, j] = weight * columns[j] @ along[places[j]]
+    return leverage, scores
+
+
+def _equations(joint: JointModel) -> TorqueEquations:
+    """Rows of the regression for the spectrum of its residual."""
+    motions, regression = joint.motions, joint.regression
+    counts = [len(motion) for motion in motions]
+    still = np.zeros_like(regression.torque)
+    return TorqueEquations(
+        regression.torque,
+        np.zeros((*regression.torque.shape, 0)),
+        still,
+        regression.moving,
+        Samples(still, still, still),
+        np.concatenate([motion.time for motion in motions]),
+        tuple(np.cumsum([0, *counts[:-1]]).tolist()),
+        tuple(motion.segment.source for motion in motions),
+        (0,) * len(motions),
+        (None,) * len(motions),
+        motions[0].band.hertz,
+        float(1.0 / np.median(np.diff(motions[0].time))),
+    )

@@ -12,6 +12,7 @@ badly: in a sum over all, the joint and the recording that it predicts worst wou
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def gain_over(model: JointModel, left_out: Collection[int], before: JointModel) 
     return 0.5 * float(rows @ (_log_errors(before, [()]) - _log_errors(model, [left_out]))[0])
 
 
-def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
+def select(model: JointModel) -> list[EffectEvidence]:
     """Leave out effects that are not needed, and those that predict a joint worse.
 
     The latter are of joints that are predicted worse than by the base model alone.
@@ -82,28 +83,25 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         model: The joint model.
 
     Returns:
-        The effects that are left out, and the evidence of all.
+        The evidence of all effects.
     """
-    left_out, evidence = posterior.select(model)
-    return _without_unpredictive(model, left_out, evidence), evidence
-
-
-def _without_unpredictive(
-    model: JointModel, left_out: Collection[int], evidence: Sequence[EffectEvidence]
-) -> frozenset[int]:
-    """All effects that are left out once no joint is predicted worse than by the base model."""
-    out = set(left_out)
+    evidence = posterior.select(model)
     everything = set(range(len(model.models)))
     while True:
-        base, present = _log_errors(model, [everything, out])
+        left_out = posterior.left_out(evidence)
+        base, present = _log_errors(model, [everything, left_out])
         joint = int(np.argmax(present - base))
         if present[joint] <= base[joint]:
-            return frozenset(out)
+            return evidence
         # a joint without effects is predicted worse where the folds do not determine the base model
-        group = _spoiling_group(model, joint, out, present, evidence)
+        group = _spoiling_group(model, joint, left_out, present, evidence)
         if not group:
-            return frozenset(out)
-        out |= group
+            return evidence
+        spoiling = {e.key for e in evidence if group & set(e.effects)}
+        evidence = [
+            replace(e, is_in_model=False, spoils_prediction=True) if e.key in spoiling else e
+            for e in evidence
+        ]
 
 
 def _spoiling_group(
@@ -128,7 +126,7 @@ def _spoiling_group(
     groups = [
         frozenset(entry.effects)
         for entry in evidence
-        if not set(entry.effects) <= set(left_out)
+        if entry.is_in_model
         and joint in [j for e in entry.effects for j in model.regression.joints_of(e)]
     ]
     if not groups:

@@ -219,7 +219,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
     if hidden := sorted(set(estimate.parameters) - set(shown)):
         out["not_shown"] = hidden
     if not estimate.asserted:
-        out["reason"] = rejection.reason(diagnosis, estimate)
+        out["reason"] = rejection.reason(estimate)
     if estimate.asserted and (rivals := _rivals(diagnosis, estimate)):
         out["rivals"] = rivals
     return out
@@ -302,7 +302,7 @@ def _p_value(estimate: EffectEstimate) -> float | None:
     """p-value of a likelihood-ratio test: twice the log Bayes factor is at most χ² of k degrees."""
     if not np.isfinite(estimate.log_bayes_factor):
         return None
-    freedom = sum(len(c) for c in estimate.coefficients)
+    freedom = estimate.evidence.freedom
     return float(special.chdtrc(freedom, max(2.0 * estimate.log_bayes_factor, 0.0)))
 
 
@@ -450,7 +450,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         for effect in diagnosis.considered
         if effect.joint == entry.joint
         and effect.effect not in DENSE_NAMES
-        and rejection.reason(diagnosis, effect) == rejection.TOO_SMALL
+        and rejection.reason(effect) == rejection.TOO_SMALL
     ]
     return {
         "joint": name,

@@ -23,6 +23,7 @@ from ..effects.form_error import with_form_error
 from . import probability
 from .joint_model import FRICTIONS, JointModel, transient_rows
 from .normal_equations import Solution
+from .probability import Probability
 from .regression import JointRegression
 
 DENSE_NAMES = (*FRICTIONS, "torque_ripple")
@@ -50,6 +51,11 @@ class EffectEvidence:
             the RMS residuals r without it and r₀ with it [N m], shape (n,).
         size: The largest of them over the residual of its joint [1]; of an effect that acts for
             some of the time, of the rows in which it acts.
+        models: Its models.
+        freedom: Number of its coefficients.
+        is_in_model: Whether it is in the model that was selected.
+        spoils_prediction: Whether it is not, because rows to which it is not fitted are predicted
+            worse with it.
     """
 
     effects: tuple[int, ...]
@@ -58,6 +64,10 @@ class EffectEvidence:
     log_bayes_factor: float
     severity: FloatArray
     size: float
+    models: tuple[CandidateModel, ...]
+    freedom: int
+    is_in_model: bool = True
+    spoils_prediction: bool = False
 
     @property
     def key(self) -> Key:
@@ -69,7 +79,16 @@ class EffectEvidence:
         """True if the effect is more probable than not, and large enough to matter."""
         if self.name in DENSE_NAMES:
             return self.log_bayes_factor > 0.0 and self.size > MIN_SEVERITY
-        return _rare_probability(self) > 0.5
+        return probability.rare_probability(self.log_bayes_factor, self.size).value > 0.5
+
+
+def left_out(evidence: Sequence[EffectEvidence]) -> frozenset[int]:
+    """Return the numbers of the effects that are not in the selected model.
+
+    Args:
+        evidence: Evidence of all effects of a joint model.
+    """
+    return frozenset(number for e in evidence if not e.is_in_model for number in e.effects)
 
 
 def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
@@ -106,21 +125,22 @@ def log_bayes_factor(model: JointModel, reduced: JointModel) -> float:
     )
 
 
-def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, float]:
+def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Probability]:
     """Return the probability of every effect; the odds of frictions are shared over the joints.
 
     Args:
         n: Number of joints.
         evidence: Evidence of all effects of a joint model.
     """
-    out = {}
-    for e in evidence:
-        if e.name not in DENSE_NAMES:
-            out[e.key] = _rare_probability(e)
+    out = {
+        e.key: probability.rare_probability(e.log_bayes_factor, e.size)
+        for e in evidence
+        if e.name not in DENSE_NAMES
+    }
     for name in DENSE_NAMES:
         members = [e for e in evidence if e.name == name]
         shared = shared_probabilities(n, [e.log_bayes_factor for e in members])
-        out.update(zip((e.key for e in members), shared, strict=True))
+        out |= {e.key: Probability(p) for e, p in zip(members, shared, strict=True)}
     return out
 
 
@@ -136,19 +156,14 @@ def shared_probabilities(n: int, log_bayes_factors: Sequence[float]) -> list[flo
     return probability.friction_probabilities(factors)[: len(log_bayes_factors)].tolist()
 
 
-def _rare_probability(evidence: EffectEvidence) -> float:
-    return float(probability.rare_probability(evidence.log_bayes_factor, evidence.size))
-
-
-def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
+def select(model: JointModel) -> list[EffectEvidence]:
     """Leave out effects that are not needed, the least needed first.
 
     Args:
         model: The joint model.
 
     Returns:
-        The effects that are left out, and the evidence of all: of a left-out effect, what it had
-        when it left.
+        The evidence of all effects; of one that is left out, what it had when it left.
     """
     groups = effect_groups(model)
     regression = model.regression
@@ -181,7 +196,7 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
     # one that is doubtful only next to a form error stays: it is a part of the friction curve
     for joint in range(model.n):
         evidence |= _next_to_form_errors(model, joint, left_out, evidence)
-    return frozenset(left_out), [*evidence.values(), *out]
+    return [*evidence.values(), *(replace(e, is_in_model=False) for e in out)]
 
 
 def _next_to_form_errors(
@@ -333,11 +348,12 @@ def evidence_of(
     """Return the evidence of an effect in a model without some others."""
     regression = model.regression
     places = np.concatenate([np.arange(len(current.active))[regression.slices[e]] for e in members])
+    shapes = tuple(model.models[e] for e in members)
     if not current.coefficients[places].any():
-        return EffectEvidence(members, *key, -np.inf, np.zeros(model.n), 0.0)
+        none = np.zeros(model.n)
+        return EffectEvidence(members, *key, -np.inf, none, 0.0, shapes, len(places))
     reduced = regression.without([*left_out, *members])
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
-    shapes = [model.models[e] for e in members]
     factor -= float(sum(np.log(shape.alternatives) for shape in shapes))
     before, after = (regression.residual_rms(s) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
@@ -345,4 +361,4 @@ def evidence_of(
     if any(shape.interval is not None for shape in shapes):
         gain, size = _gain_of_transient(model, shapes, reduced, current)
         factor += gain - (reduced.objective - current.objective)
-    return EffectEvidence(members, *key, factor, severity, size)
+    return EffectEvidence(members, *key, factor, severity, size, shapes, len(places))

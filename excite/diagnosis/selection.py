@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
@@ -102,29 +101,12 @@ class RareEffect:
         return weight / total, tuple(name for name, _ in alike)
 
 
-@dataclass(frozen=True)
-class SmallEffect:
-    """An effect that has evidence, but is too small to be added.
-
-    Attributes:
-        evidence: Its evidence in the joint model with it.
-        models: Its models.
-        coefficients: Their coefficients.
-        is_predictive: Whether it lowers the error on rows to which it is not fitted.
-    """
-
-    evidence: EffectEvidence
-    models: tuple[CandidateModel, ...]
-    coefficients: tuple[FloatArray, ...]
-    is_predictive: bool
-
-
 def find_rare_effects(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     trusted: bool = False,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[JointModel, tuple[RareEffect, ...], tuple[SmallEffect, ...]]:
+) -> tuple[JointModel, tuple[RareEffect, ...], tuple[EffectEvidence, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
 
     Args:
@@ -135,7 +117,7 @@ def find_rare_effects(
         progress: Called with a line of text for each candidate.
 
     Returns:
-        The joint model, its rare effects, and those that are too small.
+        The joint model, its rare effects, and the evidence of those that are too small to be added.
     """
     search = _Search(identified, motions, progress)
     search.add_effects(CandidateColumns(search.model, trusted))
@@ -181,7 +163,7 @@ class _Search:
         self.effects: list[RareEffect] = []
         self._shapes: tuple[CandidateModel, ...] = ()
         self._rejected: set[Key] = set()
-        self._small: dict[Key, SmallEffect] = {}
+        self._small: dict[Key, EffectEvidence] = {}
 
     def add_effects(self, candidates: CandidateColumns) -> None:
         """Add effects, the best one first, while there is evidence for one.
@@ -216,13 +198,11 @@ class _Search:
             kept = {key for key, score in scores.items() if score > MIN_CANDIDATE_EVIDENCE}
             self._small = {key: small for key, small in self._small.items() if key in kept}
 
-    def small_effects(self) -> tuple[SmallEffect, ...]:
+    def small_effects(self) -> tuple[EffectEvidence, ...]:
         """Return effects that are too small; of those of a joint the ones with most evidence."""
         added = posterior.effect_groups(self.model)
         factors = {
-            key: small.evidence.log_bayes_factor
-            for key, small in self._small.items()
-            if key not in added
+            key: small.log_bayes_factor for key, small in self._small.items() if key not in added
         }
         return tuple(
             self._small[key]
@@ -366,12 +346,8 @@ class _Search:
         if is_large and is_predictive:
             return _Addition(key, shape, extended, evidence)
         if not is_large and key[0] not in LAST_RESORTS:
-            parts = [extended.regression.slices[i] for i in members]
-            self._small[key] = SmallEffect(
-                evidence,
-                tuple(extended.models[i] for i in members),
-                tuple(extended.regression.solution.coefficients[part] for part in parts),
-                is_predictive,
+            self._small[key] = replace(
+                evidence, effects=(), is_in_model=False, spoils_prediction=not is_predictive
             )
         return None
 

@@ -14,6 +14,7 @@ from ..diagnosis.estimates import MIN_PROBABILITY
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed
+from ..schemas.effects import effect_words
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .decisions import decisions_section
@@ -30,7 +31,6 @@ from .remarks import count_remarks, list_remarks
 from .render import render
 from .torque_budget import (
     JointBudget,
-    effect_words,
     joint_budgets,
     joint_words,
     parameter_words,

@@ -38,40 +38,23 @@ def _folds(model: JointModel) -> list[BoolArray]:
     return [np.asarray(third == part) for part in range(PARTS)]
 
 
-def pays(
-    model: JointModel,
-    effects: Sequence[int],
-    left_out: Collection[int] = (),
-    replaced: Collection[int] = (),
-) -> bool:
-    """Tell whether effects lower the error on recordings to which they are not fitted.
+def gain(
+    model: JointModel, left_out: Collection[int], other: JointModel, other_left_out: Collection[int]
+) -> float:
+    """Return the log-likelihood that a model gains over another on rows that are not fitted.
 
     Of an effect that acts for some of the time, its own fold says nothing, but the others are
     predicted better by what is fitted without its torque.
 
     Args:
-        model: A joint model that has them.
-        effects: Their numbers.
-        left_out: Numbers of other effects that are left out.
-        replaced: Numbers of those that are in the model without the effects alone.
-    """
-    without, with_ = _log_errors(model, [{*left_out, *effects}, {*left_out, *replaced}])
-    return bool(with_.sum() < without.sum())
-
-
-def gain_over(model: JointModel, left_out: Collection[int], before: JointModel) -> float:
-    """Return the log-likelihood that a model gains over another on rows that are not fitted.
-
-    An effect that is added may displace another, such as a wave, that predicts better.
-
-    Args:
         model: A joint model.
         left_out: Numbers of its effects that are left out.
-        before: Another joint model of the same motions.
+        other: Another joint model of the same motions, or the same one.
+        other_left_out: Numbers of its effects that are left out.
     """
-    regression = model.regression
-    rows = regression.independent_share * regression.moving.sum(axis=0)
-    return 0.5 * float(rows @ (_log_errors(before, [()]) - _log_errors(model, [left_out]))[0])
+    rows = model.regression.independent_share * model.regression.moving.sum(axis=0)
+    errors = _log_errors(other, [other_left_out]) - _log_errors(model, [left_out])
+    return 0.5 * float(rows @ errors[0])
 
 
 def select(model: JointModel) -> list[EffectEvidence]:

@@ -340,8 +340,9 @@ class _Search:
         is_large = evidence.is_needed
         if not replace(evidence, size=np.inf).is_needed or not _is_plausible(extended, members):
             return None
-        is_predictive = cross_validation.pays(extended, members, replaced=replaced) and (
-            before is None or cross_validation.gain_over(extended, replaced, before) > -TIE
+        # it may also displace another effect, such as a wave, that predicts better
+        is_predictive = cross_validation.gain(extended, replaced, extended, members) > 0.0 and (
+            before is None or cross_validation.gain(extended, replaced, before, ()) > -TIE
         )
         if is_large and is_predictive:
             return _Addition(key, shape, extended, evidence)

@@ -202,9 +202,7 @@ def diagnose(
         if not motions:
             raise segments.too_short(group[0].source, 2.0 * settling_time(hertz), hertz)
     progress("fitting all frictions jointly, then rare effects")
-    model, rare, small = selection.find_rare_effects(
-        identified, halves[0], bool(options.trusted), progress
-    )
+    model, rare, small = selection.find_rare_effects(identified, halves[0], progress)
     progress("evidence of each effect")
     evidence = cross_validation.select(model)
     residual = model.regression.residual(model.regression.without(posterior.left_out(evidence)))

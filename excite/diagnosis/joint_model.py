@@ -215,8 +215,8 @@ def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -
 def fit(
     identified: Identification,
     motions: Sequence[RecordedMotion],
-    rare: Sequence[CandidateModel] = (),
-    start: JointModel | None = None,
+    rare: Sequence[CandidateModel],
+    start: JointModel,
 ) -> JointModel:
     """Fit the joint model to recorded motions.
 
@@ -224,11 +224,11 @@ def fit(
         identified: The base model.
         motions: The motions to fit.
         rare: Further effects.
-        start: What `first_round` returns, if it is at hand.
+        start: What `first_round` returns.
     """
     widths, chain = identified.model.widths, RecordingChain()
     waves: list[CandidateModel] = []
-    fitted = (start or first_round(identified, motions)).with_effects(rare)
+    fitted = start.with_effects(rare)
     for step in range(ROUNDS - 1):
         delayed = _without_filter(fitted)
         # what a delay leaves that is not yet found looks like a filter

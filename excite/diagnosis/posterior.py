@@ -168,19 +168,13 @@ def select(model: JointModel) -> list[EffectEvidence]:
     groups = effect_groups(model)
     regression = model.regression
     left_out: set[int] = set()
-    current = model.solution
-    evidence = {
-        key: evidence_of(model, key, members, left_out, current) for key, members in groups.items()
-    }
+    evidence = {key: evidence_of(model, members) for key, members in groups.items()}
     out: list[EffectEvidence] = []
     for key in [key for key in groups if key[0] not in DENSE_NAMES]:
         left_out |= judge(model, key, left_out)[1]
     if left_out:
         out = [evidence.pop(key) for key, members in groups.items() if set(members) <= left_out]
-        current = regression.without(left_out)
-        evidence = {
-            key: evidence_of(model, key, groups[key], left_out, current) for key in evidence
-        }
+        evidence = {key: evidence_of(model, groups[key], left_out) for key in evidence}
     while evidence:
         unneeded = [key for key, entry in evidence.items() if not entry.is_needed]
         if not unneeded:
@@ -188,11 +182,10 @@ def select(model: JointModel) -> list[EffectEvidence]:
         key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
         out.append(evidence.pop(key))
         left_out |= set(groups[key])
-        current = regression.without(left_out)
-        touched = {j for j in _joints(regression, groups[key])}
+        touched = set(_joints(regression, groups[key]))
         for other in evidence:
             if touched & set(_joints(regression, groups[other])):
-                evidence[other] = evidence_of(model, other, groups[other], left_out, current)
+                evidence[other] = evidence_of(model, groups[other], left_out)
     # one that is doubtful only next to a form error stays: it is a part of the friction curve
     for joint in range(model.n):
         evidence |= _next_to_form_errors(model, joint, left_out, evidence)
@@ -235,8 +228,7 @@ def _next_to_form_errors(
             if columns is not None:
                 part = regression.slices[number]
                 regression.add(columns.last(columns.count - (part.stop - part.start)))
-        current = regression.without(gone)
-        judged = evidence_of(extended, smaller.key, smaller.effects, gone, current)
+        judged = evidence_of(extended, smaller.effects, gone)
         if judged.size < MIN_SEVERITY:  # too small to be evidence; the robot's other joints decide
             judged = replace(judged, log_bayes_factor=min(judged.log_bayes_factor, 0.0))
         out[smaller.key] = judged
@@ -275,28 +267,22 @@ def judge(
         if len(members) > 1:
             frictions[kind, None] = tuple(itertools.chain(*members))
     out = frozenset(left_out)
-    first = result = evidence_of(model, key, groups[key], out, regression.without(out))
+    first = result = evidence_of(model, groups[key], out)
     while not result.is_needed:
         rivals = {}
-        current = regression.without(out)
         for k, g in frictions.items():
             if set(g) <= out:
                 continue
-            rival = evidence_of(model, k, g, out, current)
-            if rival.log_bayes_factor < result.log_bayes_factor:
-                less = out | set(g)
-                rivals[k] = evidence_of(model, key, groups[key], less, regression.without(less))
+            if evidence_of(model, g, out).log_bayes_factor < result.log_bayes_factor:
+                rivals[k] = evidence_of(model, groups[key], out | set(g))
         if not rivals:
             return first, frozenset(left_out)
         chosen = max(rivals, key=lambda k: rivals[k].size)
         out, result = out | set(frictions[chosen]), rivals[chosen]
     for k in [k for k, g in frictions.items() if k[1] is not None and set(g) <= out]:
         more = out - set(groups[k])
-        current = regression.without(more)
-        if not evidence_of(model, k, groups[k], more, current).is_needed:
-            continue
-        again = evidence_of(model, key, groups[key], more, current)
-        if again.is_needed:
+        again = evidence_of(model, groups[key], more)
+        if evidence_of(model, groups[k], more).is_needed and again.is_needed:
             out, result = more, again
     return result, out
 
@@ -339,16 +325,19 @@ def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:
 
 
 def evidence_of(
-    model: JointModel,
-    key: Key,
-    members: tuple[int, ...],
-    left_out: Collection[int],
-    current: Solution,
+    model: JointModel, members: tuple[int, ...], left_out: Collection[int] = ()
 ) -> EffectEvidence:
-    """Return the evidence of an effect in a model without some others."""
-    regression = model.regression
+    """Return the evidence of an effect in a model without some others.
+
+    Args:
+        model: The joint model.
+        members: Numbers of the effect, several where it has several waves.
+        left_out: Numbers of the effects that are left out.
+    """
+    regression, current = model.regression, model.regression.without(left_out)
     places = np.concatenate([np.arange(len(current.active))[regression.slices[e]] for e in members])
     shapes = tuple(model.models[e] for e in members)
+    key = shapes[0].effect, shapes[0].joint
     if not current.coefficients[places].any():
         none = np.zeros(model.n)
         return EffectEvidence(members, *key, -np.inf, none, 0.0, shapes, len(places))

@@ -104,23 +104,21 @@ class RareEffect:
 def find_rare_effects(
     identified: Identification,
     motions: Sequence[RecordedMotion],
-    trusted: bool = False,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None],
 ) -> tuple[JointModel, tuple[RareEffect, ...], tuple[EffectEvidence, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
 
     Args:
-        identified: The base model.
+        identified: The base model. Of a trusted prior, effects that a refit absorbs can be found
+            as well.
         motions: The motions to fit.
-        trusted: Whether the base model is a trusted prior, so that effects that a refit absorbs can
-            be found as well.
         progress: Called with a line of text for each candidate.
 
     Returns:
         The joint model, its rare effects, and the evidence of those that are too small to be added.
     """
     search = _Search(identified, motions, progress)
-    search.add_effects(CandidateColumns(search.model, trusted))
+    search.add_effects(CandidateColumns(search.model, bool(identified.options.trusted)))
     search.put_flexible_models()
     return search.model, tuple(search.effects), search.small_effects()
 

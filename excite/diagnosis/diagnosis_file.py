@@ -212,7 +212,9 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
         },
         "experiment": effect.experiment,
         "modelled": diagnosis.final.has(estimate.effect, estimate.joint),
-        "curve": _curve(diagnosis, estimate, motion, regime),
+        "curve": effect_curves.effect_curve(diagnosis.model, estimate, motion, regime)
+        if estimate.needed
+        else None,
     }
     if shape.other is not None:
         out["from"] = _joint(diagnosis, shape.other)
@@ -249,32 +251,13 @@ def _rivals(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[str, An
     if not names:
         return []
     evidence = rival_evidence.compare(diagnosis, estimate.joint, (estimate.effect, *names))
-    factors = {name: evidence.log_bayes_factor(estimate.effect, name) for name in names}
+    factors = {name: evidence[estimate.effect] - evidence[name] for name in names}
     return [
         {"effect": name, "log_bayes_factor": factor, "log_odds": rival_evidence.log_odds(factor)}
         for name, factor in factors.items()
         if name in estimate.equivalents
         or rival_evidence.log_odds(factor) < rival_evidence.DECIDED_LOG_ODDS
     ]
-
-
-def _curve(
-    diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows, regime: str
-) -> dict[str, Any] | None:
-    """Torque of an effect of the model over the quantity on which it depends."""
-    if not estimate.needed:
-        return None
-    curve = effect_curves.effect_curve(diagnosis.model, estimate, motion, regime)
-    if curve is None:
-        return None
-    return {
-        "over": curve.over,
-        "unit": curve.unit,
-        "opposes_motion": curve.along,
-        "x": curve.x.tolist(),
-        "torque": curve.y.tolist(),
-        "std": curve.std.tolist(),
-    }
 
 
 def _stated(

@@ -97,14 +97,8 @@ def _spoiling_group(
     """Return the effect without which a joint and the whole robot are predicted better.
 
     All effects of the joint together are an alternative. Empty if there is none: an effect may
-    explain more at other joints than it spoils at this one.
-
-    Args:
-        model: The joint model.
-        joint: Index of the joint.
-        left_out: Effects that are left out already.
-        present: Logarithms of the errors of all joints with all others, shape (n,).
-        evidence: Evidence of all effects.
+    explain more at other joints than it spoils at this one. `present` are the logarithms of the
+    errors of all joints without those that are left out already, shape (n,).
     """
     groups = [
         frozenset(entry.effects)
@@ -124,11 +118,8 @@ def _spoiling_group(
 def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
     """Mean logarithms of squared errors on rows to which variants are not fitted, (variants, n).
 
-    Those of the thirds of a single recording are summed before.
-
-    Args:
-        model: The joint model.
-        variants: Effects that are left out, by variant.
+    A variant is a set of effects that are left out. Errors of the thirds of a single recording are
+    summed before.
     """
     regression, parts = model.regression, _folds(model)
     unused = np.zeros(len(regression.nonnegative), bool)

@@ -101,7 +101,6 @@ class Diagnosis:
 
     Attributes:
         identified: The base model without effects.
-        options: Options.
         hertz: Cutoff frequency [Hz].
         model: The joint model of the training recordings.
         effects: All effects that were considered, the most probable first.
@@ -117,7 +116,6 @@ class Diagnosis:
     """
 
     identified: Identification
-    options: DiagnosisOptions
     hertz: float
     model: JointModel
     effects: tuple[EffectEstimate, ...]
@@ -221,7 +219,6 @@ def diagnose(
     held_out = _held_out_errors(final, document, validate, halves[1])
     return Diagnosis(
         identified,
-        options,
         hertz,
         model,
         tuple(effects),
@@ -244,11 +241,6 @@ def _savable(
 
     Flexible models are not saved. What they stand for is left to the effects of the catalogue,
     which are judged by the residual that they leave.
-
-    Args:
-        model: The joint model.
-        rare: Its rare effects.
-        effects: Estimates of all its effects.
     """
     named = [i for i, m in enumerate(model.models) if m.effect != UNMODELLED]
     if len(named) < len(model.models):

@@ -168,13 +168,15 @@ def select(model: JointModel) -> list[EffectEvidence]:
     groups = effect_groups(model)
     regression = model.regression
     left_out: set[int] = set()
-    evidence = {key: evidence_of(model, members) for key, members in groups.items()}
-    out: list[EffectEvidence] = []
     for key in [key for key in groups if key[0] not in DENSE_NAMES]:
         left_out |= judge(model, key, left_out)[1]
-    if left_out:
-        out = [evidence.pop(key) for key, members in groups.items() if set(members) <= left_out]
-        evidence = {key: evidence_of(model, groups[key], left_out) for key in evidence}
+    gone = [key for key, members in groups.items() if set(members) <= left_out]
+    out = [evidence_of(model, groups[key]) for key in gone]
+    evidence = {
+        key: evidence_of(model, members, left_out)
+        for key, members in groups.items()
+        if key not in gone
+    }
     while evidence:
         unneeded = [key for key, entry in evidence.items() if not entry.is_needed]
         if not unneeded:
@@ -198,12 +200,6 @@ def _next_to_form_errors(
     """Return the evidence of the frictions of a joint, each next to the form errors of larger ones.
 
     Otherwise what one friction curve has no form for, which grows with it, would be another one.
-
-    Args:
-        model: The joint model.
-        joint: Index of the joint.
-        left_out: Numbers of effects that are left out.
-        evidence: Evidence of the effects of the model.
     """
     present = sorted(
         (e for key, e in evidence.items() if key[0] in FRICTIONS and key[1] == joint),

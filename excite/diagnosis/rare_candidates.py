@@ -165,11 +165,7 @@ class CandidateColumns:
         self._contacts = CandidateShapes.of(model, contact_search.contacts(model))
 
     def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
-        """Return the ranking of the shapes of every effect at every joint.
-
-        Args:
-            model: The joint model on top of which they are fitted.
-        """
+        """Return the ranking of the shapes of every effect at every joint."""
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
         for candidate in (*self._shapes.fitted(model), *self._contacts.fitted(model)):

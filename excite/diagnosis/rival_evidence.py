@@ -61,7 +61,7 @@ def rivals_of(diagnosis: Diagnosis, estimate: EffectEstimate) -> tuple[str, ...]
         if estimate.effect in pair
         for name in pair
         if name not in present
-        and (diagnosis.options.trusted or not EFFECTS_BY_NAME[name].prior_only)
+        and (diagnosis.identified.options.trusted or not EFFECTS_BY_NAME[name].prior_only)
     )
     return tuple(dict.fromkeys((*estimate.equivalents, *confusable)))
 
@@ -102,9 +102,7 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> di
         name: _varied(reduced, group or _best_form(reduced, name, joint, strongest))
         for name, group in present.items()
     }
-    numbers = {
-        name: [regression.add(columns) for columns in group] for name, group in columns_of.items()
-    }
+    numbers = {name: regression.add(*group) for name, group in columns_of.items()}
     log_evidence = {}
     for name in names:
         others = [number for k in names if k != name for number in numbers[k]]

@@ -187,10 +187,7 @@ class _Search:
     def _keep_small(self, scores: Mapping[Key, float]) -> None:
         """Drop small effects whose torque the effect that was added last explains.
 
-        A flexible model, which has no name, explains it, too.
-
-        Args:
-            scores: Evidence of all candidates next to it.
+        A flexible model, which has no name, explains it, too. `scores` are next to that effect.
         """
         if self.effects[-1].key[0] != UNMODELLED:
             kept = {key for key, score in scores.items() if score > MIN_CANDIDATE_EVIDENCE}
@@ -231,13 +228,7 @@ class _Search:
     def _promising(
         self, scores: Mapping[Key, float], rankings: Mapping[Key, Ranking], last_resorts: bool
     ) -> list[Key]:
-        """Return the candidates that are to be tried, the one with the most evidence first.
-
-        Args:
-            scores: Evidence of all candidates.
-            rankings: Their shapes.
-            last_resorts: Whether last resorts are returned, or all others.
-        """
+        """Return the last resorts, or all others, that are to be tried, the best first."""
         added = [effect.key for effect in self.effects]
         promising = [
             key
@@ -370,10 +361,6 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
 
     Torque of another form may have been taken apart by several effects of the joint alone, each of
     which explains a part of it, so that no flexible model has enough evidence jointly with them.
-
-    Args:
-        model: The joint model.
-        joint: Index of the joint.
     """
     replaced = [
         i

@@ -258,6 +258,9 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
     assert all("reason" not in finding for finding in stated["findings"])
     effect = next(e for e in result.effects if e.effect == "stribeck" and e.needed)
 
+    (shape,) = effect.models
+    spring = (dataclasses.replace(shape, effect="spring"),)
+
     def changed(probable: Probability, **evidence: Any) -> EffectEstimate:
         return dataclasses.replace(
             effect,
@@ -275,7 +278,7 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
         (Probability(0.9, size=0.1), rejection.TOO_SMALL),
         (Probability(0.9, known=0.1), rejection.NEXT_TO_UNKNOWN),
     ):
-        assert rejection.reason(changed(probable, name="spring")) == expected
+        assert rejection.reason(changed(probable, models=spring)) == expected
     spoiling = changed(sure, size=0.1, spoils_prediction=True)
     assert rejection.reason(spoiling) == rejection.SPOILS_PREDICTION
 
@@ -283,8 +286,10 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
 def test_exponent_that_may_be_one_has_no_value() -> None:
     result = diagnosis_of(2.0)
     stribeck = result.findings[0]
-    renamed = dataclasses.replace(stribeck.evidence, name="nonlinear_viscous")
-    effect = dataclasses.replace(stribeck, evidence=renamed)
+    renamed = (dataclasses.replace(stribeck.models[0], effect="nonlinear_viscous"),)
+    effect = dataclasses.replace(
+        stribeck, evidence=dataclasses.replace(stribeck.evidence, models=renamed)
+    )
     stated = []
     for std in (0.05, 0.2):
         parameters = {"coefficient": (5.0, 1.0), "exponent": (0.8, std)}

@@ -13,7 +13,7 @@ import numpy as np
 
 from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import position_range
 from ..effects.spring import CURVE_WAVES
 from . import joint_model, posterior, probability, recording_chain
@@ -21,7 +21,7 @@ from .columns import Columns
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .normal_equations import Solution
-from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence, Key
+from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence
 from .probability import Probability
 from .regression import rms
 from .selection import RareEffect
@@ -75,6 +75,11 @@ class EffectEstimate:
     severity_interval: tuple[float, float] = (0.0, 0.0)
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     equivalents: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> Key:
+        """Effect and joint."""
+        return self.evidence.key
 
     @property
     def effect(self) -> str:
@@ -254,7 +259,7 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     severity = float((torque / model.regression.sigma).max())
     is_large = abs(seconds) > recording_chain.MIN_DELAY and severity > MIN_SEVERITY
     shapes = (delay.clock_delay(),)
-    evidence = EffectEvidence((), "delay", None, factor, torque, severity, shapes, 1, is_large)
+    evidence = EffectEvidence((), shapes, 1, factor, torque, severity, is_large)
     return [
         EffectEstimate(
             evidence,

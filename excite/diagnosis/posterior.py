@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._types import FloatArray
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.form_error import with_form_error
 from . import probability
 from .joint_model import FRICTIONS, JointModel, transient_rows
@@ -28,8 +28,6 @@ from .regression import JointRegression
 
 DENSE_NAMES = (*FRICTIONS, "torque_ripple")
 """Effects that the joint model has from the start."""
-Key = tuple[str, int | None]
-"""Name of an effect and index of its joint; None for an effect of no single joint."""
 MIN_SEVERITY = 0.3
 """Growth of the residual without an effect, over the noise, from which it counts."""
 VARIANCE_FREEDOM = 2.0
@@ -44,35 +42,41 @@ class EffectEvidence:
 
     Attributes:
         effects: Numbers of the regression's effects (several waves are one effect).
-        name: Name of the effect.
-        joint: Index of the joint; None for an effect of no single joint.
+        models: Their models.
+        freedom: Number of their coefficients.
         log_bayes_factor: Of the model with it over the model without.
         severity: RMS torque by which the residual of each joint grows without it, √(r² − r₀²) with
             the RMS residuals r without it and r₀ with it [N m], shape (n,).
         size: The largest of them over the residual of its joint [1]; of an effect that acts for
             some of the time, of the rows in which it acts.
-        models: Its models.
-        freedom: Number of its coefficients.
         is_in_model: Whether it is in the model that was selected.
         spoils_prediction: Whether it is not, because rows to which it is not fitted are predicted
             worse with it.
     """
 
     effects: tuple[int, ...]
-    name: str
-    joint: int | None
+    models: tuple[CandidateModel, ...]
+    freedom: int
     log_bayes_factor: float
     severity: FloatArray
     size: float
-    models: tuple[CandidateModel, ...]
-    freedom: int
     is_in_model: bool = True
     spoils_prediction: bool = False
 
     @property
     def key(self) -> Key:
         """Effect and joint."""
-        return self.name, self.joint
+        return self.models[0].key
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.key[0]
+
+    @property
+    def joint(self) -> int | None:
+        """Index of the joint; None for an effect of no single joint."""
+        return self.key[1]
 
     @property
     def is_needed(self) -> bool:
@@ -95,7 +99,7 @@ def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
     """Return the regression's effects by name and joint."""
     groups: dict[Key, tuple[int, ...]] = {}
     for i, m in enumerate(model.models):
-        groups[m.effect, m.joint] = (*groups.get((m.effect, m.joint), ()), i)
+        groups[m.key] = (*groups.get(m.key, ()), i)
     return groups
 
 
@@ -333,10 +337,9 @@ def evidence_of(
     regression, current = model.regression, model.regression.without(left_out)
     places = np.concatenate([np.arange(len(current.active))[regression.slices[e]] for e in members])
     shapes = tuple(model.models[e] for e in members)
-    key = shapes[0].effect, shapes[0].joint
     if not current.coefficients[places].any():
         none = np.zeros(model.n)
-        return EffectEvidence(members, *key, -np.inf, none, 0.0, shapes, len(places))
+        return EffectEvidence(members, shapes, len(places), -np.inf, none, 0.0)
     reduced = regression.without([*left_out, *members])
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
     factor -= float(sum(np.log(shape.alternatives) for shape in shapes))
@@ -346,4 +349,4 @@ def evidence_of(
     if any(shape.interval is not None for shape in shapes):
         gain, size = _gain_of_transient(model, shapes, reduced, current)
         factor += gain - (reduced.objective - current.objective)
-    return EffectEvidence(members, *key, factor, severity, size, shapes, len(places))
+    return EffectEvidence(members, shapes, len(places), factor, severity, size)

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from ..effects import EFFECTS, EFFECTS_BY_NAME
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from . import contact_search, posterior, probability, ripple_search
 from .candidate_fits import CandidateBatch, CandidateFit
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import JointModel
-from .posterior import DENSE_NAMES, Key
+from .posterior import DENSE_NAMES
 
 MIN_CANDIDATE_EVIDENCE = 5.0
 """Log Bayes factor before the weights are renewed from which a candidate is tried."""
@@ -169,7 +169,7 @@ class CandidateColumns:
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
         for candidate in (*self._shapes.fitted(model), *self._contacts.fitted(model)):
-            key = candidate.model.effect, candidate.model.joint
+            key = candidate.model.key
             counts[key] = counts.get(key, 0) + 1
             if candidate.is_plausible:
                 plausible.setdefault(key, []).append(candidate)

@@ -81,16 +81,12 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> di
         By name, the log evidence of the model with this member alone, up to a common constant.
     """
     model = diagnosis.model
-    needed = {(e.effect, e.joint) for e in diagnosis.effects if e.needed}
+    needed = {e.key for e in diagnosis.effects if e.needed}
     members = {
         name: [m for m in model.models if m.effect == name and _is_at(m, joint)] for name in names
     }
     excluded = {id(m) for group in members.values() for m in group}
-    kept = [
-        i
-        for i, m in enumerate(model.models)
-        if (m.effect, m.joint) in needed and id(m) not in excluded
-    ]
+    kept = [i for i, m in enumerate(model.models) if m.key in needed and id(m) not in excluded]
     reduced = model.keeping(kept)
     regression = reduced.regression
     present = {

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects import EFFECTS_BY_NAME
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
-from .posterior import EffectEvidence, Key
+from .posterior import EffectEvidence
 from .rare_candidates import (
     EQUIVALENT_SHARE,
     MIN_CANDIDATE_EVIDENCE,
@@ -128,13 +128,11 @@ class _Addition:
     """A candidate that has passed all tests.
 
     Attributes:
-        key: Effect and joint.
         shape: Its model.
         joint: The joint model with it.
         evidence: Its evidence in that model.
     """
 
-    key: Key
     shape: CandidateModel
     joint: JointModel
     evidence: EffectEvidence
@@ -213,13 +211,12 @@ class _Search:
                 continue
             columns = [self.model.columns(shape) for shape in self._shapes]
             kept = [i for i, c in enumerate(columns) if c is None or c.joints != (joint,)]
-            key = UNMODELLED, joint
             shapes = (*(self._shapes[i] for i in kept), flexible.model)
-            addition = self._judged(key, self._fit(shapes), flexible.model, None)
+            addition = self._judged(self._fit(shapes), flexible.model, None)
             if addition is not None:
                 self.model, self._shapes = addition.joint, shapes
                 factor = addition.evidence.log_bayes_factor
-                unnamed = RareEffect(key, flexible.evidence, {}, {}, factor)
+                unnamed = RareEffect(flexible.model.key, flexible.evidence, {}, {}, factor)
                 self.effects = [*(self.effects[i] for i in kept), unnamed]
 
     def _fit(self, shapes: Sequence[CandidateModel]) -> JointModel:
@@ -261,12 +258,12 @@ class _Search:
         for key in sorted(shapes, key=lambda key: -scores[key]):
             if self._tries(key) >= MAX_REJECTIONS:
                 continue
-            if best is not None and scores[key] < scores[best.key] - TIE:
+            if best is not None and scores[key] < scores[best.shape.key] - TIE:
                 break
-            addition = self._tried(key, shapes[key].model, rankings[key])
+            addition = self._tried(shapes[key].model, rankings[key])
             for form in rankings[key].other_forms(shapes[key]):
                 if addition is None and form.best.evidence > rankings[key].best.evidence - TIE:
-                    addition = self._tried(key, tuned(self.model, form).model, form)
+                    addition = self._tried(tuned(self.model, form).model, form)
             if addition is None:
                 self._rejected.add(key)
             else:
@@ -283,39 +280,38 @@ class _Search:
 
         return sum(kind(k) == kind(key) for k in self._rejected)
 
-    def _tried(self, key: Key, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
+    def _tried(self, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
         """Add an effect to the joint model; None if it is to be left out again.
 
         The torque of the joint model stands for the measured torque, and is another one with the
         effect. A shape that is a function of it is therefore chosen once more.
 
         Args:
-            key: The effect.
-            shape: Its best shape.
+            shape: The best shape of the effect.
             ranking: All its shapes.
         """
         extended = self._fit((*self._shapes, shape))
         if shape.values.get("measured"):
-            others = [i for i, m in enumerate(extended.models) if (m.effect, m.joint) != key]
+            others = [i for i, m in enumerate(extended.models) if m.key != shape.key]
             reduced = extended.keeping(others)
             again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
             plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
             better = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
             if better.values != shape.values:
                 shape, extended = better, self._fit((*self._shapes, better))
-        return self._judged(key, extended, shape, self.model)
+        return self._judged(extended, shape, self.model)
 
     def _judged(
-        self, key: Key, extended: JointModel, shape: CandidateModel, before: JointModel | None
+        self, extended: JointModel, shape: CandidateModel, before: JointModel | None
     ) -> _Addition | None:
         """Judge an effect of a joint model; None if it is to be left out again.
 
         Args:
-            key: The effect.
             extended: The joint model with it.
             shape: Its shape.
             before: The joint model that must not predict clearly better, if any.
         """
+        key = shape.key
         members = posterior.effect_groups(extended).get(key)
         if members is None:
             return None
@@ -334,7 +330,7 @@ class _Search:
             before is None or cross_validation.gain(extended, replaced, before, ()) > -TIE
         )
         if is_large and is_predictive:
-            return _Addition(key, shape, extended, evidence)
+            return _Addition(shape, extended, evidence)
         if not is_large and key[0] not in LAST_RESORTS:
             self._small[key] = replace(
                 evidence, effects=(), is_in_model=False, spoils_prediction=not is_predictive
@@ -344,16 +340,17 @@ class _Search:
     def _add(self, chosen: _Addition, scores: Mapping[Key, float]) -> None:
         """Add an effect, and note what else might be in its place."""
         self.model, self._shapes = chosen.joint, (*self._shapes, chosen.shape)
-        is_last_resort = chosen.key[0] in LAST_RESORTS
+        chosen_key = chosen.shape.key
+        is_last_resort = chosen_key[0] in LAST_RESORTS
         others = {
             key: score
             for key, score in scores.items()
-            if key != chosen.key
+            if key != chosen_key
             and key not in self._rejected
             and (key[0] in LAST_RESORTS) is is_last_resort
         }
         factor = chosen.evidence.log_bayes_factor
-        self.effects.append(RareEffect(chosen.key, scores[chosen.key], others, {}, factor))
+        self.effects.append(RareEffect(chosen_key, scores[chosen_key], others, {}, factor))
 
 
 def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:

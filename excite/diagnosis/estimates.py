@@ -154,7 +154,8 @@ def estimate_effects(
         names = list(likeness.get(entry.key, ()))
         if entry.is_in_model:
             estimate = posterior_of.estimate(estimate)
-        for rare_effect in (r for r in rare if r.key == entry.key):
+        rare_effect = next((r for r in rare if r.key == entry.key), None)
+        if rare_effect is not None:
             share, others = rare_effect.share(in_model)
             estimate = replace(estimate, probable=replace(estimate.probable, share=share))
             names += others

@@ -102,9 +102,8 @@ def friction_probabilities(effects: Sequence[StatedEffect]) -> FloatArray:
 
 def rare_probabilities(effects: Sequence[StatedEffect]) -> FloatArray:
     """Return the probability of every other effect with the present constants."""
-    return probability.rare_probability(
-        np.array([e.log_bayes_factor for e in effects]), np.array([e.size for e in effects])
-    )
+    evidence = probability.by_evidence(np.array([e.log_bayes_factor for e in effects]))
+    return evidence * probability.by_size(np.array([e.size for e in effects]))
 
 
 def log_loss(stated: FloatArray, right: BoolArray) -> float:

@@ -371,16 +371,14 @@ def realised_evidence(result: api.DiagnosisResult, question: OpenClass) -> dict[
         question: The class.
     """
     classes = () if result.decisions is None else result.decisions.classes
-    known = (
-        e for j, e in classes if j == question.joint and set(question.names) == set(e.log_evidence)
-    )
+    known = (e for j, e in classes if j == question.joint and set(question.names) == set(e))
     evidence = next(known, None)
     if evidence is None:
         joints = result.diagnosis.identified.model.robot.joints
         joint = None if question.joint is None else joints.index(question.joint)
         evidence = rival_evidence.compare(result.diagnosis, joint, question.names)
     return {
-        name: evidence.log_bayes_factor(question.truth, name)
+        name: evidence[question.truth] - evidence[name]
         for name in question.names
         if canonical(name) != canonical(question.truth)
     }

@@ -19,7 +19,6 @@ from excite.designer.discrimination import EVIDENCE_SHARE, SeparationObjective, 
 from excite.designer.discrimination_design import sampled_motion
 from excite.diagnosis import probability
 from excite.diagnosis.decisions import Decision, Decisions, ExpectedEvidence
-from excite.diagnosis.rival_evidence import ClassEvidence
 from excite.report.decisions import decision_rows, decisions_answer
 from excite.report.formatting import odds_words
 from excite.trajectory import trajectory_file
@@ -163,7 +162,7 @@ def test_a_design_counts_evidence_as_a_diagnosis_does():
 
 
 def test_only_excluded_equivalents_leave_a_finding():
-    evidence = ClassEvidence(0, {"stribeck": 0.0, "hysteresis": -100.0, "delay": -2.0})
+    evidence = {"stribeck": 0.0, "hysteresis": -100.0, "delay": -2.0}
     pair = Decision("elbow", "stribeck", "hysteresis", 0.5, None, 20.0)
     decisions = Decisions((pair,), (("elbow", evidence),))
     finding = {"effect": "stribeck", "joint": "elbow", "equivalents": ["hysteresis", "delay"]}

@@ -24,6 +24,8 @@ from excite.cli.diagnose import diagnosis_text
 from excite.diagnosis import diagnosis, rejection
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document, withhold_findings
+from excite.diagnosis.estimates import EffectEstimate
+from excite.diagnosis.probability import Probability
 from excite.recordings import Remark, RemarkKind
 from excite.report import diagnosis_page
 from excite.report.figures.diagnosis import draw_budget
@@ -255,24 +257,39 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
     assert all(entry["reason"] for entry in stated["considered"])
     assert all("reason" not in finding for finding in stated["findings"])
     effect = next(e for e in result.effects if e.effect == "stribeck" and e.needed)
-    small = dataclasses.replace(effect, needed=False, unique_severity=0.1)
-    assert rejection.reason(result, small) == rejection.TOO_SMALL
-    unneeded = dataclasses.replace(effect, needed=False, probability=0.9, unique_severity=2.0)
-    assert rejection.reason(result, unneeded) == rejection.EXPLAINED_AS_WELL
-    rare = dataclasses.replace(
-        effect, effect="spring", needed=False, probability=0.01, unique_severity=5.0
-    )
-    weak = dataclasses.replace(rare, log_bayes_factor=1.0)
-    assert rejection.reason(result, weak) == rejection.WEAK_EVIDENCE
-    strong = dataclasses.replace(rare, log_bayes_factor=500.0)
-    assert rejection.reason(result, strong) == rejection.EXPLAINED_AS_WELL
-    spoiling = dataclasses.replace(small, spoils_prediction=True)
-    assert rejection.reason(result, spoiling) == rejection.SPOILS_PREDICTION
+
+    (shape,) = effect.models
+    spring = (dataclasses.replace(shape, effect="spring"),)
+
+    def changed(probable: Probability, **evidence: Any) -> EffectEstimate:
+        return dataclasses.replace(
+            effect,
+            evidence=dataclasses.replace(effect.evidence, is_in_model=False, **evidence),
+            probable=probable,
+        )
+
+    sure = Probability(0.9)
+    assert rejection.reason(changed(sure, size=0.1)) == rejection.TOO_SMALL
+    assert rejection.reason(changed(sure, size=2.0)) == rejection.EXPLAINED_AS_WELL
+    assert rejection.reason(changed(Probability(0.01))) == rejection.WEAK_FRICTION
+    for probable, expected in (
+        (Probability(0.01), rejection.WEAK_EVIDENCE),
+        (Probability(0.9, share=0.1), rejection.EXPLAINED_AS_WELL),
+        (Probability(0.9, size=0.1), rejection.TOO_SMALL),
+        (Probability(0.9, known=0.1), rejection.NEXT_TO_UNKNOWN),
+    ):
+        assert rejection.reason(changed(probable, models=spring)) == expected
+    spoiling = changed(sure, size=0.1, spoils_prediction=True)
+    assert rejection.reason(spoiling) == rejection.SPOILS_PREDICTION
 
 
 def test_exponent_that_may_be_one_has_no_value() -> None:
     result = diagnosis_of(2.0)
-    effect = dataclasses.replace(result.findings[0], effect="nonlinear_viscous")
+    stribeck = result.findings[0]
+    renamed = (dataclasses.replace(stribeck.models[0], effect="nonlinear_viscous"),)
+    effect = dataclasses.replace(
+        stribeck, evidence=dataclasses.replace(stribeck.evidence, models=renamed)
+    )
     stated = []
     for std in (0.05, 0.2):
         parameters = {"coefficient": (5.0, 1.0), "exponent": (0.8, std)}

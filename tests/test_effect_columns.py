@@ -57,14 +57,12 @@ EFFECTS = (
     effect("load_friction", power=1.0, scale=100.0),
     effect("load_friction", power=2.0, scale=100.0),
     effect("position_friction", order=1.0, waves=2.0, low=-2.0, high=2.0),
-    *(effect("spring", form=float(form)) for form in range(5)),
-    effect("spring", order=1.3, about=0.2),
-    effect("spring", bend=0.1),
-    effect("torque_ripple", order=4.0, twice=1.0),
-    effect("torque_ripple", order=4.0, load=50.0),
+    effect("spring", form=0.0),
+    effect("spring", form=1.0),
+    effect("spring", waves=4.0, low=-2.0, high=2.0),
+    effect("torque_ripple", order=4.0),
     effect("torque_gain"),
     effect("torque_saturation", power=3.0, largest=200.0),
-    effect("torque_saturation", level=200.0, bend=2.0, largest=200.0),
     effect("hysteresis", reach=0.02),
     effect("thermal_drift", time_constant=8.0, coulomb=4.0, viscous=5.0),
     effect("coupling", other=2, ratio=0.5),
@@ -161,7 +159,7 @@ def single_curve(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return single_joint_columns(motion, j, motion.sign(j) * curves[model.effect]())
 
 
-SINGLE_CURVES = ("stribeck", "nonlinear_viscous", "load_friction", "hysteresis")
+SINGLE_CURVES = ("stribeck", "nonlinear_viscous", "load_friction", "hysteresis", "torque_ripple")
 """Effects of which the designer has single curves and the catalogue sums."""
 
 
@@ -177,8 +175,7 @@ def test_columns_equal_the_catalogues_below_its_band(symbolic: SymbolicEffect):
     flat = ours.reshape(len(ours), -1)
     fine = np.column_stack([np.interp(t, times, column) for column in flat.T])
     low = band.filter(fine, Grid.KEPT).reshape(-1, *ours.shape[1:])
-    of_ripple = symbolic.effect == "torque_ripple" and "load" not in symbolic.values
-    is_single = symbolic.effect in SINGLE_CURVES or of_ripple
+    is_single = symbolic.effect in SINGLE_CURVES
     model = CandidateModel(
         symbolic.effect,
         symbolic.joint,

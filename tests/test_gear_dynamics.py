@@ -97,7 +97,7 @@ def test_a_stiffness_with_a_resonance_above_the_cutoff_is_corrected_by_its_coeff
             if s.joint == 1 and not s.values["rests"]
         ).nonlinear
         stiffness = (
-            float(gear_dynamics.link_inertia(recorded, 1).mean())
+            float(recorded.link_inertias[:, 1].mean())
             * (2.0 * np.pi * 1.3 * recorded.band.hertz) ** 2
         )
         exact, other = parameter.at(stiffness), parameter.at(over * stiffness)
@@ -118,7 +118,7 @@ def test_the_initial_state_of_an_elastic_gear(rests):
         60.0,
         0.02,
     )
-    damping = 2.0 * ratio * float(np.sqrt(K * gear_dynamics.link_inertia(motion, 1).mean()))
+    damping = 2.0 * ratio * float(np.sqrt(K * motion.link_inertias[:, 1].mean()))
     exact = simulate_elastic_gear(K, damping, t, motion.coarse_samples.q, rests)[0]
     matching, other = (
         gear_dynamics.elastic_deflection(motion, 1, K, ratio, which) for which in (rests, not rests)

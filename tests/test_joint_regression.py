@@ -102,7 +102,7 @@ def test_effects_are_added_together_as_one_by_one_and_only_to_the_copy():
         for joints, std in (((1,), np.array([1.0, 2.0])), ((0, 1), np.array([3.0, 0.5])))
     ]
     together, singly = regression.copy(), regression.copy()
-    together.add_all(effects)
+    together.add(*effects)
     for columns in effects:
         singly.add(columns)
     assert together.slices == singly.slices
@@ -120,7 +120,7 @@ def test_candidate_gains_what_the_refit_gains():
     )
     before = regression.solution.objective
     fit = regression.candidate(columns)
-    effect = regression.add(columns)
+    (effect,) = regression.add(columns)
     assert before - regression.solution.objective == pytest.approx(fit.gain, rel=1e-6)
     np.testing.assert_allclose(
         regression.solution.coefficients[regression.slices[effect]], fit.coefficients, rtol=1e-6

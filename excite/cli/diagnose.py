@@ -15,7 +15,6 @@ from ..report.decisions import HEAD, decision_rows, decisions_answer
 from ..report.formatting import significant
 from ..report.torque_budget import (
     change_words,
-    effect_words,
     filter_words,
     joint_budgets,
     parameter_words,
@@ -23,6 +22,7 @@ from ..report.torque_budget import (
     sorted_findings,
 )
 from ..robot.robot import Robot
+from ..schemas.effects import effect_words
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._types import FloatArray
+from ..schemas.effects import effect_words
 from .discrimination import Comparison, Explanation
 from .effect_columns import LINEARISED
 from .experiment_menu import DECISIVE_LOG_ODDS, Experiment, recommended
@@ -54,7 +55,7 @@ class DiscriminationResult:
         if index is None:
             return "no effect"
         form = self.explanations[index].form
-        effect = form.effect.replace("_", " ")
+        effect = effect_words(form.effect)
         return effect if form.joint is None else f"{effect} at {self.joints[form.joint]}"
 
     def question_of(self, comparison: Comparison) -> str:

@@ -39,8 +39,6 @@ CURVE_POINTS = 200
 RATE_BAND = 0.5
 """Band of the derivative of the motor's torque over half the sampling rate [1]: a Gaussian that
 leaves 1/7 there, so that the derivative of a jump does not ring."""
-MULTIPLES = {2: "twice", 3: "thrice"}
-"""Multiples of a spatial frequency by their keys in the values, as in `effects.effect`."""
 LINEARISED = {
     "delay": "first order in the delay, of the torque below half the optimiser's sampling rate",
     "elasticity": "linear oscillator with the mean inertia about the joint; stiffness and damping "
@@ -229,16 +227,6 @@ def _stribeck(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
     return [b.sign(j) * ca.exp(-((b.speed(j) / values["velocity"]) ** values["exponent"]))]
 
 
-def _multiples(values: Mapping[str, float]) -> list[int]:
-    """Return the multiples of a spatial frequency that an effect has."""
-    return [1, *(k for k, key in MULTIPLES.items() if key in values)]
-
-
-def _waves(values: Mapping[str, float], angle: ca.SX) -> list[ca.SX]:
-    """Return cosine and sine of a spatial frequency and its multiples."""
-    return [f(k * values["order"] * angle) for k in _multiples(values) for f in (ca.cos, ca.sin)]
-
-
 def _nonlinear_viscous(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
     exponents = [values[key] for key in ("exponent", "concave") if key in values]
     return [b.sign(j) * b.speed(j) ** exponent for exponent in exponents]
@@ -266,36 +254,16 @@ def _spring(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
     if "waves" in values:
         place = (q - values["low"]) / (values["high"] - values["low"])
         return [ca.cos(np.pi * m * place) for m in range(1, int(values["waves"]) + 1)]
-    if "bend" in values:
-        return [ca.fmin(q - values["bend"], 0.0), ca.fmax(q - values["bend"], 0.0)]
-    if "order" in values:
-        distance = q - values["about"]
-        angle = values["order"] * distance
-        return [distance, ca.cos(angle) - 1.0, ca.sin(angle)]
-    forms = (
-        [q],
-        [ca.cos(q), ca.sin(q)],
-        [q, q**2],
-        [q, q**2, q**3],
-        [ca.cos(q), ca.sin(q), ca.cos(2 * q), ca.sin(2 * q)],
-    )
-    return forms[int(values["form"])]
+    return [ca.cos(q), ca.sin(q)] if values["form"] else [q]
 
 
 def _torque_ripple(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
-    if "load" not in values:
-        return _waves(values, b.signals.q[j])
-    angle, load = values["order"] * b.signals.q[j], b.signals.load[j] / values["load"]
-    waves = [ca.cos(angle), ca.sin(angle)]
-    return [*waves, *(load * wave for wave in waves)]
+    angle = values["order"] * b.signals.q[j]
+    return [ca.cos(angle), ca.sin(angle)]
 
 
 def _saturation(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
     x = b.signals.motor[j]
-    if "level" in values:
-        bend = values["bend"]
-        size = ca.sqrt((x / values["level"]) ** 2 + LOAD_ROUNDING**2)
-        return [x * (1.0 - (1.0 + size**bend) ** (-1.0 / bend))]
     size = ca.sqrt((x / values["largest"]) ** 2 + LOAD_ROUNDING**2)
     return [x * size ** (values["power"] - 1.0)]
 
@@ -305,7 +273,7 @@ def _coupling(b: _Builder, effect: SymbolicEffect) -> list[Column]:
     j, ratio, s = effect.joint, effect.values["ratio"], b.signals
     speed = s.dq[j] + ratio * s.dq[effect.other]
     torques = [speed, ca.tanh(speed / b.constants.widths[j]), ratio * s.ddq[effect.other]]
-    return [(j, torque) for torque in (torques[:2] if "light" in effect.values else torques)]
+    return [(j, torque) for torque in torques]
 
 
 def _hysteresis(b: _Builder, j: int, values: Mapping[str, float]) -> list[ca.SX]:
@@ -370,13 +338,12 @@ def _encoder_error(b: _Builder, effect: SymbolicEffect) -> list[Column]:
     assert effect.joint is not None
     q, dq, ddq = (x[effect.joint] for x in (b.signals.q, b.signals.dq, b.signals.ddq))
     out: list[Column] = []
-    for k in _multiples(effect.values):
-        order = k * effect.values["order"]
-        cosine, sine = ca.cos(order * q), ca.sin(order * q)
-        for wave, slope in ((cosine, -sine), (sine, cosine)):
-            rate = order * slope * dq
-            acceleration = order * slope * ddq - order**2 * wave * dq**2
-            out += _lagging_link(b, effect.joint, [wave, rate, acceleration], carries_rotor=True)
+    order = effect.values["order"]
+    cosine, sine = ca.cos(order * q), ca.sin(order * q)
+    for wave, slope in ((cosine, -sine), (sine, cosine)):
+        rate = order * slope * dq
+        acceleration = order * slope * ddq - order**2 * wave * dq**2
+        out += _lagging_link(b, effect.joint, [wave, rate, acceleration], carries_rotor=True)
     return out
 
 

@@ -69,7 +69,7 @@ def torque_budget(
     absorbed = _absorbed_parameters(final, identified, fitted)
     torques = _effect_torques(final, held_out.motions)
     base = held_out.base / np.maximum(np.sum(held_out.base**2, axis=0), 1e-300)
-    relative = {(e.effect, e.joint): e.relative_std for e in effects}
+    relative = {e.key: e.relative_std for e in effects}
     n = base.shape[1]
     shares: dict[str, FloatArray] = {}
     variances: dict[str, FloatArray] = {}

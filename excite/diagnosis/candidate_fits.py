@@ -19,11 +19,19 @@ class CandidateFit:
         coefficients: Shape (k,).
         gain: Decrease of the objective, a log-likelihood.
         information: Their information after elimination of all other coefficients, shape (k, k).
+        prior: Prior precision of each, shape (k,).
     """
 
     coefficients: FloatArray
     gain: float
     information: FloatArray
+    prior: FloatArray
+
+    @property
+    def log_occam_factor(self) -> float:
+        """Logarithm of the prior volume over what the data leave of it."""
+        std = self.prior**-0.5
+        return 0.5 * float(np.linalg.slogdet(self.information * np.outer(std, std))[1])
 
 
 @dataclass(frozen=True)
@@ -69,8 +77,8 @@ class CandidateGroup:
         coefficients = np.einsum("mkv,mv->mk", vectors, along)
         gains = 0.5 * np.sum(target * coefficients, axis=1)
         return [
-            CandidateFit(c, float(gain), information)
-            for c, gain, information in zip(coefficients, gains, schur, strict=True)
+            CandidateFit(*fit)
+            for fit in zip(coefficients, gains.tolist(), schur, self.prior, strict=True)
         ]
 
 

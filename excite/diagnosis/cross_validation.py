@@ -12,6 +12,7 @@ badly: in a sum over all, the joint and the recording that it predicts worst wou
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,43 +38,26 @@ def _folds(model: JointModel) -> list[BoolArray]:
     return [np.asarray(third == part) for part in range(PARTS)]
 
 
-def pays(
-    model: JointModel,
-    effects: Sequence[int],
-    left_out: Collection[int] = (),
-    replaced: Collection[int] = (),
-) -> bool:
-    """Tell whether effects lower the error on recordings to which they are not fitted.
+def gain(
+    model: JointModel, left_out: Collection[int], other: JointModel, other_left_out: Collection[int]
+) -> float:
+    """Return the log-likelihood that a model gains over another on rows that are not fitted.
 
     Of an effect that acts for some of the time, its own fold says nothing, but the others are
     predicted better by what is fitted without its torque.
 
     Args:
-        model: A joint model that has them.
-        effects: Their numbers.
-        left_out: Numbers of other effects that are left out.
-        replaced: Numbers of those that are in the model without the effects alone.
-    """
-    without, with_ = _log_errors(model, [{*left_out, *effects}, {*left_out, *replaced}])
-    return bool(with_.sum() < without.sum())
-
-
-def gain_over(model: JointModel, left_out: Collection[int], before: JointModel) -> float:
-    """Return the log-likelihood that a model gains over another on rows that are not fitted.
-
-    An effect that is added may displace another, such as a wave, that predicts better.
-
-    Args:
         model: A joint model.
         left_out: Numbers of its effects that are left out.
-        before: Another joint model of the same motions.
+        other: Another joint model of the same motions, or the same one.
+        other_left_out: Numbers of its effects that are left out.
     """
-    regression = model.regression
-    rows = regression.independent_share * regression.moving.sum(axis=0)
-    return 0.5 * float(rows @ (_log_errors(before, [()]) - _log_errors(model, [left_out]))[0])
+    rows = model.regression.independent_share * model.regression.moving.sum(axis=0)
+    errors = _log_errors(other, [other_left_out]) - _log_errors(model, [left_out])
+    return 0.5 * float(rows @ errors[0])
 
 
-def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
+def select(model: JointModel) -> list[EffectEvidence]:
     """Leave out effects that are not needed, and those that predict a joint worse.
 
     The latter are of joints that are predicted worse than by the base model alone.
@@ -82,28 +66,25 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         model: The joint model.
 
     Returns:
-        The effects that are left out, and the evidence of all.
+        The evidence of all effects.
     """
-    left_out, evidence = posterior.select(model)
-    return _without_unpredictive(model, left_out, evidence), evidence
-
-
-def _without_unpredictive(
-    model: JointModel, left_out: Collection[int], evidence: Sequence[EffectEvidence]
-) -> frozenset[int]:
-    """All effects that are left out once no joint is predicted worse than by the base model."""
-    out = set(left_out)
+    evidence = posterior.select(model)
     everything = set(range(len(model.models)))
     while True:
-        base, present = _log_errors(model, [everything, out])
+        left_out = posterior.left_out(evidence)
+        base, present = _log_errors(model, [everything, left_out])
         joint = int(np.argmax(present - base))
         if present[joint] <= base[joint]:
-            return frozenset(out)
+            return evidence
         # a joint without effects is predicted worse where the folds do not determine the base model
-        group = _spoiling_group(model, joint, out, present, evidence)
+        group = _spoiling_group(model, joint, left_out, present, evidence)
         if not group:
-            return frozenset(out)
-        out |= group
+            return evidence
+        spoiling = {e.key for e in evidence if group & set(e.effects)}
+        evidence = [
+            replace(e, is_in_model=False, spoils_prediction=True) if e.key in spoiling else e
+            for e in evidence
+        ]
 
 
 def _spoiling_group(
@@ -116,19 +97,13 @@ def _spoiling_group(
     """Return the effect without which a joint and the whole robot are predicted better.
 
     All effects of the joint together are an alternative. Empty if there is none: an effect may
-    explain more at other joints than it spoils at this one.
-
-    Args:
-        model: The joint model.
-        joint: Index of the joint.
-        left_out: Effects that are left out already.
-        present: Logarithms of the errors of all joints with all others, shape (n,).
-        evidence: Evidence of all effects.
+    explain more at other joints than it spoils at this one. `present` are the logarithms of the
+    errors of all joints without those that are left out already, shape (n,).
     """
     groups = [
         frozenset(entry.effects)
         for entry in evidence
-        if not set(entry.effects) <= set(left_out)
+        if entry.is_in_model
         and joint in [j for e in entry.effects for j in model.regression.joints_of(e)]
     ]
     if not groups:
@@ -143,11 +118,8 @@ def _spoiling_group(
 def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
     """Mean logarithms of squared errors on rows to which variants are not fitted, (variants, n).
 
-    Those of the thirds of a single recording are summed before.
-
-    Args:
-        model: The joint model.
-        variants: Effects that are left out, by variant.
+    A variant is a set of effects that are left out. Errors of the thirds of a single recording are
+    summed before.
     """
     regression, parts = model.regression, _folds(model)
     unused = np.zeros(len(regression.nonnegative), bool)

@@ -9,7 +9,7 @@ from typing import Any
 from ..schemas.diagnosis import DiagnosisDocument
 from . import rival_evidence
 from .diagnosis import Diagnosis
-from .rival_evidence import DECIDED_LOG_ODDS, ClassEvidence
+from .rival_evidence import DECIDED_LOG_ODDS
 
 Pair = tuple[str | None, str, str]
 """Joint, effect and rival."""
@@ -111,19 +111,18 @@ class Decisions:
 
     Attributes:
         pairs: Each finding of the earlier diagnosis against each of its rivals.
-        classes: Evidence of each class, by the name of its joint.
+        classes: Log evidence of the members of each class, with the name of its joint.
     """
 
     pairs: tuple[Decision, ...]
-    classes: tuple[tuple[str | None, ClassEvidence], ...]
+    classes: tuple[tuple[str | None, Mapping[str, float]], ...]
 
     def excludes(self, joint: str | None, effect: str, rival: str) -> bool:
         """Tell whether a rival is excluded in favour of an effect."""
         return any(
             place == joint
-            and {effect, rival} <= set(evidence.log_evidence)
-            and rival_evidence.log_odds(evidence.log_bayes_factor(effect, rival))
-            >= DECIDED_LOG_ODDS
+            and {effect, rival} <= set(evidence)
+            and rival_evidence.log_odds(evidence[effect] - evidence[rival]) >= DECIDED_LOG_ODDS
             for place, evidence in self.classes
         )
 
@@ -177,7 +176,7 @@ def decide(
         for rival in names[1:]:
             pair = finding.joint, finding.effect, rival
             odds = (design.log_odds(pair, before.get(rival)) for design in expected)
-            factor = evidence.log_bayes_factor(finding.effect, rival)
+            factor = evidence[finding.effect] - evidence[rival]
             pairs.append(
                 Decision(
                     *pair,

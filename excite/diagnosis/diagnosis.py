@@ -35,6 +35,7 @@ from . import (
     joint_model,
     model_check,
     noise,
+    posterior,
     selection,
     session_changes,
     unmodelled,
@@ -46,7 +47,6 @@ from .flexible_models import UNMODELLED
 from .gear_encoders import GearEstimate
 from .joint_model import JointModel
 from .noise import NoiseEstimate
-from .posterior import EffectEvidence
 from .regression import rms
 from .selection import RareEffect
 from .session_changes import SessionChange
@@ -101,7 +101,6 @@ class Diagnosis:
 
     Attributes:
         identified: The base model without effects.
-        options: Options.
         hertz: Cutoff frequency [Hz].
         model: The joint model of the training recordings.
         effects: All effects that were considered, the most probable first.
@@ -117,7 +116,6 @@ class Diagnosis:
     """
 
     identified: Identification
-    options: DiagnosisOptions
     hertz: float
     model: JointModel
     effects: tuple[EffectEstimate, ...]
@@ -202,28 +200,25 @@ def diagnose(
         if not motions:
             raise segments.too_short(group[0].source, 2.0 * settling_time(hertz), hertz)
     progress("fitting all frictions jointly, then rare effects")
-    model, rare, small = selection.find_rare_effects(
-        identified, halves[0], bool(options.trusted), progress
-    )
+    model, rare, small = selection.find_rare_effects(identified, halves[0], progress)
     progress("evidence of each effect")
-    judged = _Judgement.of(model, rare)
-    residual = model.regression.residual(model.regression.without(judged.left_out))
+    evidence = cross_validation.select(model)
+    residual = model.regression.residual(model.regression.without(posterior.left_out(evidence)))
     residual = np.where(model.regression.moving, residual, 0.0)
     parts = recorded_motion.split_by_motion(residual, model.motions)
     estimate = noise.estimate_noise(identified.model, model.motions, parts, train)
-    remaining = unmodelled.find(model, judged.left_out, judged.evidence, estimate, residual)
-    considered = [*judged.effects, *estimates.small_effects(small)]
+    remaining = unmodelled.find(model, evidence, estimate, residual)
+    in_model = estimates.estimate_effects(model, rare, evidence)
+    considered = [*in_model, *estimates.small_effects(small)]
     effects = estimates.with_unmodelled(considered, model, remaining)
-    effects = estimates.without_doubtful(effects)
     progress("base model of the recordings without the effects")
-    savable = judged.of_savable(rare)
-    final = final_model.fit(identified, savable.model, savable.not_saved, train, progress)
+    savable, not_saved = _savable(model, rare, in_model)
+    final = final_model.fit(identified, savable, not_saved, train, progress)
     progress("held-out recordings")
     document = final.document(train)
     held_out = _held_out_errors(final, document, validate, halves[1])
     return Diagnosis(
         identified,
-        options,
         hertz,
         model,
         tuple(effects),
@@ -239,50 +234,20 @@ def diagnose(
     )
 
 
-@dataclass(frozen=True)
-class _Judgement:
-    """Which effects of a joint model are needed.
+def _savable(
+    model: JointModel, rare: Sequence[RareEffect], effects: Sequence[EffectEstimate]
+) -> tuple[JointModel, frozenset[int]]:
+    """Return a joint model without flexible models, and the numbers of its unneeded effects.
 
-    Attributes:
-        model: The joint model.
-        left_out: Numbers of the effects that are left out.
-        evidence: Evidence of all effects.
-        effects: Estimates of all effects of the catalogue.
+    Flexible models are not saved. What they stand for is left to the effects of the catalogue,
+    which are judged by the residual that they leave.
     """
-
-    model: JointModel
-    left_out: frozenset[int]
-    evidence: Sequence[EffectEvidence]
-    effects: Sequence[EffectEstimate]
-
-    @classmethod
-    def of(cls, model: JointModel, rare: Sequence[RareEffect]) -> _Judgement:
-        """Judge a joint model with these rare effects."""
-        left_out, evidence = cross_validation.select(model)
-        effects = estimates.estimate_effects(model, rare, left_out, evidence)
-        return cls(model, left_out, evidence, effects)
-
-    def of_savable(self, rare: Sequence[RareEffect]) -> _Judgement:
-        """Judge the effects without flexible models, which are not saved.
-
-        What those stand for is left to the effects of the catalogue, which are judged by the
-        residual that they leave.
-
-        Args:
-            rare: The rare effects.
-        """
-        named = [i for i, m in enumerate(self.model.models) if m.effect != UNMODELLED]
-        if len(named) == len(self.model.models):
-            return self
-        model = self.model.keeping(named)
+    named = [i for i, m in enumerate(model.models) if m.effect != UNMODELLED]
+    if len(named) < len(model.models):
+        model = model.keeping(named)
         joint_model.reweight(model.regression)
-        return _Judgement.of(model, rare)
-
-    @property
-    def not_saved(self) -> frozenset[int]:
-        """Numbers of the effects that the saved model does not have."""
-        doubtful = estimates.doubtful(self.effects)
-        return self.left_out.union(*(e.effects for e in self.evidence if e.key in doubtful))
+        effects = estimates.estimate_effects(model, rare, cross_validation.select(model))
+    return model, frozenset(i for e in effects if not e.needed for i in e.evidence.effects)
 
 
 def _held_out_errors(

@@ -212,14 +212,16 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
         },
         "experiment": effect.experiment,
         "modelled": diagnosis.final.has(estimate.effect, estimate.joint),
-        "curve": _curve(diagnosis, estimate, motion, regime),
+        "curve": effect_curves.effect_curve(diagnosis.model, estimate, motion, regime)
+        if estimate.needed
+        else None,
     }
     if shape.other is not None:
         out["from"] = _joint(diagnosis, shape.other)
     if hidden := sorted(set(estimate.parameters) - set(shown)):
         out["not_shown"] = hidden
     if not estimate.asserted:
-        out["reason"] = rejection.reason(diagnosis, estimate)
+        out["reason"] = rejection.reason(estimate)
     if estimate.asserted and (rivals := _rivals(diagnosis, estimate)):
         out["rivals"] = rivals
     return out
@@ -249,32 +251,13 @@ def _rivals(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[str, An
     if not names:
         return []
     evidence = rival_evidence.compare(diagnosis, estimate.joint, (estimate.effect, *names))
-    factors = {name: evidence.log_bayes_factor(estimate.effect, name) for name in names}
+    factors = {name: evidence[estimate.effect] - evidence[name] for name in names}
     return [
         {"effect": name, "log_bayes_factor": factor, "log_odds": rival_evidence.log_odds(factor)}
         for name, factor in factors.items()
         if name in estimate.equivalents
         or rival_evidence.log_odds(factor) < rival_evidence.DECIDED_LOG_ODDS
     ]
-
-
-def _curve(
-    diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows, regime: str
-) -> dict[str, Any] | None:
-    """Torque of an effect of the model over the quantity on which it depends."""
-    if not estimate.needed:
-        return None
-    curve = effect_curves.effect_curve(diagnosis.model, estimate, motion, regime)
-    if curve is None:
-        return None
-    return {
-        "over": curve.over,
-        "unit": curve.unit,
-        "opposes_motion": curve.along,
-        "x": curve.x.tolist(),
-        "torque": curve.y.tolist(),
-        "std": curve.std.tolist(),
-    }
 
 
 def _stated(
@@ -302,7 +285,7 @@ def _p_value(estimate: EffectEstimate) -> float | None:
     """p-value of a likelihood-ratio test: twice the log Bayes factor is at most χ² of k degrees."""
     if not np.isfinite(estimate.log_bayes_factor):
         return None
-    freedom = sum(len(c) for c in estimate.coefficients)
+    freedom = estimate.evidence.freedom
     return float(special.chdtrc(freedom, max(2.0 * estimate.log_bayes_factor, 0.0)))
 
 
@@ -450,7 +433,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         for effect in diagnosis.considered
         if effect.joint == entry.joint
         and effect.effect not in DENSE_NAMES
-        and rejection.reason(diagnosis, effect) == rejection.TOO_SMALL
+        and rejection.reason(effect) == rejection.TOO_SMALL
     ]
     return {
         "joint": name,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,27 +21,6 @@ MIN_SHOWN_POWER = 0.5
 """Share of the power of an effect's torque that its curve must hold to show the effect."""
 DISSIPATIVE_EFFECTS = ("position_friction",)
 """Effects that oppose the motion though their regime is that of conservative ones too."""
-
-
-@dataclass(frozen=True)
-class EffectCurve:
-    """Mean torque of an effect over a quantity.
-
-    Attributes:
-        over: Name of the quantity.
-        unit: Its unit.
-        along: Whether the torque is positive where it opposes the motion.
-        x: The quantity, shape (b,).
-        y: The torque, shape (b,) [N m].
-        std: Its standard deviation, shape (b,) [N m].
-    """
-
-    over: str
-    unit: str
-    along: bool
-    x: FloatArray
-    y: FloatArray
-    std: FloatArray
 
 
 @dataclass(frozen=True)
@@ -74,14 +54,18 @@ _ABSCISSAS: Mapping[str, _Abscissa] = {
 
 def effect_curve(
     model: JointModel, estimate: EffectEstimate, rows: MotionRows, regime: str
-) -> EffectCurve | None:
-    """Return the curve of an effect; None where no single quantity shows it.
+) -> dict[str, Any] | None:
+    """Return the mean torque of an effect over a quantity; None where no single quantity shows it.
 
     Args:
         model: The joint model.
         estimate: An effect that it has.
         rows: State at the rows of its motions.
         regime: Quantity over which the effect shows; see `diagnosis_file.REGIMES`.
+
+    Returns:
+        The element "curve" of a finding: torque and its standard deviation [N m or N], positive
+        where it opposes the motion if "opposes_motion".
     """
     abscissa, j = _ABSCISSAS.get(regime), estimate.joint
     if abscissa is None or j is None:
@@ -114,9 +98,14 @@ def effect_curve(
     unit = abscissa.unit.format("m" if rows.linear[j] else "rad")
     if rows.linear[j]:
         unit = unit.replace("N m", "N")
-    relative = estimate.relative_std
-    centres = (0.5 * (edges[1:] + edges[:-1]))[kept]
-    return EffectCurve(abscissa.over, unit, along, centres, mean, np.abs(mean) * relative)
+    return {
+        "over": abscissa.over,
+        "unit": unit,
+        "opposes_motion": along,
+        "x": (0.5 * (edges[1:] + edges[:-1]))[kept].tolist(),
+        "torque": mean.tolist(),
+        "std": (np.abs(mean) * estimate.relative_std).tolist(),
+    }
 
 
 def _edges(x: FloatArray, *, logarithmic: bool) -> FloatArray:

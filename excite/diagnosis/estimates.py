@@ -6,14 +6,14 @@ are linearised, and of the form of the effect (`Effect.form_std`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import position_range
 from ..effects.spring import CURVE_WAVES
 from . import joint_model, posterior, probability, recording_chain
@@ -21,9 +21,10 @@ from .columns import Columns
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .normal_equations import Solution
-from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence, Key
+from .posterior import DENSE_NAMES, MIN_SEVERITY, EffectEvidence
+from .probability import Probability
 from .regression import rms
-from .selection import RareEffect, SmallEffect
+from .selection import RareEffect
 from .unmodelled import UnmodelledTorque
 
 DRAWS = 400
@@ -57,35 +58,58 @@ class EffectEstimate:
     """An effect at a joint, asserted or merely considered.
 
     Attributes:
-        effect: Name.
-        joint: Index of the joint; None for an effect of no single joint.
-        models: Its models in the joint model.
-        coefficients: Their coefficients.
-        probability: That the effect, or one of its equivalents, is there.
-        log_bayes_factor: Evidence for it.
+        evidence: Evidence for it.
+        probable: Its probability, as a product.
+        coefficients: Coefficients of its models in the joint model; empty if it is not in it.
         severity: RMS torque that a refit of the base model does not absorb, over the residual of
             the joint model, in the joint with the largest [1].
         severity_interval: Its 90 % interval.
-        unique_severity: The same beyond what all other effects could stand for [1].
         parameters: Value and standard deviation by name.
         equivalents: Names of effects that these recordings cannot tell from it.
-        needed: Whether the joint model needs it, and it is not doubtful.
-        spoils_prediction: Whether it is known to predict rows worse to which it is not fitted.
     """
 
-    effect: str
-    joint: int | None
-    models: tuple[CandidateModel, ...]
-    coefficients: tuple[FloatArray, ...]
-    probability: float
-    log_bayes_factor: float
-    severity: float
-    severity_interval: tuple[float, float]
-    unique_severity: float
-    parameters: Mapping[str, tuple[float, float]]
-    equivalents: tuple[str, ...]
-    needed: bool
-    spoils_prediction: bool = False
+    evidence: EffectEvidence
+    probable: Probability
+    coefficients: tuple[FloatArray, ...] = ()
+    severity: float = 0.0
+    severity_interval: tuple[float, float] = (0.0, 0.0)
+    parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    equivalents: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> Key:
+        """Effect and joint."""
+        return self.evidence.key
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect."""
+        return self.evidence.name
+
+    @property
+    def joint(self) -> int | None:
+        """Index of the joint; None for an effect of no single joint."""
+        return self.evidence.joint
+
+    @property
+    def models(self) -> tuple[CandidateModel, ...]:
+        """Its models."""
+        return self.evidence.models
+
+    @property
+    def log_bayes_factor(self) -> float:
+        """Evidence for it."""
+        return self.evidence.log_bayes_factor
+
+    @property
+    def unique_severity(self) -> float:
+        """Severity beyond what all other effects could stand for [1]."""
+        return self.evidence.size
+
+    @property
+    def probability(self) -> float:
+        """Probability that the effect, or one of its equivalents, is there."""
+        return self.probable.value
 
     @property
     def relative_std(self) -> float:
@@ -96,145 +120,76 @@ class EffectEstimate:
     @property
     def asserted(self) -> bool:
         """True if it is probable enough to be reported as a finding."""
-        return self.needed and self.probability >= MIN_PROBABILITY
+        return self.evidence.is_in_model and self.probability >= MIN_PROBABILITY
+
+    @property
+    def needed(self) -> bool:
+        """True if the joint model needs it, and it is a friction or asserted.
+
+        Another effect may well be in the place of a rare one that is less probable than not: what
+        is not asserted is not to be predicted either.
+        """
+        return self.asserted or (self.evidence.is_in_model and self.effect in FRICTIONS)
 
 
 def estimate_effects(
-    model: JointModel,
-    rare: Sequence[RareEffect],
-    left_out: Collection[int],
-    evidence: Sequence[EffectEvidence],
+    model: JointModel, rare: Sequence[RareEffect], evidence: Sequence[EffectEvidence]
 ) -> list[EffectEstimate]:
     """Estimate all effects of a joint model.
 
     Args:
         model: The joint model.
         rare: Its rare effects.
-        left_out: Numbers of the effects that are not needed.
         evidence: Evidence of all effects.
     """
-    posterior_of = _Posterior(model, model.regression.without(left_out))
-    clock = _clock_delay(posterior_of)
+    posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
     probabilities = posterior.probabilities(model.n, evidence)
-    likeness = _likeness(posterior_of, evidence, left_out)
-    in_model = {e.key for e in evidence if not set(e.effects) <= set(left_out)}
+    likeness = _likeness(posterior_of, evidence)
+    in_model = {e.key for e in evidence if e.is_in_model}
     out = []
     for entry in evidence:
         if entry.name == UNMODELLED:
             continue
-        needed = not set(entry.effects) <= set(left_out)
-        rivals = next((r for r in rare if r.key == entry.key), None)
-        present = probabilities[entry.key]
-        equivalents: tuple[str, ...] = ()
-        draws = posterior_of.draws(entry.effects) if needed else None
-        severity, interval, parameters = 0.0, (0.0, 0.0), {}
-        if needed and draws is not None:
-            severity = posterior_of.severity(entry.effects)
-            form = EXCHANGEABLE_STD if entry.name in EXCHANGEABLE else FORM_STD
-            std = float(np.hypot(posterior_of.relative_std(entry.effects), form))
-            interval = _interval(severity, std)
-            parameters = posterior_of.parameters(entry.effects, draws)
-            equivalents = likeness.get(entry.key, ())
-        if rivals is not None:
-            share, names = rivals.share(in_model)
-            present *= share
-            equivalents = tuple(dict.fromkeys((*equivalents, *names)))
-        equivalents = tuple(
-            dict.fromkeys((*equivalents, *_same_by_definition(model, entry, parameters)))
-        )
-        models = tuple(model.models[i] for i in entry.effects)
-        coefficients = tuple(
-            np.asarray(posterior_of.solution.coefficients[model.regression.slices[i]])
-            for i in entry.effects
-        )
-        out.append(
-            EffectEstimate(
-                entry.name,
-                entry.joint,
-                models,
-                coefficients,
-                present,
-                entry.log_bayes_factor,
-                severity,
-                interval,
-                entry.size,
-                parameters,
-                equivalents,
-                needed,
-            )
-        )
-    return [*out, *clock]
+        estimate = EffectEstimate(entry, probabilities[entry.key])
+        names = list(likeness.get(entry.key, ()))
+        if entry.is_in_model:
+            estimate = posterior_of.estimate(estimate)
+        rare_effect = next((r for r in rare if r.key == entry.key), None)
+        if rare_effect is not None:
+            share, others = rare_effect.share(in_model)
+            estimate = replace(estimate, probable=replace(estimate.probable, share=share))
+            names += others
+        names += _same_by_definition(model, estimate)
+        out.append(replace(estimate, equivalents=tuple(dict.fromkeys(names))))
+    return [*out, *_clock_delay(posterior_of)]
 
 
-def small_effects(small: Sequence[SmallEffect]) -> list[EffectEstimate]:
+def small_effects(small: Sequence[EffectEvidence]) -> list[EffectEstimate]:
     """Return estimates of effects that are too small to be in the joint model.
 
     Args:
-        small: The effects.
+        small: Their evidence.
     """
-    return [
-        EffectEstimate(
-            effect.evidence.name,
-            effect.evidence.joint,
-            effect.models,
-            effect.coefficients,
-            posterior.probabilities(0, [effect.evidence])[effect.evidence.key],
-            effect.evidence.log_bayes_factor,
-            0.0,
-            (0.0, 0.0),
-            effect.evidence.size,
-            {},
-            (),
-            needed=False,
-            spoils_prediction=not effect.is_predictive,
-        )
-        for effect in small
-    ]
+    probabilities = posterior.probabilities(0, small)
+    return [EffectEstimate(entry, probabilities[entry.key]) for entry in small]
 
 
-def doubtful(effects: Sequence[EffectEstimate]) -> frozenset[Key]:
-    """Return the rare effects that are less probable than not, which are not saved.
-
-    They are needed, but another effect may well be in their place: what is not asserted is not to
-    be predicted either.
-
-    Args:
-        effects: Estimates of all effects.
-    """
-    return frozenset(
-        (effect.effect, effect.joint)
-        for effect in effects
-        if effect.needed and not effect.asserted and effect.effect not in FRICTIONS
-    )
-
-
-def without_doubtful(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
-    """Return estimates of which the doubtful ones are not needed.
-
-    Args:
-        effects: Estimates of all effects.
-    """
-    gone = doubtful(effects)
-    return [replace(e, needed=e.needed and (e.effect, e.joint) not in gone) for e in effects]
-
-
-def _same_by_definition(
-    model: JointModel, entry: EffectEvidence, parameters: Mapping[str, tuple[float, float]]
-) -> tuple[str, ...]:
+def _same_by_definition(model: JointModel, estimate: EffectEstimate) -> tuple[str, ...]:
     """Names of effects whose torque has the same form.
 
     Convex nonlinear viscous friction and drag are one thing at a joint (the contract). So are a
     wave of few periods over the range of a joint and a curve of its position.
     """
-    if entry.name == "drag":
+    effect, shapes = estimate.effect, estimate.models
+    if effect == "drag":
         return ("nonlinear_viscous",)
-    if entry.name == "nonlinear_viscous" and parameters.get("exponent", (0.0, 0.0))[0] > 1.0:
+    exponent, _ = estimate.parameters.get("exponent", (0.0, 0.0))
+    if effect == "nonlinear_viscous" and exponent > 1.0:
         return ("drag",)
-    shapes = [model.models[i] for i in entry.effects]
-    if entry.name == "spring" and any({"waves", "order"} & set(s.values) for s in shapes):
+    if effect == "spring" and any({"waves", "order"} & set(s.values) for s in shapes):
         return ("torque_ripple",)
-    if entry.name == "torque_ripple" and entry.joint is not None:
-        low, high = position_range(model.motions, entry.joint)
+    if effect == "torque_ripple" and estimate.joint is not None:
+        low, high = position_range(model.motions, estimate.joint)
         if all(s.values["order"] * (high - low) < np.pi * CURVE_WAVES[-1] for s in shapes):
             return ("spring",)
     return ()
@@ -264,11 +219,13 @@ def with_unmodelled(
     out = []
     for effect in effects:
         u = float(left.max() if effect.joint is None else left[effect.joint])
-        present = effect.probability
-        if effect.needed and u > 0.0:
-            share = effect.unique_severity**2 / (effect.unique_severity**2 + u**2)
-            present = share * present + (1.0 - share) * _by_other_joints(effect, effects, model.n)
-        out.append(replace(effect, probability=present))
+        size = effect.unique_severity
+        known = 1.0
+        if effect.evidence.is_in_model and u > 0.0:
+            share = size**2 / (size**2 + u**2)
+            by_others = _by_other_joints(effect, effects, model.n)
+            known = share + (1.0 - share) * by_others / max(effect.probability, 1e-300)
+        out.append(replace(effect, probable=replace(effect.probable, known=known)))
     return sorted(out, key=lambda e: (-e.probability, -e.log_bayes_factor))
 
 
@@ -299,24 +256,19 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     factor, std = joint_model.delay_evidence(model, seconds)
     change = np.zeros(len(of.solution.coefficients))
     change[model.delay_place] = seconds
-    severity = of.severity_of(change)
-    relative = float(np.hypot(std / abs(seconds), FORM_STD))
-    present = float(probability.rare_probability(factor, severity))
-    interval = _interval(severity, relative)
+    torque = of.torque_beyond_base(change)
+    severity = float((torque / model.regression.sigma).max())
+    is_large = abs(seconds) > recording_chain.MIN_DELAY and severity > MIN_SEVERITY
+    shapes = (delay.clock_delay(),)
+    evidence = EffectEvidence((), shapes, 1, factor, torque, severity, is_large)
     return [
         EffectEstimate(
-            "delay",
-            None,
-            (delay.clock_delay(),),
+            evidence,
+            probability.rare_probability(factor, severity),
             (np.array([seconds]),),
-            present,
-            float(factor),
             severity,
-            interval,
-            severity,
+            _interval(severity, float(np.hypot(std / abs(seconds), FORM_STD))),
             {"seconds": (seconds, std)},
-            (),
-            abs(seconds) > recording_chain.MIN_DELAY and severity > MIN_SEVERITY,
         )
     ]
 
@@ -356,11 +308,29 @@ class _Posterior:
             - w[np.ix_(first, base)] @ self._base_inverse @ w[np.ix_(base, second)]
         )
 
-    def draws(self, effects: Sequence[int]) -> FloatArray | None:
-        """Return draws of the active coefficients, shape (DRAWS, k)."""
+    def estimate(self, estimate: EffectEstimate) -> EffectEstimate:
+        """Return an estimate of an effect of the model with its size and its parameters."""
+        effects, slices = estimate.evidence.effects, self.model.regression.slices
         places = self.places(effects)
         if not len(places):
-            return None
+            return estimate
+        change = np.zeros(len(self.solution.coefficients))
+        change[places] = self.solution.coefficients[places]
+        torque = self.torque_beyond_base(change)
+        severity = float((torque / self.model.regression.sigma).max())
+        form = EXCHANGEABLE_STD if estimate.effect in EXCHANGEABLE else FORM_STD
+        return replace(
+            estimate,
+            coefficients=tuple(self.solution.coefficients[slices[e]] for e in effects),
+            severity=severity,
+            severity_interval=_interval(
+                severity, float(np.hypot(self.relative_std(effects), form))
+            ),
+            parameters=self.parameters(effects),
+        )
+
+    def draws(self, places: IntArray) -> FloatArray:
+        """Return draws of active coefficients, shape (DRAWS, k)."""
         covariance = self.covariance(places, places)
         values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -370,21 +340,13 @@ class _Posterior:
         out[:, bounded] = np.maximum(out[:, bounded], 0.0)
         return np.asarray(out)
 
-    def severity(self, effects: Sequence[int]) -> float:
-        """Return the RMS torque beyond the base model over the residual, of the largest joint."""
-        places = self.places(effects)
-        change = np.zeros(len(self.solution.coefficients))
-        change[places] = self.solution.coefficients[places]
-        return self.severity_of(change)
-
-    def severity_of(self, change: FloatArray) -> float:
-        """Return the same for given coefficients, shape (K,)."""
+    def torque_beyond_base(self, change: FloatArray) -> FloatArray:
+        """Return the RMS torque of coefficients, shape (K,), beyond the base model, (n,) [N m]."""
         regression, places = self.model.regression, np.flatnonzero(change)
         shared = self._weighted[np.ix_(self._base, places)] @ change[places]
         beyond = change.copy()
         beyond[self._base] -= self._base_inverse @ shared
-        size = rms(regression.torque_along(beyond), regression.moving)
-        return float((size / regression.sigma).max())
+        return rms(regression.torque_along(beyond), regression.moving)
 
     def relative_std(self, effects: Sequence[int]) -> float:
         """Return the relative standard deviation of an effect's torque along its estimate."""
@@ -394,10 +356,9 @@ class _Posterior:
         variance = float(along @ self.covariance(places, places) @ along)
         return float(np.sqrt(max(variance, 0.0)) / max(float(c @ along), 1e-300))
 
-    def parameters(
-        self, effects: Sequence[int], draws: FloatArray
-    ) -> dict[str, tuple[float, float]]:
+    def parameters(self, effects: Sequence[int]) -> dict[str, tuple[float, float]]:
         """Return the parameters of the largest model of an effect, with standard deviations."""
+        draws = self.draws(self.places(effects))
         sizes = {e: self.relative_size(e) for e in effects if len(self.places([e]))}
         largest = max(sizes, key=lambda e: sizes[e])
         shape = self.model.models[largest]
@@ -461,18 +422,12 @@ class _Posterior:
         return slope[place], float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
 
 
-def _likeness(
-    of: _Posterior, evidence: Sequence[EffectEvidence], left_out: Collection[int]
-) -> dict[Key, tuple[str, ...]]:
+def _likeness(of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:
     """Names of effects at the same joint that may stand for each effect of the model."""
     needed = [
-        e
-        for e in evidence
-        if e.name != UNMODELLED
-        and not set(e.effects) <= set(left_out)
-        and len(of.places(e.effects))
+        e for e in evidence if e.name != UNMODELLED and e.is_in_model and len(of.places(e.effects))
     ]
-    out: dict[Key, tuple[str, ...]] = {}
+    out: dict[Key, list[str]] = {}
     for first in needed:
         a = of.places(first.effects)
         variance = float(np.sum(of.covariance(a, a) * of.projected(a, a)))
@@ -485,5 +440,5 @@ def _likeness(
             shared = float(np.sum(of.covariance(a, b) * of.projected(a, b)))
             if shared < ALIKE_CORRELATION * np.sqrt(max(variance * other, 1e-300)):
                 names.append(second.name)
-        out[first.key] = tuple(names)
+        out[first.key] = names
     return out

@@ -17,7 +17,6 @@ import numpy as np
 from .._types import FloatArray
 from ..effects import delay
 from ..effects.effect import CandidateModel
-from ..effects.form_error import without_form_error
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import identification, identified_model
 from ..identification.identification import Identification
@@ -115,7 +114,7 @@ def fit(
     """
     solution = model.regression.without(left_out)
     shapes = [
-        without_form_error(shape)
+        shape.exact or shape
         for i, (shape, part) in enumerate(zip(model.models, model.regression.slices, strict=True))
         if i not in left_out and shape.effect != UNMODELLED and solution.coefficients[part].any()
     ]

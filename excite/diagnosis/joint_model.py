@@ -147,7 +147,7 @@ class JointModel:
         columns = [self.columns(model) for model in models]
         kept = [model for model, c in zip(models, columns, strict=True) if c is not None]
         regression = self.regression.copy()
-        regression.add_all([c for c in columns if c is not None])
+        regression.add(*(c for c in columns if c is not None))
         return replace(self, models=(*self.models, *kept), regression=regression)
 
 
@@ -215,8 +215,8 @@ def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -
 def fit(
     identified: Identification,
     motions: Sequence[RecordedMotion],
-    rare: Sequence[CandidateModel] = (),
-    start: JointModel | None = None,
+    rare: Sequence[CandidateModel],
+    start: JointModel,
 ) -> JointModel:
     """Fit the joint model to recorded motions.
 
@@ -224,11 +224,11 @@ def fit(
         identified: The base model.
         motions: The motions to fit.
         rare: Further effects.
-        start: What `first_round` returns, if it is at hand.
+        start: What `first_round` returns.
     """
     widths, chain = identified.model.widths, RecordingChain()
     waves: list[CandidateModel] = []
-    fitted = (start or first_round(identified, motions)).with_effects(rare)
+    fitted = start.with_effects(rare)
     for step in range(ROUNDS - 1):
         delayed = _without_filter(fitted)
         # what a delay leaves that is not yet found looks like a filter
@@ -275,12 +275,7 @@ def _delay_phase(fitted: JointModel) -> float:
 
 
 def _renewed_chain(fitted: JointModel, is_filtered: bool) -> RecordingChain:
-    """Return the recording chain with the step of a fit; what has no evidence is left out.
-
-    Args:
-        fitted: A joint model.
-        is_filtered: Whether the chain may have a filter.
-    """
+    """Return the recording chain with the step of a fit; what has no evidence is left out."""
     x, chain = fitted.solution.coefficients, fitted.chain
     seconds = chain.delay + float(x[fitted.delay_place])
     if delay_evidence(fitted, seconds)[0] <= MIN_CHAIN_EVIDENCE:

@@ -8,7 +8,7 @@ measured torque, so it is the residual, measured minus predicted, whose repetiti
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -86,50 +86,23 @@ def estimate_noise(
         residuals: Torque residual of each, shapes (N, n) [N m].
         recordings: The recordings.
     """
-    spectral = _spectral_noise(motions, residuals)
     draws = quantization_residuals(model, motions)
-    rows = np.concatenate(draws) if draws else np.zeros((1, len(spectral)))
+    rows = np.concatenate(draws) if draws else np.zeros((1, motions[0].n))
     steps = np.sqrt(np.mean(rows**2, axis=0))
     periods = {
         recording.source: period
         for recording in recordings
         if (period := estimate_period(recording))
     }
-    lower_bound = NoiseEstimate(
-        _with_steps(spectral, steps),
-        "differences",
-        steps,
-        periods,
-    )
-    return _refined_by_repetition(lower_bound, motions, residuals)
-
-
-def _refined_by_repetition(
-    estimate: NoiseEstimate,
-    motions: Sequence[RecordedMotion],
-    residuals: Sequence[FloatArray],
-) -> NoiseEstimate:
-    """Noise from the repetitions of residuals; unchanged if nothing repeats."""
-    periods = estimate.periods
     squares = [
         square
         for motion, residual in zip(motions, residuals, strict=True)
         if motion.segment.source in periods
         and (square := _noise_square(motion, residual, periods[motion.segment.source])) is not None
     ]
-    if not squares:
-        return estimate
-    spread = np.sqrt(np.mean(squares, axis=0))
-    return replace(
-        estimate,
-        floor=_with_steps(spread, estimate.steps),
-        method="periods",
-    )
-
-
-def _with_steps(spread: FloatArray, steps: FloatArray) -> FloatArray:
-    """Noise and encoder quantisation together, shape (n,)."""
-    return np.asarray(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2))
+    spread = np.sqrt(np.mean(squares, axis=0)) if squares else _spectral_noise(motions, residuals)
+    floor = np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2)
+    return NoiseEstimate(floor, "periods" if squares else "differences", steps, periods)
 
 
 def _spectral_noise(

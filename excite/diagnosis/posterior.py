@@ -18,17 +18,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._types import FloatArray
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.form_error import with_form_error
 from . import probability
 from .joint_model import FRICTIONS, JointModel, transient_rows
 from .normal_equations import Solution
+from .probability import Probability
 from .regression import JointRegression
 
 DENSE_NAMES = (*FRICTIONS, "torque_ripple")
 """Effects that the joint model has from the start."""
-Key = tuple[str, int | None]
-"""Name of an effect and index of its joint; None for an effect of no single joint."""
 MIN_SEVERITY = 0.3
 """Growth of the residual without an effect, over the noise, from which it counts."""
 VARIANCE_FREEDOM = 2.0
@@ -43,40 +42,64 @@ class EffectEvidence:
 
     Attributes:
         effects: Numbers of the regression's effects (several waves are one effect).
-        name: Name of the effect.
-        joint: Index of the joint; None for an effect of no single joint.
+        models: Their models.
+        freedom: Number of their coefficients.
         log_bayes_factor: Of the model with it over the model without.
         severity: RMS torque by which the residual of each joint grows without it, √(r² − r₀²) with
             the RMS residuals r without it and r₀ with it [N m], shape (n,).
         size: The largest of them over the residual of its joint [1]; of an effect that acts for
             some of the time, of the rows in which it acts.
+        is_in_model: Whether it is in the model that was selected.
+        spoils_prediction: Whether it is not, because rows to which it is not fitted are predicted
+            worse with it.
     """
 
     effects: tuple[int, ...]
-    name: str
-    joint: int | None
+    models: tuple[CandidateModel, ...]
+    freedom: int
     log_bayes_factor: float
     severity: FloatArray
     size: float
+    is_in_model: bool = True
+    spoils_prediction: bool = False
 
     @property
     def key(self) -> Key:
         """Effect and joint."""
-        return self.name, self.joint
+        return self.models[0].key
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.key[0]
+
+    @property
+    def joint(self) -> int | None:
+        """Index of the joint; None for an effect of no single joint."""
+        return self.key[1]
 
     @property
     def is_needed(self) -> bool:
         """True if the effect is more probable than not, and large enough to matter."""
         if self.name in DENSE_NAMES:
             return self.log_bayes_factor > 0.0 and self.size > MIN_SEVERITY
-        return _rare_probability(self) > 0.5
+        return probability.rare_probability(self.log_bayes_factor, self.size).value > 0.5
+
+
+def left_out(evidence: Sequence[EffectEvidence]) -> frozenset[int]:
+    """Return the numbers of the effects that are not in the selected model.
+
+    Args:
+        evidence: Evidence of all effects of a joint model.
+    """
+    return frozenset(number for e in evidence if not e.is_in_model for number in e.effects)
 
 
 def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
     """Return the regression's effects by name and joint."""
     groups: dict[Key, tuple[int, ...]] = {}
     for i, m in enumerate(model.models):
-        groups[m.effect, m.joint] = (*groups.get((m.effect, m.joint), ()), i)
+        groups[m.key] = (*groups.get(m.key, ()), i)
     return groups
 
 
@@ -106,21 +129,22 @@ def log_bayes_factor(model: JointModel, reduced: JointModel) -> float:
     )
 
 
-def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, float]:
+def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Probability]:
     """Return the probability of every effect; the odds of frictions are shared over the joints.
 
     Args:
         n: Number of joints.
         evidence: Evidence of all effects of a joint model.
     """
-    out = {}
-    for e in evidence:
-        if e.name not in DENSE_NAMES:
-            out[e.key] = _rare_probability(e)
+    out = {
+        e.key: probability.rare_probability(e.log_bayes_factor, e.size)
+        for e in evidence
+        if e.name not in DENSE_NAMES
+    }
     for name in DENSE_NAMES:
         members = [e for e in evidence if e.name == name]
         shared = shared_probabilities(n, [e.log_bayes_factor for e in members])
-        out.update(zip((e.key for e in members), shared, strict=True))
+        out |= {e.key: Probability(p) for e, p in zip(members, shared, strict=True)}
     return out
 
 
@@ -136,36 +160,27 @@ def shared_probabilities(n: int, log_bayes_factors: Sequence[float]) -> list[flo
     return probability.friction_probabilities(factors)[: len(log_bayes_factors)].tolist()
 
 
-def _rare_probability(evidence: EffectEvidence) -> float:
-    return float(probability.rare_probability(evidence.log_bayes_factor, evidence.size))
-
-
-def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
+def select(model: JointModel) -> list[EffectEvidence]:
     """Leave out effects that are not needed, the least needed first.
 
     Args:
         model: The joint model.
 
     Returns:
-        The effects that are left out, and the evidence of all: of a left-out effect, what it had
-        when it left.
+        The evidence of all effects; of one that is left out, what it had when it left.
     """
     groups = effect_groups(model)
     regression = model.regression
     left_out: set[int] = set()
-    current = model.solution
-    evidence = {
-        key: evidence_of(model, key, members, left_out, current) for key, members in groups.items()
-    }
-    out: list[EffectEvidence] = []
     for key in [key for key in groups if key[0] not in DENSE_NAMES]:
         left_out |= judge(model, key, left_out)[1]
-    if left_out:
-        out = [evidence.pop(key) for key, members in groups.items() if set(members) <= left_out]
-        current = regression.without(left_out)
-        evidence = {
-            key: evidence_of(model, key, groups[key], left_out, current) for key in evidence
-        }
+    gone = [key for key, members in groups.items() if set(members) <= left_out]
+    out = [evidence_of(model, groups[key]) for key in gone]
+    evidence = {
+        key: evidence_of(model, members, left_out)
+        for key, members in groups.items()
+        if key not in gone
+    }
     while evidence:
         unneeded = [key for key, entry in evidence.items() if not entry.is_needed]
         if not unneeded:
@@ -173,15 +188,14 @@ def select(model: JointModel) -> tuple[frozenset[int], list[EffectEvidence]]:
         key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
         out.append(evidence.pop(key))
         left_out |= set(groups[key])
-        current = regression.without(left_out)
-        touched = {j for j in _joints(regression, groups[key])}
+        touched = set(_joints(regression, groups[key]))
         for other in evidence:
             if touched & set(_joints(regression, groups[other])):
-                evidence[other] = evidence_of(model, other, groups[other], left_out, current)
+                evidence[other] = evidence_of(model, groups[other], left_out)
     # one that is doubtful only next to a form error stays: it is a part of the friction curve
     for joint in range(model.n):
         evidence |= _next_to_form_errors(model, joint, left_out, evidence)
-    return frozenset(left_out), [*evidence.values(), *out]
+    return [*evidence.values(), *(replace(e, is_in_model=False) for e in out)]
 
 
 def _next_to_form_errors(
@@ -190,12 +204,6 @@ def _next_to_form_errors(
     """Return the evidence of the frictions of a joint, each next to the form errors of larger ones.
 
     Otherwise what one friction curve has no form for, which grows with it, would be another one.
-
-    Args:
-        model: The joint model.
-        joint: Index of the joint.
-        left_out: Numbers of effects that are left out.
-        evidence: Evidence of the effects of the model.
     """
     present = sorted(
         (e for key, e in evidence.items() if key[0] in FRICTIONS and key[1] == joint),
@@ -220,8 +228,7 @@ def _next_to_form_errors(
             if columns is not None:
                 part = regression.slices[number]
                 regression.add(columns.last(columns.count - (part.stop - part.start)))
-        current = regression.without(gone)
-        judged = evidence_of(extended, smaller.key, smaller.effects, gone, current)
+        judged = evidence_of(extended, smaller.effects, gone)
         if judged.size < MIN_SEVERITY:  # too small to be evidence; the robot's other joints decide
             judged = replace(judged, log_bayes_factor=min(judged.log_bayes_factor, 0.0))
         out[smaller.key] = judged
@@ -260,28 +267,22 @@ def judge(
         if len(members) > 1:
             frictions[kind, None] = tuple(itertools.chain(*members))
     out = frozenset(left_out)
-    first = result = evidence_of(model, key, groups[key], out, regression.without(out))
+    first = result = evidence_of(model, groups[key], out)
     while not result.is_needed:
         rivals = {}
-        current = regression.without(out)
         for k, g in frictions.items():
             if set(g) <= out:
                 continue
-            rival = evidence_of(model, k, g, out, current)
-            if rival.log_bayes_factor < result.log_bayes_factor:
-                less = out | set(g)
-                rivals[k] = evidence_of(model, key, groups[key], less, regression.without(less))
+            if evidence_of(model, g, out).log_bayes_factor < result.log_bayes_factor:
+                rivals[k] = evidence_of(model, groups[key], out | set(g))
         if not rivals:
             return first, frozenset(left_out)
         chosen = max(rivals, key=lambda k: rivals[k].size)
         out, result = out | set(frictions[chosen]), rivals[chosen]
     for k in [k for k, g in frictions.items() if k[1] is not None and set(g) <= out]:
         more = out - set(groups[k])
-        current = regression.without(more)
-        if not evidence_of(model, k, groups[k], more, current).is_needed:
-            continue
-        again = evidence_of(model, key, groups[key], more, current)
-        if again.is_needed:
+        again = evidence_of(model, groups[key], more)
+        if evidence_of(model, groups[k], more).is_needed and again.is_needed:
             out, result = more, again
     return result, out
 
@@ -324,20 +325,23 @@ def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:
 
 
 def evidence_of(
-    model: JointModel,
-    key: Key,
-    members: tuple[int, ...],
-    left_out: Collection[int],
-    current: Solution,
+    model: JointModel, members: tuple[int, ...], left_out: Collection[int] = ()
 ) -> EffectEvidence:
-    """Return the evidence of an effect in a model without some others."""
-    regression = model.regression
+    """Return the evidence of an effect in a model without some others.
+
+    Args:
+        model: The joint model.
+        members: Numbers of the effect, several where it has several waves.
+        left_out: Numbers of the effects that are left out.
+    """
+    regression, current = model.regression, model.regression.without(left_out)
     places = np.concatenate([np.arange(len(current.active))[regression.slices[e]] for e in members])
+    shapes = tuple(model.models[e] for e in members)
     if not current.coefficients[places].any():
-        return EffectEvidence(members, *key, -np.inf, np.zeros(model.n), 0.0)
+        none = np.zeros(model.n)
+        return EffectEvidence(members, shapes, len(places), -np.inf, none, 0.0)
     reduced = regression.without([*left_out, *members])
     factor = log_evidence(regression, current) - log_evidence(regression, reduced)
-    shapes = [model.models[e] for e in members]
     factor -= float(sum(np.log(shape.alternatives) for shape in shapes))
     before, after = (regression.residual_rms(s) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
@@ -345,4 +349,4 @@ def evidence_of(
     if any(shape.interval is not None for shape in shapes):
         gain, size = _gain_of_transient(model, shapes, reduced, current)
         factor += gain - (reduced.objective - current.objective)
-    return EffectEvidence(members, *key, factor, severity, size)
+    return EffectEvidence(members, shapes, len(places), factor, severity, size)

@@ -16,6 +16,8 @@ odds of a Beta(a, b) prior, iterated over all joints (an empirical Bayes estimat
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import special
 
@@ -37,6 +39,28 @@ SHARED_ROUNDS = 50
 """Iterations of the shared odds."""
 
 
+@dataclass(frozen=True)
+class Probability:
+    """Probability of an effect, the product of what has to be true.
+
+    Attributes:
+        evidence: That it is not noise, by its evidence, and that of other joints for a friction.
+        size: That it is large enough to be told from the errors of other forms; 1 for a friction.
+        share: That it, or one of its equivalents, is there, and no other effect in its place.
+        known: That it is no part of torque that no effect explains.
+    """
+
+    evidence: float
+    size: float = 1.0
+    share: float = 1.0
+    known: float = 1.0
+
+    @property
+    def value(self) -> float:
+        """The product."""
+        return self.evidence * self.size * self.share * self.known
+
+
 def friction_probabilities(log_bayes_factors: FloatArray) -> FloatArray:
     """Return the probability of a friction at every joint of a robot, shape (n,).
 
@@ -54,13 +78,32 @@ def friction_probabilities(log_bayes_factors: FloatArray) -> FloatArray:
     return out
 
 
-def rare_probability(log_bayes_factor: float | FloatArray, size: float | FloatArray) -> FloatArray:
+def rare_probability(log_bayes_factor: float, size: float) -> Probability:
     """Return the probability of any other effect.
 
     Args:
         log_bayes_factor: ln B.
         size: RMS torque beyond what all other effects could stand for, over the noise.
     """
-    evidence = special.expit(np.asarray(log_bayes_factor) / RARE_TEMPERATURE + RARE_LOG_ODDS)
+    return Probability(float(by_evidence(log_bayes_factor)), float(by_size(size)))
+
+
+def by_evidence(log_bayes_factor: float | FloatArray) -> FloatArray:
+    """Return the probability of any other effect that is large, σ(ln B / T′ + λ′).
+
+    Args:
+        log_bayes_factor: ln B.
+    """
+    return np.asarray(
+        special.expit(np.asarray(log_bayes_factor) / RARE_TEMPERATURE + RARE_LOG_ODDS)
+    )
+
+
+def by_size(size: float | FloatArray) -> FloatArray:
+    """Return the probability that evidence for any other effect is its own, Φ(ln(s/s₀)/w).
+
+    Args:
+        size: RMS torque beyond what all other effects could stand for, over the noise.
+    """
     size_odds = np.log(np.maximum(np.asarray(size), 1e-9) / RARE_SIZE) / RARE_SPREAD
-    return np.asarray(evidence * special.ndtr(size_odds))
+    return np.asarray(special.ndtr(size_odds))

@@ -8,14 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from .._types import FloatArray
 from ..effects import EFFECTS, EFFECTS_BY_NAME
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from . import contact_search, posterior, probability, ripple_search
 from .candidate_fits import CandidateBatch, CandidateFit
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import JointModel
-from .posterior import DENSE_NAMES, Key
+from .posterior import DENSE_NAMES
 
 MIN_CANDIDATE_EVIDENCE = 5.0
 """Log Bayes factor before the weights are renewed from which a candidate is tried."""
@@ -33,14 +32,12 @@ class Candidate:
 
     Attributes:
         model: The candidate.
-        prior_std: Prior standard deviation of its coefficients, shape (k,).
         fit: Its fit.
         share: Share of independent rows in the residual. An effect that is left out makes the
             residual look correlated, so that the evidence is that of usual residuals.
     """
 
     model: CandidateModel
-    prior_std: FloatArray
     fit: CandidateFit
     share: float
 
@@ -56,9 +53,8 @@ class Candidate:
 
     @property
     def _occam(self) -> float:
-        """Log Occam factor: prior volume over what the data leave of it, times its alternatives."""
-        scaled = self.fit.information * np.outer(self.prior_std, self.prior_std)
-        return 0.5 * float(np.linalg.slogdet(scaled)[1]) + float(np.log(self.model.alternatives))
+        """Log Occam factor of its coefficients, and of its alternatives."""
+        return self.fit.log_occam_factor + float(np.log(self.model.alternatives))
 
     @property
     def is_plausible(self) -> bool:
@@ -72,12 +68,10 @@ class CandidateShapes:
 
     Attributes:
         models: Those whose columns are not zero.
-        prior_std: Prior standard deviation of the coefficients of each.
         batch: Their columns.
     """
 
     models: tuple[CandidateModel, ...]
-    prior_std: tuple[FloatArray, ...]
     batch: CandidateBatch
 
     @classmethod
@@ -90,20 +84,16 @@ class CandidateShapes:
         """
         computed = ((shape, joint.columns(shape)) for shape in shapes)
         kept = [(shape, columns) for shape, columns in computed if columns is not None]
-        all_columns = [columns for _, columns in kept]
-        return cls(
-            tuple(shape for shape, _ in kept),
-            tuple(columns.prior_std for columns in all_columns),
-            CandidateBatch.of(all_columns, joint.regression.moving),
-        )
+        batch = CandidateBatch.of([columns for _, columns in kept], joint.regression.moving)
+        return cls(tuple(shape for shape, _ in kept), batch)
 
     def fitted(self, joint: JointModel) -> list[Candidate]:
         """Return the candidates, each fitted alone on top of a joint model of the same motions."""
         regression = joint.regression
         fits = regression.candidates(self.batch)
         return [
-            Candidate(shape, std, fit, regression.independent_share)
-            for shape, std, fit in zip(self.models, self.prior_std, fits, strict=True)
+            Candidate(shape, fit, regression.independent_share)
+            for shape, fit in zip(self.models, fits, strict=True)
         ]
 
 
@@ -175,15 +165,11 @@ class CandidateColumns:
         self._contacts = CandidateShapes.of(model, contact_search.contacts(model))
 
     def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
-        """Return the ranking of the shapes of every effect at every joint.
-
-        Args:
-            model: The joint model on top of which they are fitted.
-        """
+        """Return the ranking of the shapes of every effect at every joint."""
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
         for candidate in (*self._shapes.fitted(model), *self._contacts.fitted(model)):
-            key = candidate.model.effect, candidate.model.joint
+            key = candidate.model.key
             counts[key] = counts.get(key, 0) + 1
             if candidate.is_plausible:
                 plausible.setdefault(key, []).append(candidate)

@@ -196,13 +196,8 @@ class JointRegression:
             self.prior_matrix[place, place] = 1.0 / FIXED_STD**2
         self._changed()
 
-    def add(self, columns: Columns) -> int:
-        """Append the columns of an effect; return its number."""
-        self.add_all([columns])
-        return len(self.slices) - 1
-
-    def add_all(self, effects: Sequence[Columns]) -> None:
-        """Append the columns of some effects."""
+    def add(self, *effects: Columns) -> range:
+        """Append the columns of some effects; return their numbers."""
         start = len(self.nonnegative)
         for columns in effects:
             stop = start + columns.count
@@ -224,6 +219,7 @@ class JointRegression:
         self._prior_score = np.concatenate([self._prior_score, np.zeros(count)])
         self._likely = np.concatenate([self._likely, np.ones(count, bool)])
         self._changed()
+        return range(len(self.slices) - len(effects), len(self.slices))
 
     def reweighted(self, sigma: FloatArray, independent_share: float) -> None:
         """Replace the weights of the rows."""

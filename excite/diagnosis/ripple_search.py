@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._types import BoolArray, FloatArray
+from .._types import FloatArray
 from ..effects import encoder_error, recorded_motion, torque_ripple
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
@@ -58,28 +58,22 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
     The order of each wave is that of the highest peak of the order spectrum. It is refined jointly
     with those of the waves found before it, which were biased without it.
     """
-    share, hertz = fitted.regression.independent_share, fitted.motions[0].band.hertz
+    share = fitted.regression.independent_share
     out = []
     for j in range(fitted.n):
         moving = fitted.regression.moving[:, j]
-        angle, speed = _angle_and_speed(fitted.motions, j)
         known = [
             m.values["order"] for m in fitted.models if m.effect == "torque_ripple" and m.joint == j
         ]
-        span = float(np.ptp(angle))
-        if span <= 0.0:
+        width = _peak_width(fitted.motions, j)
+        if not np.isfinite(width):
             continue
-        width = 2.0 * np.pi / span
-        unit = recorded_motion.radian(fitted.motions, j)
-        low = max(MIN_RIPPLE_ORDER / unit, MIN_WAVES * width)
+        low = max(MIN_RIPPLE_ORDER / recorded_motion.radian(fitted.motions, j), MIN_WAVES * width)
         waves: list[CandidateModel] = []
-        regression = fitted.regression
+        present = fitted
         while len(known) + len(waves) < MAX_WAVES:
-            residual = regression.residual_of(j)
-            order, gain, count = _spectrum_peak(
-                residual, np.ones(len(residual)), angle, speed, unit, moving, low, hertz
-            )
-            gain *= share / float(np.mean(residual[moving] ** 2))
+            order, gain, count = _spectrum_peak(present, j, low)
+            gain *= share / float(np.mean(present.regression.residual_of(j)[moving] ** 2))
             evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
             before = [wave.values["order"] for wave in waves]
             if evidence < MIN_RIPPLE_EVIDENCE or _are_near([*known, *before, order], width):
@@ -89,18 +83,13 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             if min(orders) < low or _are_near([*known, *orders], width):
                 break
             waves = [torque_ripple.wave_model(fitted.motions, j, order) for order in orders]
-            regression = fitted.with_effects(waves).regression
+            present = fitted.with_effects(waves)
         out += waves
     return out
 
 
 def _are_near(orders: Sequence[float], width: float) -> bool:
-    """Tell whether two orders are too close to count as two waves.
-
-    Args:
-        orders: The orders [1/rad].
-        width: Width of a peak in the order spectrum [1/rad].
-    """
+    """Tell whether two orders are too close to count as two waves, by the width of a peak."""
     distances = np.diff(np.sort(orders))
     return bool(np.any(distances < MIN_ORDER_DISTANCE * width))
 
@@ -122,8 +111,7 @@ def refined_waves(fitted: JointModel) -> list[CandidateModel]:
             continue
         slopes = np.hstack([_order_slope(_wave(fitted.motions, j, k), c) for k, c in waves])
         steps = fitted.regression.candidate(_free_columns(j, slopes)).coefficients
-        angle, _ = _angle_and_speed(fitted.motions, j)
-        width = 2.0 * np.pi / float(np.ptp(angle))
+        width = _peak_width(fitted.motions, j)
         limit = MAX_ORDER_STEP * width
         known: list[float] = []
         for (order, _), step in zip(waves, np.clip(steps, -limit, limit).tolist(), strict=True):
@@ -148,6 +136,12 @@ def _angle_and_speed(
     return angle, speed
 
 
+def _peak_width(motions: Sequence[RecordedMotion], joint: int) -> float:
+    """Width of a peak in the order spectrum [1/rad], ∞ for a joint that does not move."""
+    span = float(np.ptp(_angle_and_speed(motions, joint)[0]))
+    return 2.0 * np.pi / span if span > 0.0 else np.inf
+
+
 def encoder_errors(fitted: JointModel) -> list[CandidateModel]:
     """Return the encoder error of each joint whose order fits the residual best, above the grid's.
 
@@ -158,31 +152,19 @@ def encoder_errors(fitted: JointModel) -> list[CandidateModel]:
     """
     out = []
     for j in range(fitted.n):
-        angle, speed = _angle_and_speed(fitted.motions, j)
-        span, moving = float(np.ptp(angle)), fitted.regression.moving[:, j]
-        size = (speed / max(float(np.abs(speed).max()), 1e-300)) ** 2
-        if span <= 0.0 or not moving.any():
+        width = _peak_width(fitted.motions, j)
+        if not np.isfinite(width) or not fitted.regression.moving[:, j].any():
             continue
-        width = 2.0 * np.pi / span
         unit = recorded_motion.radian(fitted.motions, j)
         low = max(encoder_error.ORDERS[-1] / unit, MIN_WAVES * width)
-        hertz = fitted.motions[0].band.hertz
-        residual = fitted.regression.residual_of(j)
-        order, gain, count = _spectrum_peak(residual, size, angle, speed, unit, moving, low, hertz)
+        order, gain, count = _spectrum_peak(fitted, j, low, grows_with_speed=True)
         if gain > 0.0:
             out.append(encoder_error.high_order(j, unit, order, 0.5 * width, float(count)))
     return out
 
 
 def _spectrum_peak(
-    residual: FloatArray,
-    size: FloatArray,
-    angle: FloatArray,
-    speed: FloatArray,
-    unit: float,
-    moving: BoolArray,
-    low: float,
-    hertz: float,
+    fitted: JointModel, joint: int, low: float, *, grows_with_speed: bool = False
 ) -> tuple[float, float, int]:
     """Return the order of the wave that fits a residual best, half its power, and their number.
 
@@ -191,25 +173,27 @@ def _spectrum_peak(
     are divided into classes for that.
 
     Args:
-        residual: Torque residual, shape (N,) [N m].
-        size: Relative amplitude of the wave in each row, shape (N,).
-        angle: Joint position, shape (N,) [rad or m].
-        speed: Joint speed, shape (N,) [rad/s or m/s].
-        unit: What `recorded_motion.radian` returns.
-        moving: Rows that count, shape (N,).
+        fitted: The joint model whose residual it fits.
+        joint: Index of the joint.
         low: Smallest order [1/rad or 1/m].
-        hertz: Cutoff frequency [Hz].
+        grows_with_speed: Whether its amplitude grows with the square of the speed.
 
     Returns:
         Order [1/rad or 1/m], half the power of its wave [(N m)²], and number of independent orders.
     """
-    rows = np.flatnonzero(moving)
-    place = np.rint((angle[rows] - angle[rows].min()) / (ANGLE_BIN * unit)).astype(int)
+    rows = np.flatnonzero(fitted.regression.moving[:, joint])
+    angle, speed = (x[rows] for x in _angle_and_speed(fitted.motions, joint))
+    residual = fitted.regression.residual_of(joint)[rows]
+    size = np.ones(len(rows))
+    if grows_with_speed:
+        size = (speed / max(float(np.abs(speed).max()), 1e-300)) ** 2
+    unit = recorded_motion.radian(fitted.motions, joint)
+    place = np.rint((angle - angle.min()) / (ANGLE_BIN * unit)).astype(int)
     length = int(2 ** np.ceil(np.log2(ORDER_STEPS * (int(place.max()) + 1))))
     orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN * unit)
     wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER / unit))
     twice = np.minimum(2 * wanted, length // 2)
-    highest = 2.0 * np.pi * hertz / np.maximum(np.abs(speed[rows]), 1e-9)
+    highest = 2.0 * np.pi * fitted.motions[0].band.hertz / np.maximum(np.abs(speed), 1e-9)
     edges = np.append(np.quantile(highest, np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[:-1]), np.inf)
     wave, square, count = (np.zeros(len(wanted), t) for t in (complex, complex, float))
     for first, last in itertools.pairwise(edges.tolist()):
@@ -217,16 +201,16 @@ def _spectrum_peak(
         if not members.any():
             continue
         below = orders[wanted] <= float(np.median(highest[members]))
-        sums = np.bincount(place[members], (residual * size)[rows][members], length)
-        numbers = np.bincount(place[members], size[rows][members] ** 2, length)
+        sums = np.bincount(place[members], (residual * size)[members], length)
+        numbers = np.bincount(place[members], size[members] ** 2, length)
         wave += np.where(below, np.fft.rfft(sums)[wanted], 0.0)
         square += np.where(below, np.fft.rfft(numbers)[twice], 0.0)
-        count += below * float(np.sum(size[rows][members] ** 2))
+        count += below * float(np.sum(size[members] ** 2))
     cc, ss, cs = 0.5 * (count + square.real), 0.5 * (count - square.real), -0.5 * square.imag
     yc, ys = wave.real, -wave.imag
     determinant = cc * ss - cs**2
     usable = (determinant > 1e-3 * (cc + ss) ** 2) & (
-        count > MIN_WAVE_ROWS * float(np.sum(size[rows] ** 2))
+        count > MIN_WAVE_ROWS * float(np.sum(size**2))
     )
     power = np.where(
         usable,

@@ -11,39 +11,20 @@ in the Laplace approximation of `posterior`. The log odds are ln B_ab/T′ with 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..designer.isolability_forecast import CONFUSABLE_PAIRS
 from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
-from ..effects.form_error import with_form_error, without_form_error
+from ..effects.form_error import with_form_error
 from . import posterior, probability, rare_candidates
 from .columns import Columns
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .joint_model import JointModel
 from .rare_candidates import Candidate, CandidateShapes
-
-
-@dataclass(frozen=True)
-class ClassEvidence:
-    """Evidence of each member of a class of effects at a joint.
-
-    Attributes:
-        joint: Index of the joint; None for effects of no single joint.
-        log_evidence: Of the model with this member alone, by name; up to a common constant.
-    """
-
-    joint: int | None
-    log_evidence: Mapping[str, float]
-
-    def log_bayes_factor(self, effect: str, rival: str) -> float:
-        """Return the log Bayes factor of one member over another."""
-        return self.log_evidence[effect] - self.log_evidence[rival]
-
 
 MIN_OPTIMISED_SHARE = 0.3
 """Evidence on the grid over that of the strongest member from which a rival is optimised."""
@@ -80,12 +61,12 @@ def rivals_of(diagnosis: Diagnosis, estimate: EffectEstimate) -> tuple[str, ...]
         if estimate.effect in pair
         for name in pair
         if name not in present
-        and (diagnosis.options.trusted or not EFFECTS_BY_NAME[name].prior_only)
+        and (diagnosis.identified.options.trusted or not EFFECTS_BY_NAME[name].prior_only)
     )
     return tuple(dict.fromkeys((*estimate.equivalents, *confusable)))
 
 
-def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> ClassEvidence:
+def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> dict[str, float]:
     """Compare the members of a class.
 
     An effect that the joint model lacks enters with its best plausible form; one that has none
@@ -95,22 +76,21 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> Cl
         diagnosis: The diagnosis whose joint model is compared.
         joint: Index of the joint; None for effects of no single joint.
         names: Names of the effects.
+
+    Returns:
+        By name, the log evidence of the model with this member alone, up to a common constant.
     """
     model = diagnosis.model
-    needed = {(e.effect, e.joint) for e in diagnosis.effects if e.needed}
+    needed = {e.key for e in diagnosis.effects if e.needed}
     members = {
         name: [m for m in model.models if m.effect == name and _is_at(m, joint)] for name in names
     }
     excluded = {id(m) for group in members.values() for m in group}
-    kept = [
-        i
-        for i, m in enumerate(model.models)
-        if (m.effect, m.joint) in needed and id(m) not in excluded
-    ]
+    kept = [i for i, m in enumerate(model.models) if m.key in needed and id(m) not in excluded]
     reduced = model.keeping(kept)
     regression = reduced.regression
     present = {
-        name: CandidateShapes.of(reduced, map(without_form_error, group)).fitted(reduced)
+        name: CandidateShapes.of(reduced, (m.exact or m for m in group)).fitted(reduced)
         for name, group in members.items()
     }
     strongest = max((c.evidence for group in present.values() for c in group), default=0.0)
@@ -118,14 +98,12 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> Cl
         name: _varied(reduced, group or _best_form(reduced, name, joint, strongest))
         for name, group in present.items()
     }
-    numbers = {
-        name: [regression.add(columns) for columns in group] for name, group in columns_of.items()
-    }
+    numbers = {name: regression.add(*group) for name, group in columns_of.items()}
     log_evidence = {}
     for name in names:
         others = [number for k in names if k != name for number in numbers[k]]
         log_evidence[name] = posterior.log_evidence(regression, regression.without(others))
-    return ClassEvidence(joint, log_evidence)
+    return log_evidence
 
 
 def _is_at(shape: CandidateModel, joint: int | None) -> bool:

@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
-from .posterior import EffectEvidence, Key
+from .posterior import EffectEvidence
 from .rare_candidates import (
     EQUIVALENT_SHARE,
     MIN_CANDIDATE_EVIDENCE,
@@ -102,43 +101,24 @@ class RareEffect:
         return weight / total, tuple(name for name, _ in alike)
 
 
-@dataclass(frozen=True)
-class SmallEffect:
-    """An effect that has evidence, but is too small to be added.
-
-    Attributes:
-        evidence: Its evidence in the joint model with it.
-        models: Its models.
-        coefficients: Their coefficients.
-        is_predictive: Whether it lowers the error on rows to which it is not fitted.
-    """
-
-    evidence: EffectEvidence
-    models: tuple[CandidateModel, ...]
-    coefficients: tuple[FloatArray, ...]
-    is_predictive: bool
-
-
 def find_rare_effects(
     identified: Identification,
     motions: Sequence[RecordedMotion],
-    trusted: bool = False,
-    progress: Callable[[str], None] = lambda _: None,
-) -> tuple[JointModel, tuple[RareEffect, ...], tuple[SmallEffect, ...]]:
+    progress: Callable[[str], None],
+) -> tuple[JointModel, tuple[RareEffect, ...], tuple[EffectEvidence, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
 
     Args:
-        identified: The base model.
+        identified: The base model. Of a trusted prior, effects that a refit absorbs can be found
+            as well.
         motions: The motions to fit.
-        trusted: Whether the base model is a trusted prior, so that effects that a refit absorbs can
-            be found as well.
         progress: Called with a line of text for each candidate.
 
     Returns:
-        The joint model, its rare effects, and those that are too small.
+        The joint model, its rare effects, and the evidence of those that are too small to be added.
     """
     search = _Search(identified, motions, progress)
-    search.add_effects(CandidateColumns(search.model, trusted))
+    search.add_effects(CandidateColumns(search.model, bool(identified.options.trusted)))
     search.put_flexible_models()
     return search.model, tuple(search.effects), search.small_effects()
 
@@ -148,13 +128,11 @@ class _Addition:
     """A candidate that has passed all tests.
 
     Attributes:
-        key: Effect and joint.
         shape: Its model.
         joint: The joint model with it.
         evidence: Its evidence in that model.
     """
 
-    key: Key
     shape: CandidateModel
     joint: JointModel
     evidence: EffectEvidence
@@ -181,7 +159,7 @@ class _Search:
         self.effects: list[RareEffect] = []
         self._shapes: tuple[CandidateModel, ...] = ()
         self._rejected: set[Key] = set()
-        self._small: dict[Key, SmallEffect] = {}
+        self._small: dict[Key, EffectEvidence] = {}
 
     def add_effects(self, candidates: CandidateColumns) -> None:
         """Add effects, the best one first, while there is evidence for one.
@@ -207,22 +185,17 @@ class _Search:
     def _keep_small(self, scores: Mapping[Key, float]) -> None:
         """Drop small effects whose torque the effect that was added last explains.
 
-        A flexible model, which has no name, explains it, too.
-
-        Args:
-            scores: Evidence of all candidates next to it.
+        A flexible model, which has no name, explains it, too. `scores` are next to that effect.
         """
         if self.effects[-1].key[0] != UNMODELLED:
             kept = {key for key, score in scores.items() if score > MIN_CANDIDATE_EVIDENCE}
             self._small = {key: small for key, small in self._small.items() if key in kept}
 
-    def small_effects(self) -> tuple[SmallEffect, ...]:
+    def small_effects(self) -> tuple[EffectEvidence, ...]:
         """Return effects that are too small; of those of a joint the ones with most evidence."""
         added = posterior.effect_groups(self.model)
         factors = {
-            key: small.evidence.log_bayes_factor
-            for key, small in self._small.items()
-            if key not in added
+            key: small.log_bayes_factor for key, small in self._small.items() if key not in added
         }
         return tuple(
             self._small[key]
@@ -238,13 +211,12 @@ class _Search:
                 continue
             columns = [self.model.columns(shape) for shape in self._shapes]
             kept = [i for i, c in enumerate(columns) if c is None or c.joints != (joint,)]
-            key = UNMODELLED, joint
             shapes = (*(self._shapes[i] for i in kept), flexible.model)
-            addition = self._judged(key, self._fit(shapes), flexible.model, None)
+            addition = self._judged(self._fit(shapes), flexible.model, None)
             if addition is not None:
                 self.model, self._shapes = addition.joint, shapes
                 factor = addition.evidence.log_bayes_factor
-                unnamed = RareEffect(key, flexible.evidence, {}, {}, factor)
+                unnamed = RareEffect(flexible.model.key, flexible.evidence, {}, {}, factor)
                 self.effects = [*(self.effects[i] for i in kept), unnamed]
 
     def _fit(self, shapes: Sequence[CandidateModel]) -> JointModel:
@@ -253,13 +225,7 @@ class _Search:
     def _promising(
         self, scores: Mapping[Key, float], rankings: Mapping[Key, Ranking], last_resorts: bool
     ) -> list[Key]:
-        """Return the candidates that are to be tried, the one with the most evidence first.
-
-        Args:
-            scores: Evidence of all candidates.
-            rankings: Their shapes.
-            last_resorts: Whether last resorts are returned, or all others.
-        """
+        """Return the last resorts, or all others, that are to be tried, the best first."""
         added = [effect.key for effect in self.effects]
         promising = [
             key
@@ -292,12 +258,12 @@ class _Search:
         for key in sorted(shapes, key=lambda key: -scores[key]):
             if self._tries(key) >= MAX_REJECTIONS:
                 continue
-            if best is not None and scores[key] < scores[best.key] - TIE:
+            if best is not None and scores[key] < scores[best.shape.key] - TIE:
                 break
-            addition = self._tried(key, shapes[key].model, rankings[key])
+            addition = self._tried(shapes[key].model, rankings[key])
             for form in rankings[key].other_forms(shapes[key]):
                 if addition is None and form.best.evidence > rankings[key].best.evidence - TIE:
-                    addition = self._tried(key, tuned(self.model, form).model, form)
+                    addition = self._tried(tuned(self.model, form).model, form)
             if addition is None:
                 self._rejected.add(key)
             else:
@@ -314,39 +280,38 @@ class _Search:
 
         return sum(kind(k) == kind(key) for k in self._rejected)
 
-    def _tried(self, key: Key, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
+    def _tried(self, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
         """Add an effect to the joint model; None if it is to be left out again.
 
         The torque of the joint model stands for the measured torque, and is another one with the
         effect. A shape that is a function of it is therefore chosen once more.
 
         Args:
-            key: The effect.
-            shape: Its best shape.
+            shape: The best shape of the effect.
             ranking: All its shapes.
         """
         extended = self._fit((*self._shapes, shape))
         if shape.values.get("measured"):
-            others = [i for i, m in enumerate(extended.models) if (m.effect, m.joint) != key]
+            others = [i for i, m in enumerate(extended.models) if m.key != shape.key]
             reduced = extended.keeping(others)
             again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
             plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
             better = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
             if better.values != shape.values:
                 shape, extended = better, self._fit((*self._shapes, better))
-        return self._judged(key, extended, shape, self.model)
+        return self._judged(extended, shape, self.model)
 
     def _judged(
-        self, key: Key, extended: JointModel, shape: CandidateModel, before: JointModel | None
+        self, extended: JointModel, shape: CandidateModel, before: JointModel | None
     ) -> _Addition | None:
         """Judge an effect of a joint model; None if it is to be left out again.
 
         Args:
-            key: The effect.
             extended: The joint model with it.
             shape: Its shape.
             before: The joint model that must not predict clearly better, if any.
         """
+        key = shape.key
         members = posterior.effect_groups(extended).get(key)
         if members is None:
             return None
@@ -360,34 +325,32 @@ class _Search:
         is_large = evidence.is_needed
         if not replace(evidence, size=np.inf).is_needed or not _is_plausible(extended, members):
             return None
-        is_predictive = cross_validation.pays(extended, members, replaced=replaced) and (
-            before is None or cross_validation.gain_over(extended, replaced, before) > -TIE
+        # it may also displace another effect, such as a wave, that predicts better
+        is_predictive = cross_validation.gain(extended, replaced, extended, members) > 0.0 and (
+            before is None or cross_validation.gain(extended, replaced, before, ()) > -TIE
         )
         if is_large and is_predictive:
-            return _Addition(key, shape, extended, evidence)
+            return _Addition(shape, extended, evidence)
         if not is_large and key[0] not in LAST_RESORTS:
-            parts = [extended.regression.slices[i] for i in members]
-            self._small[key] = SmallEffect(
-                evidence,
-                tuple(extended.models[i] for i in members),
-                tuple(extended.regression.solution.coefficients[part] for part in parts),
-                is_predictive,
+            self._small[key] = replace(
+                evidence, effects=(), is_in_model=False, spoils_prediction=not is_predictive
             )
         return None
 
     def _add(self, chosen: _Addition, scores: Mapping[Key, float]) -> None:
         """Add an effect, and note what else might be in its place."""
         self.model, self._shapes = chosen.joint, (*self._shapes, chosen.shape)
-        is_last_resort = chosen.key[0] in LAST_RESORTS
+        chosen_key = chosen.shape.key
+        is_last_resort = chosen_key[0] in LAST_RESORTS
         others = {
             key: score
             for key, score in scores.items()
-            if key != chosen.key
+            if key != chosen_key
             and key not in self._rejected
             and (key[0] in LAST_RESORTS) is is_last_resort
         }
         factor = chosen.evidence.log_bayes_factor
-        self.effects.append(RareEffect(chosen.key, scores[chosen.key], others, {}, factor))
+        self.effects.append(RareEffect(chosen_key, scores[chosen_key], others, {}, factor))
 
 
 def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
@@ -395,10 +358,6 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
 
     Torque of another form may have been taken apart by several effects of the joint alone, each of
     which explains a part of it, so that no flexible model has enough evidence jointly with them.
-
-    Args:
-        model: The joint model.
-        joint: Index of the joint.
     """
     replaced = [
         i

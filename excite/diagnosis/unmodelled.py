@@ -8,7 +8,7 @@ another is caused by the motion.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,7 +89,6 @@ class UnmodelledTorque:
 
 def find(
     model: JointModel,
-    left_out: Collection[int],
     evidence: Sequence[EffectEvidence],
     estimate: NoiseEstimate,
     residual: FloatArray,
@@ -98,19 +97,18 @@ def find(
 
     Args:
         model: The joint model.
-        left_out: Numbers of the effects that are not needed.
         evidence: Evidence of all effects.
         estimate: The noise of its residual.
         residual: That residual, zero at standstill, shape (N, n) [N m].
     """
     rows = motion_rows(model.motions)
     regression = model.regression
-    solution = regression.without(left_out)
+    solution = regression.without(posterior.left_out(evidence))
     products = noise.products_of_periods(estimate.periods, model.motions, residual)
     present = posterior.probabilities(model.n, evidence)
     out = []
     for entry in evidence:
-        if entry.name != UNMODELLED or set(entry.effects) <= set(left_out):
+        if entry.name != UNMODELLED or not entry.is_in_model:
             continue
         assert entry.joint is not None
         after = float(rms(residual, regression.moving)[entry.joint])
@@ -126,7 +124,7 @@ def find(
                 shape.signature,
                 size**2 / (size**2 + after**2),
                 size,
-                present[entry.key],
+                present[entry.key].value,
                 _response(rows, regression.moving[:, entry.joint], torque, entry.joint, shape),
                 shape.values.get("frequency"),
             )

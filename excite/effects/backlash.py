@@ -16,7 +16,7 @@ from .effect import (
     is_between,
     variants_within,
 )
-from .gear_dynamics import backlash_lag, link_lag_torque
+from .gear_dynamics import link_lag_torque, simulate_backlash_gap
 from .recorded_motion import RecordedMotion, radian
 
 WIDTHS = np.geomspace(1e-4, 1e-2, 13)
@@ -34,9 +34,15 @@ SCALES = (0.4, 2.5)
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Torque of a link that moves freely inside its backlash gap."""
-    lag = backlash_lag(motion, model.joint_index, model.values["width"], model.values["hold"])
-    return link_lag_torque(motion, model.joint_index, lag, Grid.RECORDED)
+    """Torque of a link in its backlash gap, which its load drives from side to side."""
+    j, values = model.joint_index, model.values
+    lag = simulate_backlash_gap(
+        motion.free_acceleration[:, j],
+        1.0 / motion.segment.rate,
+        0.5 * values["width"],
+        2.0 * np.pi * values["hold"],
+    )
+    return link_lag_torque(motion, j, lag, Grid.RECORDED)
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:

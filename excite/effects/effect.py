@@ -15,6 +15,8 @@ HARMONIC_KEYS = {2: "twice", 3: "thrice"}
 """Multiples of a spatial frequency that a candidate may fit jointly, by their key in its values."""
 MAX_VARIANT_STEPS = 4
 """Largest number of moves from a model variant to a better neighbouring one."""
+Key = tuple[str, int | None]
+"""Name of an effect and index of its joint; None for an effect of no single joint."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,11 @@ class CandidateModel:
             c: Coefficients, shape (k,).
         """
         return c[: len(c) - self.form_columns]
+
+    @property
+    def key(self) -> Key:
+        """Effect and joint."""
+        return self.effect, self.joint
 
     @property
     def joint_index(self) -> int:

@@ -20,7 +20,6 @@ from .effect import (
 from .gear_dynamics import (
     FREQUENCY_FACTOR,
     elastic_deflection,
-    link_inertia,
     link_lag_torque,
     neighbouring_damping_ratios,
     starts_in_motion,
@@ -131,7 +130,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         return model
 
     for j in range(motions[0].n):
-        inertia = float(np.mean([link_inertia(motion, j).mean() for motion in motions]))
+        inertia = float(np.mean([motion.link_inertias[:, j].mean() for motion in motions]))
         grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
         inertial_stiffness = _dominant_inertial_stiffness(motions, j, grid[-1])
         in_motion = any(starts_in_motion(motion, j) for motion in motions)

@@ -76,12 +76,3 @@ def with_form_error(
         form_columns=count,
         exact=model,
     )
-
-
-def without_form_error(model: CandidateModel) -> CandidateModel:
-    """Return a model without the discrepancy of its form.
-
-    Args:
-        model: A model of the catalogue, with or without it.
-    """
-    return model.exact or model

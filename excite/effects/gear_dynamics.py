@@ -55,11 +55,6 @@ def link_lag_torque(motion: RecordedMotion, joint: int, lag: FloatArray, of: Gri
     return -motion.lowpass(torque, Grid.COARSE)[:, :, None]
 
 
-def link_inertia(motion: RecordedMotion, joint: int) -> FloatArray:
-    """Return the links' inertia about a joint at the coarse samples [kg m²], shape (C,)."""
-    return motion.link_inertias[:, joint]
-
-
 def neighbouring_damping_ratios(ratio: float) -> list[float]:
     """Return half and twice a damping ratio, as far as they are within the limits."""
     return [
@@ -97,7 +92,7 @@ def elastic_deflection(
         δ at the coarse samples [rad], shape (C,).
     """
     by_q, by_v = (part[:, joint, joint] for part in motion.derivatives[:2])
-    force, inertia = motion.rigid_torque[:, joint], link_inertia(motion, joint)
+    force, inertia = motion.rigid_torque[:, joint], motion.link_inertias[:, joint]
     damping = 2.0 * ratio * np.sqrt(stiffness * inertia.mean())
     total_stiffness = np.maximum(stiffness + by_q, MIN_STIFFNESS_SHARE * stiffness)
     start = (
@@ -185,29 +180,6 @@ def solve_linear_recursion(
         for j in range(m):
             bands[m + i - j, j:-m:m] = -transition[:, i, j]
     return np.asarray(dtbtrs(bands, right, uplo="L")[0]).reshape(-1, *start.shape)
-
-
-def backlash_lag(
-    motion: RecordedMotion, joint: int, width: float, holding_frequency: float
-) -> FloatArray:
-    """Simulate the position of a link in its backlash gap; its load drives it from side to side.
-
-    Args:
-        motion: The recorded motion.
-        joint: Index of the joint.
-        width: Width of the gap [rad].
-        holding_frequency: Natural frequency of the link inside the gap, by what holds it there:
-            a compliant first gear stage, oil and seals [Hz].
-
-    Returns:
-        Position of the link relative to the centre of the gap [rad], shape (M,).
-    """
-    return simulate_backlash_gap(
-        motion.free_acceleration[:, joint],
-        1.0 / motion.segment.rate,
-        0.5 * width,
-        2.0 * np.pi * holding_frequency,
-    )
 
 
 def simulate_backlash_gap(push: FloatArray, dt: float, half_gap: float, omega: float) -> FloatArray:

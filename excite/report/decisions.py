@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..robot.parameter_names import some
+from ..schemas.effects import effect_words
 from .content import Section, Table, TableCell
 from .formatting import odds_words, plural
-from .torque_budget import effect_words
 
 HEAD = ("joint", "question", "odds before", "expected", "odds after", "decision")
 """Titles of the table."""

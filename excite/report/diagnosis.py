@@ -14,6 +14,7 @@ from ..diagnosis.estimates import MIN_PROBABILITY
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed
+from ..schemas.effects import effect_words
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .decisions import decisions_section
@@ -30,7 +31,6 @@ from .remarks import count_remarks, list_remarks
 from .render import render
 from .torque_budget import (
     JointBudget,
-    effect_words,
     joint_budgets,
     joint_words,
     parameter_words,
@@ -406,7 +406,7 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
         )
         for entry in document["considered"]
     ]
-    wanted = () if diagnosis.options.trusted else EFFECTS
+    wanted = () if diagnosis.identified.options.trusted else EFFECTS
     absorbed = [effect_words(effect.name) for effect in wanted if effect.prior_only]
     data = {
         "table": Table(
@@ -428,7 +428,7 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
 
 def _provenance_section(diagnosis: Diagnosis, remarks: Sequence[Remark]) -> Section:
     """Data, method and versions."""
-    robot, trusted = diagnosis.identified.model.robot, diagnosis.options.trusted
+    robot, trusted = diagnosis.identified.model.robot, diagnosis.identified.options.trusted
     fitted, held_out = (
         list(dict.fromkeys(motion.segment.source for motion in motions))
         for motions in (diagnosis.model.motions, diagnosis.held_out.motions)

@@ -9,6 +9,7 @@ import numpy as np
 from ..designer.discrimination_result import CONFIRMATION_REMARK, DiscriminationResult
 from ..designer.experiment_menu import DECISIVE_LOG_ODDS, Experiment
 from ..designer.isolability_forecast import SMALLEST_SEVERITY, PairForecast
+from ..schemas.effects import effect_words
 from .content import Section, Table, TableCell
 from .formatting import capitalized, number, odds_words, plural
 
@@ -21,11 +22,6 @@ MENU_COMPARISONS = 6
 def _cell(log_odds: float) -> TableCell:
     """Return expected log-odds, coloured by whether they decide."""
     return TableCell(f"{log_odds:.1f}", "good" if log_odds >= DECISIVE_LOG_ODDS else "warn")
-
-
-def _words(effect: str) -> str:
-    """Return the name of an effect without underscores."""
-    return effect.replace("_", " ")
 
 
 def _menu_row(
@@ -77,10 +73,10 @@ def discrimination_section(result: DiscriminationResult) -> Section:
     ]
     shown = order[:MENU_COMPARISONS]
     menu = [_menu_row(experiment, shown, best) for experiment in result.menu]
-    notes = [f"{_words(effect)}: {how}" for effect, how in result.linearised.items()]
+    notes = [f"{effect_words(effect)}: {how}" for effect, how in result.linearised.items()]
     notes += [f"no motion decides: {result.question_of(c)}" for c in result.undecidable]
     notes += list(result.omitted)
-    nominal = sorted({_words(e.form.effect) for e in result.explanations if e.nominal})
+    nominal = sorted({effect_words(e.form.effect) for e in result.explanations if e.nominal})
     if nominal:
         notes.append(f"the size is a usual one, as the diagnosis states none: {', '.join(nominal)}")
     head = ("comparison", "weight", "D-optimal", "this motion")
@@ -118,12 +114,12 @@ def isolability_section(pairs: Sequence[PairForecast]) -> Section:
     kinds = dict.fromkeys((pair.first, pair.second) for pair in open_pairs)
     answer = (
         f"{len(open_pairs)} of {len(pairs)} often confused pairs would stay open: "
-        f"{'; '.join(f'{_words(a)} and {_words(b)}' for a, b in kinds)}."
+        f"{'; '.join(f'{effect_words(a)} and {effect_words(b)}' for a, b in kinds)}."
         if open_pairs
         else f"None of {len(pairs)} often confused pairs would stay open."
     )
     rows = [
-        (pair.joint, _words(pair.first), _words(pair.second), odds_words(pair.log_odds))
+        (pair.joint, effect_words(pair.first), effect_words(pair.second), odds_words(pair.log_odds))
         for pair in open_pairs
     ]
     data = {

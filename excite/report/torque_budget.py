@@ -10,10 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..diagnosis.budget import BASE_PARAMETERS, RECORDING_FILTER
+from ..diagnosis.budget import RECORDING_FILTER
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
 from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
+from ..schemas.effects import effect_words
 from .formatting import significant, value_with_error
 
 MIN_SHARE = 0.03
@@ -32,23 +33,6 @@ EXTRAPOLATED_SPEED_RATIO = 1.5
 other motions within the same limits differ by less."""
 _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
-_WORDS = {
-    "asymmetric_viscous": "viscous friction that differs by direction",
-    BASE_PARAMETERS: "base parameters fitted jointly",
-    "drag": "drag (square of speed)",
-    "friction": "Coulomb and viscous friction",
-    "hysteresis": "presliding hysteresis",
-    "nonlinear_viscous": "nonlinear viscous friction",
-    "position_friction": "friction that depends on position",
-    RECORDING_FILTER: "filter of the recorded torque",
-    "stribeck": "Stribeck friction",
-    "torque_gain": "torque scale error",
-}
-
-
-def effect_words(effect: str) -> str:
-    """Return the name of an effect in a sentence."""
-    return _WORDS.get(effect, effect.replace("_", " "))
 
 
 def filter_words(document: Mapping[str, Any]) -> str:

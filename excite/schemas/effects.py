@@ -202,6 +202,25 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
 """The forms of every effect of the catalogue, by its name."""
 
 
+_WORDS = {
+    "asymmetric_viscous": "viscous friction that differs by direction",
+    "base_parameters": "base parameters fitted jointly",
+    "drag": "drag (square of speed)",
+    "friction": "Coulomb and viscous friction",
+    "hysteresis": "presliding hysteresis",
+    "nonlinear_viscous": "nonlinear viscous friction",
+    "position_friction": "friction that depends on position",
+    "recording_filter": "filter of the recorded torque",
+    "stribeck": "Stribeck friction",
+    "torque_gain": "torque scale error",
+}
+
+
+def effect_words(effect: str) -> str:
+    """Return the name of an effect, or of another part of a torque budget, in a sentence."""
+    return _WORDS.get(effect, effect.replace("_", " "))
+
+
 def is_recording_filter(values: Values) -> bool:
     """Tell whether a "delay" with these values is a filter of the recorded torque."""
     return "hertz" in values

@@ -13,7 +13,8 @@ from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.estimates import QUANTILE
 from ...effects.recorded_motion import split_by_motion
 from ...identification.identification import Prediction
-from ..torque_budget import BudgetPart, JointBudget, effect_words
+from ...schemas.effects import effect_words
+from ..torque_budget import BudgetPart, JointBudget
 from . import drawing
 from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT
 from .trajectory import short, short_names

@@ -157,7 +157,7 @@ def fit(
         for name in ("motor_torque", "measured_torque"):
             new.cache[name] = old.cache[name]
     torque = np.concatenate([m.torque - model.chain.passed(m, m.gamma @ m.theta) for m in motions])
-    changes = session_changes.prior_std(motions)
+    changes = model.change_scale * session_changes.prior_std(motions)
     fixed_base = JointRegression.of_base(
         torque,
         model.regression.moving,

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import (
@@ -80,6 +81,7 @@ class JointModel:
         psi: Standard parameters, shape (P,).
         free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
         known: Torque of the others, which is not part of the regression, shape (N, n) [N m].
+        change_scale: Factor of the prior standard deviation of the changes between recordings.
     """
 
     motions: tuple[RecordedMotion, ...]
@@ -90,6 +92,7 @@ class JointModel:
     psi: FloatArray
     free: IntArray
     known: FloatArray
+    change_scale: float = 1.0
 
     @property
     def n(self) -> int:
@@ -240,6 +243,7 @@ def fit(
             fitted = _without_filter(fitted)
         width_steps = fitted.solution.coefficients[len(fitted.free) : fitted.delay_place]
         widths = widths * np.exp(np.clip(width_steps, -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
+        change_scale = _renewed_change_scale(fitted)
         psi = consistent_parameters(identified, fitted)
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
@@ -251,7 +255,7 @@ def fit(
         for motion, torque in zip(present, modelled, strict=True):
             motion.cache["measured_torque"] = torque
         weights = fitted.regression.sigma, fitted.regression.independent_share
-        fitted = base_model(identified, present, psi, chain, weights, modelled)
+        fitted = base_model(identified, present, psi, chain, weights, modelled, change_scale)
         fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
     if not chain.is_filtered:
         fitted = _without_filter(fitted)
@@ -300,6 +304,31 @@ def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
     information, prior = _information(fitted, np.array([fitted.delay_place]))
     std = float(1.0 / np.sqrt(information[0, 0] + prior[0]))
     return _evidence(information, prior, np.array([seconds])), std
+
+
+def _renewed_change_scale(fitted: JointModel) -> float:
+    """Return the scale of the changes between recordings, the root of its mean square given them.
+
+    One for all joints: where nothing changes, a recording that determines the friction of a joint
+    badly must not move the mean that the base model holds.
+
+    Args:
+        fitted: A joint model.
+    """
+    places = np.arange(len(fitted.solution.coefficients))[fitted.session_places]
+    if not len(places):
+        return fitted.change_scale
+    information, prior = _information(fitted, places)
+    score = (information + np.diag(prior)) @ fitted.solution.coefficients[places]
+
+    def evidence(scale: float) -> float:
+        precision = prior * (fitted.change_scale / scale) ** 2
+        total = information + np.diag(precision)
+        determinant = float(np.linalg.slogdet(total)[1]) - float(np.sum(np.log(precision)))
+        return 0.5 * float(score @ np.linalg.solve(total, score)) - 0.5 * determinant
+
+    scales = session_changes.SCALES
+    return float(np.sqrt(special.softmax([evidence(scale) for scale in scales]) @ scales**2))
 
 
 def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -368,6 +397,7 @@ def base_model(
     chain: RecordingChain | None = None,
     weights: tuple[FloatArray, float] | None = None,
     modelled: Sequence[FloatArray] | None = None,
+    change_scale: float = 1.0,
 ) -> JointModel:
     """Return the joint model of the base model without effects.
 
@@ -379,6 +409,7 @@ def base_model(
         weights: RMS residual of each joint [N m] and share of independent rows; of the motions'
             base model if None.
         modelled: Torque of a fit to the motions, shapes (M, n) [N m]; of the base model if None.
+        change_scale: Factor of the prior standard deviation of the changes between recordings.
     """
     free, level = free_parameters(identified), friction_level(motions)
     chain = chain or RecordingChain()
@@ -394,10 +425,10 @@ def base_model(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
         _base_columns(motions, level, free, modelled or [None] * len(motions), chain),
-        _base_prior(identified, motions, free),
+        _base_prior(identified, motions, free, change_scale),
         *weights,
     )
-    return JointModel(tuple(motions), (), regression, chain, level, psi, free, known)
+    return JointModel(tuple(motions), (), regression, chain, level, psi, free, known, change_scale)
 
 
 def reweight(regression: JointRegression, transient: BoolArray | None = None) -> None:
@@ -501,7 +532,10 @@ def _base_columns(
 
 
 def _base_prior(
-    identified: Identification, motions: Sequence[RecordedMotion], free: IntArray
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    free: IntArray,
+    change_scale: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and information of the base parameters, widths, recording chain and session changes."""
     base, prior = identified.model.base, identified.prior
@@ -510,7 +544,7 @@ def _base_prior(
         [
             np.ones(n),
             recording_chain.prior_std(n, motions[0].band.hertz),
-            session_changes.prior_std(motions),
+            change_scale * session_changes.prior_std(motions),
         ]
     )
     mean, out = np.zeros(p + len(others)), np.zeros((p + len(others),) * 2)

@@ -3,10 +3,11 @@
 The friction of a joint differs between sessions by lubrication, temperature and mounting. Every
 recording therefore has its own Coulomb friction, viscous friction and offset of each joint,
 
-    τ_j ← τ_j + (ΔF_c tanh(q̇/w) + ΔF_v q̇ + Δτ₀),   Δ ~ N(0, (0.5 F)²),
+    τ_j ← τ_j + (ΔF_c tanh(q̇/w) + ΔF_v q̇ + Δτ₀),   Δ ~ N(0, (0.5 s F)²),
 
-with a prior of the size of the friction F itself. The changes of the fitted recordings sum to zero,
-so that the base model holds their mean, by which held-out torque is predicted.
+with a prior of the size of the friction F itself and a scale s that the recordings determine. The
+changes of the fitted recordings sum to zero, so that the base model holds their mean, by which
+held-out torque is predicted.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ KINDS = ("coulomb", "viscous", "offset")
 """Actuator parameters that may change, in the order of `SessionChange.change`."""
 RELATIVE_CHANGE = 0.5
 """Prior standard deviation of a change over friction itself."""
+SCALES = np.geomspace(0.02, 1.0, 12)
+"""Scales s, as probable beforehand: changes of 1 to 50 % of the friction."""
 MIN_FRICTION_SHARE = 0.01
 """Smallest friction that is assumed, over the joint's largest torque."""
 WALD_THRESHOLD = 20.0

@@ -42,7 +42,7 @@ from robots import source_of, wheel
 from excite._types import FloatArray
 from excite.designer import criteria, optimize, pipeline, sqp
 from excite.designer.criteria import Criterion
-from excite.designer.evaluator import ConstraintRows, Evaluator
+from excite.designer.evaluator import Evaluator
 from excite.designer.optimize import DesignSetup
 from excite.designer.options import DesignOptions
 from excite.designer.problem import DesignProblem
@@ -460,15 +460,16 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
         sqp.sharpness_stages(case.options.criterion)[-1],
     )
     Y = dynamics.regressor(problem.robot, problem.parameters, samples)
-    rows = evaluator.rows(evaluator.rows_above(optimum, 1.0 - sqp.WORKING_SET_BAND))
+    rows = evaluator.rows(optimum, evaluator.rows_above(optimum, 1.0 - sqp.WORKING_SET_BAND))
     torque = np.array(evaluator.kinds)[rows.kind] == "torque"
     all_torque_rows = evaluator.rows(
+        optimum,
         np.concatenate(
             [
                 np.full(v.size, k == "torque")
                 for k, v in evaluator.constraint_values(optimum).items()
             ]
-        )
+        ),
     )
 
     def fresh() -> FloatArray:
@@ -481,14 +482,9 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
         evaluator.max_constraint_value(x)
         return x
 
-    def subset(which: FloatArray) -> ConstraintRows:
-        return ConstraintRows(
-            *(getattr(rows, f.name)[which] for f in dataclasses.fields(ConstraintRows))
-        )
-
     parts = {
-        "Jacobian: torque near its limit": subset(torque),
-        "kinematic rows near theirs": subset(~torque),
+        "Jacobian: torque near its limit": rows.subset(np.flatnonzero(torque)),
+        "kinematic rows near theirs": rows.subset(np.flatnonzero(~torque)),
         "both": rows,
     }
     parts["every torque row, for comparison"] = all_torque_rows

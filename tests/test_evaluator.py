@@ -114,9 +114,10 @@ def test_returned_gradient_is_not_overwritten():
 def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> ConstraintRows:
     """Select all finite constraints of one kind."""
     return e.rows(
+        x,
         np.concatenate(
             [(np.isfinite(v) & (k == kind)).ravel() for k, v in e.constraint_values(x).items()]
-        )
+        ),
     )
 
 
@@ -211,7 +212,7 @@ def test_static_constraints_equal_those_of_a_motion_at_rest():
 def test_selected_constraints_are_above_the_threshold():
     e = evaluator()
     x = point(e)
-    rows = e.rows(e.rows_above(x, 0.5))
+    rows = e.rows(x, e.rows_above(x, 0.5))
     values = e.row_values(x, rows)
     assert (values > 0.5).all() and len(rows) == sum(
         int((v > 0.5).sum()) for v in e.constraint_values(x).values()

@@ -5,7 +5,7 @@ An evaluation takes one pass of the regressor, dense linear algebra, and one rev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -17,7 +17,7 @@ from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
 from .casadi_batch import MappedFunction, PaddedFunction
 from .constraint_margins import STAND
-from .design_objective import DesignObjective, SampledMotion
+from .design_objective import SampledMotion
 from .options import DesignOptions
 from .problem import DesignProblem
 from .stand_load import LOADS, load_function
@@ -35,7 +35,7 @@ class ConstraintRows:
     """Selected constraints g ≤ 1, each a quantity over its limit.
 
     Attributes:
-        kind: Index into `Evaluator.kinds`. Shape (m,).
+        kind: Index into the `kinds` of the evaluator. Shape (m,).
         sample: Index of the sample. Shape (m,).
         joint: Index of the joint, axis or pair of bodies. Shape (m,).
         sign: Sign of the quantity, 1 or −1. Shape (m,).
@@ -49,37 +49,11 @@ class ConstraintRows:
     def __len__(self) -> int:
         return len(self.kind)
 
-    def values_of(self, table: dict[str, FloatArray], kinds: Sequence[str]) -> FloatArray:
-        """Return the values of the selected constraints. Shape (m,).
-
-        Args:
-            table: Values of all constraints, by kind. Shape (signs, N, joints) each.
-            kinds: Names of the kinds, in the order of `kind`.
-        """
-        out = np.empty(len(self))
-        for number, kind in enumerate(kinds):
-            at = self.kind == number
-            out[at] = table[kind][(self.sign[at] < 0).astype(int), self.sample[at], self.joint[at]]
-        return out
-
-
-def selected_rows(mask: BoolArray, shapes: Sequence[tuple[int, int, int]]) -> ConstraintRows:
-    """Return the constraints that a flat mask selects.
-
-    Args:
-        mask: Mask of all constraints, kind after kind.
-        shapes: Shape of the values of each kind: signs, samples, joints.
-    """
-    kinds, samples, joints, signs, start = [], [], [], [], 0
-    for number, shape in enumerate(shapes):
-        size = int(np.prod(shape))
-        sign, sample, joint = np.unravel_index(np.flatnonzero(mask[start : start + size]), shape)
-        start += size
-        kinds.append(np.full(len(sign), number))
-        samples.append(sample)
-        joints.append(joint)
-        signs.append(1.0 - 2.0 * sign)
-    return ConstraintRows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
+    def subset(self, chosen: IntArray) -> ConstraintRows:
+        """Return some of the constraints. Shape of `chosen`: (k,)."""
+        return ConstraintRows(
+            self.kind[chosen], self.sample[chosen], self.joint[chosen], self.sign[chosen]
+        )
 
 
 class SearchProblem(Protocol):
@@ -91,45 +65,73 @@ class SearchProblem(Protocol):
         ...
 
     @property
-    def objective(self) -> DesignObjective | None:
-        """Objective in place of the criterion of the options, None for the criterion."""
+    def stopping_gain(self) -> float:
+        """Decrease of the objective over ten iterations below which a search ends."""
         ...
 
 
-class ConstrainedObjective(Protocol):
+class ConstrainedObjective(ABC):
     """Objective and constraints of a motion, with exact derivatives, as `sqp` needs them.
 
-    The methods are those of `Evaluator`.
+    Attributes:
+        problem: The problem that is evaluated.
+        kinds: Names of the kinds of constraints that it has.
     """
 
-    @property
-    def problem(self) -> SearchProblem:
-        """The problem that is evaluated."""
-        ...
+    problem: SearchProblem
+    kinds: tuple[str, ...]
 
+    @abstractmethod
     def objective(self, x: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-        """Return the objective to be minimised, and its gradient."""
-        ...
+        """Evaluate the objective to be minimised, and its exact gradient.
+
+        Args:
+            x: Variables. Shape (size,).
+            sharpness: Sharpness of the smoothed extreme eigenvalues [1].
+
+        Returns:
+            The objective, and its gradient. Shape (size,).
+        """
+
+    @abstractmethod
+    def constraint_values(self, x: FloatArray) -> dict[str, FloatArray]:
+        """Return the values of all constraints; the motion is feasible where they are at most 1.
+
+        Returns:
+            For each of `kinds`, in their order, an array of shape (signs, samples, joints).
+        """
+
+    @abstractmethod
+    def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
+        """Return the exact Jacobian of selected constraints. Shape (m, size)."""
 
     def max_constraint_value(self, x: FloatArray) -> float:
-        """Return the largest value of all constraints, at most 1 where the motion is feasible."""
-        ...
+        """Return the largest value of all constraints; at most 1 where the samples are feasible."""
+        return max(float(values.max()) for values in self.constraint_values(x).values())
 
     def rows_above(self, x: FloatArray, threshold: float) -> BoolArray:
-        """Return the flat mask of the constraints above a threshold."""
-        ...
+        """Return the flat mask of the constraints above a threshold, in the order of `kinds`."""
+        return np.concatenate(
+            [(values > threshold).ravel() for values in self.constraint_values(x).values()]
+        )
 
-    def rows(self, mask: BoolArray) -> ConstraintRows:
+    def rows(self, x: FloatArray, mask: BoolArray) -> ConstraintRows:
         """Return the constraints that a flat mask selects."""
-        ...
+        parts, start = [], 0
+        for number, values in enumerate(self.constraint_values(x).values()):
+            chosen = np.flatnonzero(mask[start : start + values.size])
+            start += values.size
+            sign, sample, joint = np.unravel_index(chosen, values.shape)
+            parts.append((np.full(len(chosen), number), sample, joint, 1.0 - 2.0 * sign))
+        return ConstraintRows(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
-        """Return the values of selected constraints."""
-        ...
-
-    def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
-        """Return the Jacobian of selected constraints."""
-        ...
+        """Return the values of selected constraints. Shape (m,)."""
+        out = np.empty(len(rows))
+        for number, values in enumerate(self.constraint_values(x).values()):
+            at = rows.kind == number
+            out[at] = values[(rows.sign[at] < 0).astype(int), rows.sample[at], rows.joint[at]]
+        return out
 
 
 @dataclass
@@ -144,7 +146,7 @@ class _Point:
     clearances: ClearanceEvaluation | None = None
 
 
-class Evaluator:
+class Evaluator(ConstrainedObjective):
     """Evaluate a design problem; the results of the last variables are kept.
 
     Attributes:
@@ -152,6 +154,8 @@ class Evaluator:
         bases: Factors of the coefficients at the samples, for derivatives of order 0 to 3.
         kinds: Names of the kinds of constraints that this problem has.
     """
+
+    problem: DesignProblem
 
     def __init__(self, problem: DesignProblem) -> None:
         self.problem = problem
@@ -220,15 +224,7 @@ class Evaluator:
         return point.Y
 
     def objective(self, x: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-        """Evaluate the objective to be minimised, and its exact gradient.
-
-        Args:
-            x: Variables. Shape (size,).
-            sharpness: Sharpness of the smoothed extreme eigenvalues [1].
-
-        Returns:
-            The objective, and its gradient. Shape (size,).
-        """
+        """Evaluate the objective and its gradient; see `ConstrainedObjective`."""
         point, problem = self._at(x), self.problem
         Y, weights = self._regressor_at(point), problem.weighting
         if problem.objective is not None:
@@ -403,10 +399,6 @@ class Evaluator:
             by_q[:, j], by_dq[:, j] = sign / half, 2.0 * sign * over / brake.rate / half
         return value, by_q, by_dq
 
-    def max_constraint_value(self, x: FloatArray) -> float:
-        """Return the largest value of all constraints; at most 1 where the samples are feasible."""
-        return max(float(values.max()) for values in self.constraint_values(x).values())
-
     def active_constraints(self, x: FloatArray, count: int = 2) -> list[str]:
         """Name the constraints that are violated or all but active, the worst first.
 
@@ -453,29 +445,6 @@ class Evaluator:
         order = np.argsort(-share)
         names = self.problem.parameters.names
         return [names[i] for i in order[:count]]
-
-    def rows_above(self, x: FloatArray, threshold: float) -> BoolArray:
-        """Return the flat mask of the constraints above a threshold, in the order of `kinds`."""
-        return np.concatenate(
-            [(values > threshold).ravel() for values in self.constraint_values(x).values()]
-        )
-
-    def rows(self, mask: BoolArray) -> ConstraintRows:
-        """Return the constraints that a flat mask selects."""
-        return selected_rows(mask, [self._shape(kind) for kind in self.kinds])
-
-    def _shape(self, kind: str) -> tuple[int, int, int]:
-        """Return the shape of the values of one kind."""
-        p = self.problem
-        if p.clearance is not None and kind == "clearance":
-            return 1, p.options.samples, len(p.clearance)
-        if kind == STAND:
-            return 1, p.options.samples, len(LOADS)
-        return 2, p.options.samples, 3 if kind.startswith("box") else p.robot.n
-
-    def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
-        """Return the values of selected constraints. Shape (m,)."""
-        return rows.values_of(self.constraint_values(x), self.kinds)
 
     def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
         """Return the exact Jacobian of selected constraints. Shape (m, size)."""

@@ -225,7 +225,7 @@ def _minimise_largest(evaluator: Evaluator, pose: FloatArray) -> FloatArray:
 
     def rows_at(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         x = stationary_variables(problem, z[:n])
-        rows: ConstraintRows = evaluator.rows(evaluator.rows_above(x, -np.inf))
+        rows: ConstraintRows = evaluator.rows(x, evaluator.rows_above(x, -np.inf))
         values = evaluator.row_values(x, rows)
         keep = np.isfinite(values) & (rows.kind != position)
         slopes = evaluator.row_gradients(x, rows)[:, columns] / problem.scale[:, -1]

@@ -20,7 +20,7 @@ from ..trajectory.fourier import (
 )
 from . import casadi_model
 from .casadi_model import DynamicsFunctions
-from .criteria import Weighting
+from .criteria import Criterion, Weighting
 from .design_objective import DesignObjective
 from .motion_overlap import OverlapPenalty
 from .options import DesignOptions, WorkspaceBox
@@ -29,6 +29,12 @@ LIMIT_RESERVE = 2e-3
 """Share of torque, braking, stand and box limits kept free for the solver's tolerance and for what
 happens between samples [1]. The certificate decides whether it suffices; `pipeline` enlarges it if
 not."""
+
+STOPPING_GAIN = 4e-3
+"""Decrease of the criterion's logarithm over ten iterations below which a search ends [1]."""
+
+STOPPING_GAIN_OF_REGRESSOR = 2e-3
+"""The same for the condition number of the regressor [1]."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,14 @@ class DesignProblem:
     start_pose: FloatArray | None = None
     objective: DesignObjective | None = None
     warm_start: FourierSeries | None = None
+
+    @property
+    def stopping_gain(self) -> float:
+        """Decrease of the objective over ten iterations below which a search ends."""
+        if self.objective is not None:
+            return self.objective.stopping_gain
+        is_regressor = self.options.criterion is Criterion.COND_REGRESSOR
+        return STOPPING_GAIN_OF_REGRESSOR if is_regressor else STOPPING_GAIN
 
     @property
     def size(self) -> int:

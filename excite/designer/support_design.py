@@ -67,10 +67,6 @@ MAX_SHRINKAGES = 130
 START_MAX_VALUE = 0.98
 """Largest constraint value of a start [1]."""
 
-STOPPING_GAIN = 5e-5
-"""Decrease of the objective over ten iterations below which a search ends [1]: of the mean
-logarithm of over a hundred eigenvalues."""
-
 SAMPLES_PER_OSCILLATION = 30
 """Samples of the optimiser over a period of the highest harmonic [1]: forces have twice its
 frequency and more."""
@@ -464,9 +460,7 @@ class SupportSearch:
         iterations: int | None = None,
     ) -> sqp.SearchState:
         """Return the state after some iterations of the search, None for all."""
-        return sqp.advance(
-            evaluator, state, sqp.History(), iterations, sqp.Tolerances(gain=STOPPING_GAIN)
-        )
+        return sqp.advance(evaluator, state, sqp.History(), iterations)
 
     def _start(self, evaluator: SupportEvaluator, number: int) -> FloatArray:
         """Return the best of some random feasible motions.

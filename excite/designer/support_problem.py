@@ -19,13 +19,16 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..trajectory.fourier import FourierSeries, fourier_basis
 from ..trajectory.rest_to_rest import JerkProfile, PhaseProfile
-from .design_objective import DesignObjective
 from .options import DesignOptions
 from .support_model import BASE_COORDINATES, SupportFunctions
 from .support_stance import Stance
 
 BASE_REACH = (0.08, 0.08, 0.08, 0.25, 0.25, 0.25)
 """Units of the base coordinates [m and rad]: the order of magnitude of what bent legs allow."""
+
+STOPPING_GAIN = 5e-5
+"""Decrease of the objective over ten iterations below which a search ends [1]: of the mean
+logarithm of over a hundred eigenvalues."""
 
 RAMP_SHARE = 0.2
 """Share of a motion in which its phase accelerates, and in which it decelerates [1]."""
@@ -51,7 +54,6 @@ class SupportProblem:
         torque_reserve: Share of the torque limits of `functions` that is kept free [1].
         contact_reserve: Share of the weight that contact constraints keep free [1].
         clearance: Bodies that keep their distance at poses (b, q); None: distances are free.
-        objective: None: the criterion of the options.
     """
 
     robot: Robot
@@ -66,7 +68,11 @@ class SupportProblem:
     torque_reserve: float = 0.0
     contact_reserve: float = 0.0
     clearance: ClearanceConstraint | None = None
-    objective: DesignObjective | None = None
+
+    @property
+    def stopping_gain(self) -> float:
+        """Decrease of the objective over ten iterations below which a search ends."""
+        return STOPPING_GAIN
 
     @property
     def size(self) -> int:

@@ -183,10 +183,8 @@ class Case:
                 ".4g",
             )
         )
-        steps = (
-            f"{np.median([len(design.design.attempts[0].time) - 1 for design in self.done]):.0f}"
-            + "*" * self.tightened
-        )
+        counts = [len(design.design.attempts[0].history.time) - 1 for design in self.done]
+        steps = f"{np.median(counts):.0f}" + "*" * self.tightened
         margin, owner = min(nearest(design) for design in self.done)
         numbers = [
             f"{np.median(values):{style}} ({best(values):{style}})"
@@ -272,7 +270,9 @@ def report_starts(problems: Sequence[Case], starts: int) -> None:
             case.robot, case.limits, dataclasses.replace(case.options, starts=starts)
         )
         feasible = [
-            a.motion for a in design.design.attempts if min(a.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE
+            a.motion
+            for a in design.design.attempts
+            if min(a.history.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE
         ]
         problem = design.design.setup.problem
         values = [
@@ -542,7 +542,7 @@ def grown(machine: Robot, samples: int) -> tuple[float, float]:
     )
     work: Job = lambda: x + 1e-9 * rng.normal(size=x.shape), lambda y: evaluator.objective(y, 1.0)
     return 1e3 * fastest({"": work}, 0.5)[""], 1e3 * float(
-        np.median(np.diff(design.attempts[0].time))
+        np.median(np.diff(design.attempts[0].history.time))
     )
 
 

@@ -86,7 +86,7 @@ def test_design_obeys_all_limits_on_a_dense_grid(name):
 @pytest.mark.parametrize("plain", [False, True])
 def test_search_improves_on_the_initial_guess(two_link, table, criterion, plain):
     attempt = solved(two_link, table, replace(QUICK, criterion=criterion, plain=plain)).attempts[0]
-    assert attempt.objective < attempt.values[0] - 0.1
+    assert attempt.objective < attempt.history.objective[0] - 0.1
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from excite.designer import criteria, identifiability, ramps
 from excite.designer.certificate import Certificate, LimitMargin, promised_share
 from excite.designer.constraint_margins import MotionConstraints
 from excite.designer.multistart import Attempt
-from excite.designer.sqp import SearchState
+from excite.designer.sqp import History, SearchState
 from excite.report import design_page, identifiability_page
 from excite.report.design import relative_margins
 from excite.report.figures.drawing import thin_curve
@@ -135,10 +135,7 @@ def attempts() -> list[Attempt]:
             number=k,
             motion=motion,
             objective=5.0 + 0.3 * k,
-            time=(0.0, 0.1),
-            values=(9.0, 5.0 + 0.3 * k),
-            worst=(1.1, 1.0),
-            stage=(0, 0),
+            history=History([0.0, 0.1], [9.0, 5.0 + 0.3 * k], [1.1, 1.0], [0, 0]),
             state=SearchState(np.zeros(1), np.zeros(1), 0.0 if k < 2 else np.inf),
         )
         for k in range(3)

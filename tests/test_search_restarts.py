@@ -34,7 +34,7 @@ def test_start_at_rest_begins_again(setup, monkeypatch):
 
     monkeypatch.setattr(initial_guess, "scale_random_motion", at_rest_first)
     monkeypatch.setattr(sqp, "STALL_ITERATIONS", 1)
-    (attempt,) = multistart.run_starts(setup.problem, 0.0, [0])
+    (attempt,) = multistart.run_starts(setup.problem, [0])
     assert isinstance(attempt, Attempt) and attempt.usable and len(calls) >= 2
 
 
@@ -46,12 +46,12 @@ def test_good_start_is_not_repeated(setup, monkeypatch):
         return original(*arguments)
 
     monkeypatch.setattr(initial_guess, "find_static_poses", counted)
-    (attempt,) = multistart.run_starts(setup.problem, 0.0, [0])
+    (attempt,) = multistart.run_starts(setup.problem, [0])
     assert attempt.usable and len(calls) == 1
 
 
 def test_infeasible_attempts_rank_last(setup):
-    (good,) = multistart.run_starts(setup.problem, 0.0, [0])
+    (good,) = multistart.run_starts(setup.problem, [0])
     infeasible = replace(
         good, objective=-99.0, state=replace(good.state, best_value=np.inf, best_excess=0.3)
     )

@@ -95,7 +95,7 @@ class OptimizedDesign:
             `first_feasible`: until the first feasible motion; `within_1_percent`: until a
             criterion within 1 % of the best one.
         """
-        final = [self._final(a) for a in self.attempts]
+        final = [_feasible_objectives(a.history) for a in self.attempts]
         first = min(times[0] for times, _ in final)
         best = min(values.min() for _, values in final)
         # The objective is the logarithm of the criterion, for the condition number of the regressor
@@ -106,14 +106,16 @@ class OptimizedDesign:
             for times, values in final
             if (values <= best + share).any()
         )
-        return {"first_feasible": float(first), "within_1_percent": float(within)}
+        built = self.setup.build_time
+        return {"first_feasible": float(first - built), "within_1_percent": float(within - built)}
 
-    def _final(self, attempt: Attempt) -> tuple[FloatArray, FloatArray]:
-        """Return times and best feasible objectives of the last stage, which smooths the least."""
-        stage, worst = np.array(attempt.stage), np.array(attempt.worst)
-        last = (stage == stage.max()) & (worst <= sqp.MAX_FEASIBLE_ROW_VALUE)
-        values = np.where(last, np.array(attempt.values), np.inf)
-        return np.array(attempt.time), np.minimum.accumulate(values)
+
+def _feasible_objectives(history: sqp.History) -> tuple[FloatArray, FloatArray]:
+    """Return times and best feasible objectives of the last stage, which smooths the least."""
+    stage, worst = np.array(history.stage), np.array(history.worst)
+    last = (stage == stage.max()) & (worst <= sqp.MAX_FEASIBLE_ROW_VALUE)
+    values = np.where(last, np.array(history.objective), np.inf)
+    return np.array(history.time), np.minimum.accumulate(values)
 
 
 def set_up(
@@ -207,7 +209,7 @@ def solve(
     if restart:
         begin = 2 * options.starts + (2 * restart + (first > 0)) * STARTS_PER_RESTART
         numbers = range(begin, begin + min(options.starts, STARTS_PER_RESTART))
-    results = multistart.run_starts(setup.problem, setup.build_time, numbers, progress)
+    results = multistart.run_starts(setup.problem, numbers, progress)
     attempts = [r for r in results if isinstance(r, Attempt)]
     if not attempts:
         raise next(r for r in results if isinstance(r, ExciteError))
@@ -250,7 +252,6 @@ def improve(
         return multistart.optimize_from(
             evaluator,
             shrunk,
-            setup.build_time,
             number,
             until=None if state is None else WARM_ITERATIONS,
             state=state,

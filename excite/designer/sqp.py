@@ -68,14 +68,12 @@ class History:
     """Record of all iterates of a search.
 
     Attributes:
-        began: `time.perf_counter()` at time 0 [s].
-        time: Time of each iterate [s].
+        time: `time.perf_counter()` at each iterate [s].
         objective: Smooth objective of each iterate.
         worst: Largest constraint value of each iterate.
         stage: Stage of the smoothing of each iterate.
     """
 
-    began: float = field(default_factory=time.perf_counter)
     time: list[float] = field(default_factory=list)
     objective: list[float] = field(default_factory=list)
     worst: list[float] = field(default_factory=list)
@@ -83,7 +81,7 @@ class History:
 
     def add(self, objective: float, worst: float, stage: int) -> None:
         """Record one iterate with the present time."""
-        self.time.append(time.perf_counter() - self.began)
+        self.time.append(time.perf_counter())
         self.objective.append(objective)
         self.worst.append(worst)
         self.stage.append(stage)

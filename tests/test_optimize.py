@@ -160,6 +160,14 @@ def test_timing_reports_first_feasible_and_near_optimal_times(two_link, table):
     )
 
 
+def test_infeasible_iterates_are_no_first_feasible_motion(two_link, table):
+    design = solved(two_link, table)
+    build, history = design.setup.build_time, design.attempts[0].history
+    late = replace(history, worst=[1.5, 1.5, *history.worst[2:]])
+    late = replace(design, attempts=(replace(design.attempts[0], history=late),))
+    assert late.timing()["first_feasible"] == pytest.approx(history.time[2] - build)
+
+
 # limits
 
 TIGHT = {

@@ -95,8 +95,8 @@ class OptimizedDesign:
             `first_feasible`: until the first feasible motion; `within_1_percent`: until a
             criterion within 1 % of the best one.
         """
+        first = min(_first_feasible(a.history) for a in self.attempts)
         final = [_feasible_objectives(a.history) for a in self.attempts]
-        first = min(times[0] for times, _ in final)
         best = min(values.min() for _, values in final)
         # The objective is the logarithm of the criterion, for the condition number of the regressor
         # that of its square; for D it is the mean of log λ.
@@ -108,6 +108,13 @@ class OptimizedDesign:
         )
         built = self.setup.build_time
         return {"first_feasible": float(first - built), "within_1_percent": float(within - built)}
+
+
+def _first_feasible(history: sqp.History) -> float:
+    """Return the time of the first feasible iterate, of the last one where none is feasible."""
+    records = zip(history.time, history.worst, strict=True)
+    feasible = (t for t, worst in records if worst <= sqp.MAX_FEASIBLE_ROW_VALUE)
+    return next(feasible, history.time[-1])
 
 
 def _feasible_objectives(history: sqp.History) -> tuple[FloatArray, FloatArray]:

@@ -387,10 +387,10 @@ def test_start_pose_outside_limits_names_the_joint(two_link, table):
 
 
 def test_motion_that_fails_its_certificate_is_not_delivered(two_link, table, monkeypatch):
-    original = pipeline.certificate_module.verify
+    original = pipeline.certificate_module.certify
     monkeypatch.setattr(
         pipeline.certificate_module,
-        "verify",
+        "certify",
         lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
     )
     with pytest.raises(CheckFailed, match="it wobbles; --force delivers it"):
@@ -398,10 +398,10 @@ def test_motion_that_fails_its_certificate_is_not_delivered(two_link, table, mon
 
 
 def test_forced_motion_is_marked(two_link, table, monkeypatch):
-    original = pipeline.certificate_module.verify
+    original = pipeline.certificate_module.certify
     monkeypatch.setattr(
         pipeline.certificate_module,
-        "verify",
+        "certify",
         lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
     )
     assert pipeline.design_trajectory(

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -28,9 +27,9 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
 from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, SegmentKind
-from ..trajectory.trajectory_file import Trajectory, package_versions
-from . import certificate, constraint_margins, ramps
-from .certificate import CELL_KEY, Certificate
+from ..trajectory.trajectory_file import Trajectory
+from . import constraint_margins, ramps
+from .certificate import Certificate, certified_trajectory
 from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .options import DesignOptions, torque_noise_levels
@@ -464,59 +463,8 @@ def design_static_poses(
             distance = np.abs(candidates.poses - best.poses[blocked.pose]).max(axis=1)
             candidates = candidates.without(int(np.argmin(distance)))
             continue
-        motion = _motion(robot.joints, parts, best.poses[-1], options.rate)
-        return _certified(
-            StaticDesign(
-                _draft(
-                    motion if speed == 1.0 else motion.slowed(speed),
-                    robot,
-                    limits,
-                    options,
-                    noise,
-                    {
-                        "payload_link": link,
-                        "speed": speed,
-                        "static": {"poses": best.poses.tolist(), "rest": 2.0 * REST_PERIOD / speed},
-                        **({} if cell is None else {CELL_KEY: cell.document()}),
-                    },
-                    unchecked_reason,
-                ),
-                Certificate((), {}, ()),
-                parameters,
-                link,
-                best.poses,
-                problem.deviation(best),
-                _efficiency(candidates, best, rng),
-            ),
-            robot,
-            limits,
-            cell,
-            unchecked_reason,
-            force,
-        )
-    raise Infeasible(
-        f"{robot.source}: no {count} static poses can be reached within {reason}; widen them, "
-        "clear the scene or give fewer --poses"
-    )
-
-
-def _draft(
-    motion: Motion,
-    robot: Robot,
-    limits: Limits,
-    options: DesignOptions,
-    noise: FloatArray,
-    notes: dict[str, Any],
-    unchecked_reason: str,
-) -> Trajectory:
-    """Return the content of the trajectory file before its certificate."""
-    return Trajectory(
-        robot=robot.document(),
-        motion=motion,
-        rate=options.rate,
-        limits=with_derived_limits(limits, motion.fourier),
-        noise=noise,
-        design={
+        motion = _motion(robot.joints, parts, best.poses[-1], options.rate).slowed(speed)
+        design = {
             "criterion": Criterion.D.value,
             "plain": False,
             "drive": list(options.drive),
@@ -524,41 +472,28 @@ def _draft(
             "uncertainty": options.uncertainty,
             "margin": dict(limits.margin),
             "boxes": [dataclasses.asdict(box) for box in options.boxes],
-            **notes,
-        },
-        criteria={},
-        margins=[],
-        collision=unchecked_reason,
-        seed=options.seed,
-        versions=package_versions(),
-    )
-
-
-def _certified(
-    design: StaticDesign,
-    robot: Robot,
-    limits: Limits,
-    cell: Cell | None,
-    unchecked_reason: str,
-    force: bool,
-) -> StaticDesign:
-    """Return the design with its criteria and its certificate.
-
-    Raises:
-        CheckFailed: The certificate fails and `force` is not set.
-    """
-    scores = certificate.recompute_criteria(design.trajectory, robot, limits, design.parameters)
-    trajectory = replace(design.trajectory, criteria=scores)
-    result = certificate.verify(trajectory, robot, limits, cell, unchecked_reason=unchecked_reason)
-    if not result.ok and not force:
-        raise CheckFailed(
-            f"{robot.source}: the motion between static poses fails its certificate: "
-            f"{result.failure_reason()}; try another --seed, widen that limit, or --force"
+            "payload_link": link,
+            "speed": speed,
+            "static": {"poses": best.poses.tolist(), "rest": 2.0 * REST_PERIOD / speed},
+        }
+        trajectory, certificate = certified_trajectory(
+            robot, limits, motion, options, noise, design, cell, unchecked_reason
         )
-    trajectory = replace(
-        trajectory,
-        margins=[margin.document() for margin in result.margins],
-        collision=result.collision,
-        forced=not result.ok,
+        if not certificate.ok and not force:
+            raise CheckFailed(
+                f"{robot.source}: the motion between static poses fails its certificate: "
+                f"{certificate.failure_reason()}; try another --seed, widen that limit, or --force"
+            )
+        return StaticDesign(
+            trajectory,
+            certificate,
+            parameters,
+            link,
+            best.poses,
+            problem.deviation(best),
+            _efficiency(candidates, best, rng),
+        )
+    raise Infeasible(
+        f"{robot.source}: no {count} static poses can be reached within {reason}; widen them, "
+        "clear the scene or give fewer --poses"
     )
-    return replace(design, trajectory=trajectory, certificate=result)

@@ -187,7 +187,7 @@ def rebuild_problem(
 def limits_at_samples(
     limits: Limits, options: DesignOptions, reserve: float = LIMIT_RESERVE
 ) -> Limits:
-    """Shrink limits so that a motion that keeps them at the samples keeps the given ones in between.
+    """Shrink limits so that motions that keep them at the samples keep the given ones between.
 
     Args:
         limits: Limits that the motion has to keep at all times.

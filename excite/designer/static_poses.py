@@ -26,7 +26,7 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, SegmentKind
+from ..trajectory.rest_to_rest import JerkProfile, Motion, SegmentKind
 from ..trajectory.trajectory_file import Trajectory
 from . import constraint_margins, ramps
 from .certificate import Certificate, certified_trajectory
@@ -34,7 +34,7 @@ from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .options import DesignOptions, torque_noise_levels
 from .payload_weighting import LINK_PARAMETERS, predicted_text
-from .ramps import EXTRA_CLEARANCE, RampPlanner, with_derived_limits
+from .ramps import EXTRA_CLEARANCE, Part, RampPlanner, with_derived_limits
 
 GRAVITY_PARAMETERS = 4
 """Parameters of a body that the torque at rest depends on: mass and first moments."""
@@ -325,10 +325,6 @@ class _Blocked(Exception):
     reason: str
 
 
-Part = tuple[SegmentKind, JerkProfile, float]
-"""Kind, motion and duration [s] of a part before the last rest."""
-
-
 def _visits(
     planner: RampPlanner,
     problem: _StaticProblem,
@@ -336,7 +332,7 @@ def _visits(
     known: FloatArray,
     start: FloatArray | None,
 ) -> list[Part]:
-    """Plan the parts from the start to the last arrival, and back to the start.
+    """Plan the parts from the start to the last rest, and back to the start.
 
     Args:
         planner: Planner of the parts.
@@ -363,7 +359,9 @@ def _visits(
                     raise _Blocked(k, reason or "the clearances on the direct way")
                 parts += [(SegmentKind.APPROACH, *leg) for leg in legs]
                 here = target
-            if not (is_last and side < 0.0):  # the last rest is the constant Fourier part
+            if is_last and side < 0.0:
+                parts.append((SegmentKind.FOURIER, None, 2.0 * REST_PERIOD))  # it is constant
+            else:
                 parts.append((SegmentKind.APPROACH, *_rest(pose)))
     legs, reason = planner.plan_transfer(here, home, known)
     if not legs:
@@ -381,17 +379,7 @@ def _motion(joints: tuple[str, ...], parts: list[Part], pose: FloatArray, rate: 
     """Join the parts to a motion, whose Fourier part is the rest at the last pose."""
     zero = np.zeros((len(pose), 1))
     fourier = FourierSeries(zero, zero, pose, REST_PERIOD)
-    before = [part for part in parts if part[0] is SegmentKind.APPROACH]
-    after = parts[len(before) :]
-    segments, ticks = list[MotionSegment](), 0
-    for kind, profile, duration in (
-        *before,
-        (SegmentKind.FOURIER, None, 2.0 * REST_PERIOD),
-        *after,
-    ):
-        begin, ticks = ticks, ticks + round(duration * rate)
-        segments.append(MotionSegment(kind, begin / rate, ticks / rate, profile))
-    return Motion(joints, fourier, 2, tuple(segments))
+    return ramps.joined_parts(joints, fourier, 2, parts, rate)
 
 
 def design_static_poses(

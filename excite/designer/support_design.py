@@ -29,13 +29,13 @@ from . import floating_identifiability, sqp, support_cell, support_certificate
 from .certificate import CLEARANCE, Certificate
 from .criteria import Criterion
 from .floating_identifiability import RowNoise
-from .identifiability import Identifiability
+from .identifiability import Identifiability, identifiable_count
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
 from .options import DesignOptions, samples_per_period
 from .support_cell import Surroundings
 from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS, SupportConstraints
 from .support_evaluator import SupportEvaluator
-from .support_information import added_root, exported_motion, identifiable_counts
+from .support_information import added_root, exported_motion
 from .support_model import SupportFunctions, support_functions
 from .support_problem import (
     SupportProblem,
@@ -197,7 +197,7 @@ class SupportDesign:
 
     def identifiable_counts(self, threshold: float = IDENTIFIABLE_VARIANCE) -> list[int]:
         """Return the number of identifiable directions of the base rows after each motion."""
-        return identifiable_counts(self.roots, self.base, threshold)
+        return [identifiable_count(root, self.base, threshold) for root in self.roots]
 
     def analysis(self, rows: Rows, threshold: float = IDENTIFIABLE_VARIANCE) -> Identifiability:
         """Return the identifiability by all motions.
@@ -274,8 +274,7 @@ def design_support(
         motions.append(motion)
         certificates.append(certificate)
         roots.append(search.root)
-        eigenvalues = np.linalg.eigvalsh(search.information)
-        known = int(np.sum(eigenvalues >= 1.0 / IDENTIFIABLE_VARIANCE))
+        known = identifiable_count(search.root, search.base)
         report(
             f"motion {number + 1} of {options.count}: {known} of {search.base.count} directions "
             "identifiable"

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from .._types import FloatArray
-from ..robot.base_parameters import Base
 from ..robot.floating_base import FloatingMotion, FloatingRobot, Rows
 from ..robot.inertial_parameters import Parameters
 from ..trajectory.rest_to_rest import PhaseProfile
 from . import floating_identifiability
 from .floating_identifiability import RowNoise
-from .identifiability_threshold import IDENTIFIABLE_VARIANCE
 from .support_kinematics import support_samples
 from .support_problem import profile_duration
 from .support_stance import Stance
@@ -59,19 +55,3 @@ def added_root(
     """
     added = floating_identifiability.information_root(robot, parameters, motion, noise, rows)
     return np.asarray(np.linalg.qr(np.vstack([root, added]), mode="r"))
-
-
-def identifiable_counts(
-    roots: Sequence[FloatArray], base: Base, threshold: float = IDENTIFIABLE_VARIANCE
-) -> list[int]:
-    """Return the number of identifiable directions of the base rows after each motion.
-
-    Args:
-        roots: R with RᵀR the information after each motion. Shape (r, P) each.
-        base: Base parameters of the base rows.
-        threshold: Largest variance of an identifiable direction [1].
-    """
-    return [
-        int(np.sum(np.linalg.svd(root @ base.geometric)[1] ** 2 >= 1.0 / threshold))
-        for root in roots
-    ]

@@ -24,10 +24,11 @@ from ..trajectory.trajectory_file import load_designed_robot, package_versions
 from . import support_cell, support_certificate
 from .certificate import CELL_KEY, CRITERION_TOLERANCE, Certificate, limit_faults
 from .floating_identifiability import RowNoise
+from .identifiability import identifiable_count
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
 from .support_cell import BASE_NAMES
 from .support_certificate import SupportConstraints
-from .support_information import added_root, exported_motion, identifiable_counts
+from .support_information import added_root, exported_motion
 from .support_problem import profile_duration
 from .support_stance import ContactLimits, Foot, Stance, leg_of, robot_mass
 
@@ -380,7 +381,7 @@ def _identifiable(
         root = added_root(root, robot, inertial, motion, trajectory.noise, Rows.BASE)
         roots.append(root)
     counts, fewest, most = (
-        identifiable_counts(roots, base, factor * IDENTIFIABLE_VARIANCE)
+        [identifiable_count(root, base, factor * IDENTIFIABLE_VARIANCE) for root in roots]
         for factor in (1.0, 1.0 - CRITERION_TOLERANCE, 1.0 + CRITERION_TOLERANCE)
     )
     faults = [

@@ -169,13 +169,7 @@ class Evaluator(ConstrainedObjective):
         self._frames = [
             casadi_model.frame_position(problem.robot, box.frame) for box in problem.boxes
         ]
-        # Coulomb friction jumps between two samples wherever the velocity changes its sign. It is
-        # therefore assumed to act against the actuator at all times: it is left out of the nominal
-        # torque and subtracted from the limit.
-        friction = problem.parameters.coulomb()
-        self._torque_bound = np.maximum(
-            problem.limits.torque - friction, 1e-3 * problem.limits.torque
-        )
+        self._torque_bound = without_friction(problem.limits.torque, problem.parameters)
         self._nominal = _without_coulomb(problem.parameters)
         self._inverse_metric = problem.parameters.scale @ problem.parameters.scale.T
         self._point: _Point | None = None
@@ -531,6 +525,16 @@ class Evaluator(ConstrainedObjective):
         pick = np.zeros((len(sample), n))
         pick[np.arange(len(sample)), joint] = 1.0 / self._torque_bound[joint]
         return list(enumerate(self._row(q[sample], dq[sample], ddq[sample], weight, pick)))
+
+
+def without_friction(torque: FloatArray, parameters: Parameters) -> FloatArray:
+    """Return torque limits less Coulomb friction. Shape (n,) [N m].
+
+    Coulomb friction jumps between two samples wherever the velocity changes its sign. It is
+    therefore assumed to act against the actuator at all times: it is left out of the nominal torque
+    and subtracted from the limit, of which a thousandth remains.
+    """
+    return np.maximum(torque - parameters.coulomb(), 1e-3 * torque)
 
 
 def _without_coulomb(parameters: Parameters) -> FloatArray:

@@ -28,6 +28,7 @@ from ..trajectory.rest_to_rest import PhaseProfile
 from . import floating_identifiability, sqp, support_cell, support_certificate
 from .certificate import CLEARANCE, Certificate
 from .criteria import Criterion
+from .evaluator import without_friction
 from .floating_identifiability import RowNoise
 from .identifiability import Identifiability, identifiable_count
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
@@ -36,7 +37,7 @@ from .support_cell import Surroundings
 from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS, SupportConstraints
 from .support_evaluator import SupportEvaluator
 from .support_information import added_root, exported_motion
-from .support_model import SupportFunctions, support_functions
+from .support_model import support_functions
 from .support_problem import (
     SupportProblem,
     motion_duration,
@@ -156,7 +157,6 @@ class SupportDesign:
         limits: Limits of its joints.
         options: Options of the design.
         stance: The feet and the standing pose.
-        soles: Sole of each foot.
         parameters: Standard parameters with those of the joints.
         inertial: Standard parameters of the bodies alone.
         base: Base parameters of the base rows.
@@ -173,7 +173,6 @@ class SupportDesign:
     limits: Limits
     options: SupportOptions
     stance: Stance
-    soles: tuple[SoleSize, ...]
     parameters: Parameters
     inertial: Parameters
     base: Base
@@ -285,7 +284,6 @@ def design_support(
         limits,
         options,
         stance,
-        options.soles,
         search.parameters,
         search.inertial,
         search.base,
@@ -344,7 +342,8 @@ class SupportSearch:
         )
         self.root = np.zeros((0, self.inertial.count))
         self.prior = np.eye(self.base.count) / options.prior_deviation**2
-        self._functions = self._build_functions()
+        torque = without_friction(limits.reduced().torque, self.parameters)
+        self._functions = support_functions(robot.joint_robot, self.parameters, stance, torque)
         self.constraints = SupportConstraints(
             robot, limits, stance, self.parameters, cell, unchecked_reason
         )
@@ -356,17 +355,6 @@ class SupportSearch:
         """Information of the motions so far, in the metric. Shape (p, p)."""
         rows = self.root @ self.base.geometric
         return np.asarray(rows.T @ rows)
-
-    def _build_functions(self) -> SupportFunctions:
-        """Build the dynamics, with the torque limits less Coulomb friction."""
-        friction = self.parameters.coulomb()
-        usable = self.limits.reduced().torque
-        return support_functions(
-            self.robot.joint_robot,
-            self.parameters,
-            self.stance,
-            np.maximum(usable - friction, 1e-3 * usable),
-        )
 
     def problem(self, joint_reserve: float, contact_reserve: float) -> SupportProblem:
         """Return the problem of the next motion, which keeps shares of its limits free."""

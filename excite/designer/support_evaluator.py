@@ -16,9 +16,9 @@ from ..collision.clearance_constraint import ClearanceEvaluation
 from . import criteria
 from .casadi_batch import MappedFunction, PaddedFunction
 from .evaluator import ConstrainedObjective, ConstraintRows, centred
-from .support_model import BASE_COORDINATES, BODY_STATE, WRENCH_SIZE, LegFunctions
+from .support_model import BODY_STATE, WRENCH_SIZE, LegFunctions
 from .support_problem import SupportProblem, motion_duration
-from .support_stance import MAX_CLOSURE_ERROR, MAX_NEWTON_STEP
+from .support_stance import BASE_COORDINATES, MAX_CLOSURE_ERROR, MAX_NEWTON_STEP
 
 NEWTON_ITERATIONS = 12
 """Iterations of Newton's method for a leg at most [1]: it begins at a solution nearby."""
@@ -135,7 +135,7 @@ class SupportEvaluator(ConstrainedObjective):
             "contact",
             *["clearance"] * (problem.clearance is not None),
         )
-        self._independent, self._home = problem.independent, problem.home
+        self._independent, self._home = problem.stance.independent, problem.stance.home
         self._row_scale = np.sqrt(
             problem.options.rate * motion_duration(problem.options.period) / some
         ) / np.asarray(problem.wrench_noise)

@@ -30,7 +30,7 @@ from .support_cell import BASE_NAMES
 from .support_certificate import SupportConstraints
 from .support_information import added_root, exported_motion
 from .support_problem import profile_duration
-from .support_stance import ContactLimits, Foot, Stance, leg_of, robot_mass
+from .support_stance import ContactLimits, Foot, Stance, leg_of
 
 GROUND_TOLERANCE = 1e-9
 """Largest height of a sole over the ground [m]: rounding."""
@@ -208,8 +208,7 @@ class SupportTrajectory:
             )
             for foot in self.feet
         )
-        weight = robot_mass(fixed) * float(np.linalg.norm(fixed.model.gravity.linear))
-        return Stance(feet, self.contact, weight, self.base, self.pose)
+        return Stance(feet, self.contact, fixed.weight, self.base, self.pose)
 
 
 def parse_support_trajectory(content: Any, path: Path) -> SupportTrajectory:

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from .._linear_algebra import triangle
 from .._types import FloatArray
 from .design_objective import ObjectiveGradient, SampledMotion
 from .effect_columns import EffectColumns, SymbolicEffect
@@ -104,8 +105,8 @@ class WeightedRows:
     def compressed(self) -> WeightedRows:
         """Return the fewest rows with the same inner products of all columns."""
         p = self.base.shape[1]
-        triangle = np.asarray(np.linalg.qr(np.hstack([self.base, self.columns]), mode="r"))
-        return WeightedRows(triangle[:, :p], triangle[:, p:])
+        fewest = triangle(np.hstack([self.base, self.columns]))
+        return WeightedRows(fewest[:, :p], fewest[:, p:])
 
 
 @dataclass(frozen=True)

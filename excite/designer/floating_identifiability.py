@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .._linear_algebra import triangle
 from .._types import FloatArray
 from ..robot import floating_base
 from ..robot.base_parameters import Base
@@ -85,6 +86,19 @@ def information_root(
     """
     blocks = floating_base.regressor_blocks(robot, parameters, motion, rows)
     return identifiability.root_of_blocks(blocks, noise.of(rows), parameters.count)
+
+
+def added_root(
+    root: FloatArray,
+    robot: FloatingRobot,
+    parameters: Parameters,
+    motion: FloatingMotion,
+    noise: RowNoise,
+    rows: Rows,
+) -> FloatArray:
+    """Return a root of information to which that of a motion is added; see `information_root`."""
+    added = information_root(robot, parameters, motion, noise, rows)
+    return triangle(np.vstack([root, added]))
 
 
 def analyse(

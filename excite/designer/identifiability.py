@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from .._linear_algebra import triangle
 from .._types import BoolArray, FloatArray
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
@@ -184,11 +185,6 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _triangle(rows: FloatArray) -> FloatArray:
-    """Return R of the QR factorisation."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
-
-
 def regressor_root(Y: FloatArray, noise: FloatArray) -> FloatArray:
     """Return R with RᵀR = Σₜ Yᵀ Σ⁻¹ Y.
 
@@ -201,7 +197,7 @@ def regressor_root(Y: FloatArray, noise: FloatArray) -> FloatArray:
     Returns:
         The root R. Shape (≤ P, P).
     """
-    return _triangle((Y / noise[:, None]).reshape(-1, Y.shape[2]))
+    return triangle((Y / noise[:, None]).reshape(-1, Y.shape[2]))
 
 
 def information_root(
@@ -239,7 +235,7 @@ def root_of_blocks(blocks: Iterable[FloatArray], noise: FloatArray, count: int) 
     """
     root = np.zeros((0, count))
     for Y in blocks:
-        root = _triangle(np.vstack([root, regressor_root(Y, noise)]))
+        root = triangle(np.vstack([root, regressor_root(Y, noise)]))
     return root
 
 
@@ -322,7 +318,7 @@ def eigenvalues_and_directions(root: FloatArray, base: Base) -> tuple[FloatArray
         Descending eigenvalues λ of I·H₀⁻¹, shape (p,), and their directions as columns in the
         coordinates of `base.geometric`, shape (p, p).
     """
-    _, singular, right = np.linalg.svd(_triangle(root @ base.geometric), full_matrices=True)
+    _, singular, right = np.linalg.svd(triangle(root @ base.geometric), full_matrices=True)
     values = np.zeros(base.count)
     floor = (
         base.count * np.finfo(float).eps * max(float(singular[0]), 0.0) if len(singular) else 0.0

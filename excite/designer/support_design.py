@@ -36,7 +36,7 @@ from .options import DesignOptions, samples_per_period
 from .support_cell import Surroundings
 from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS, SupportConstraints
 from .support_evaluator import SupportEvaluator
-from .support_information import added_root, exported_motion
+from .support_kinematics import exported_motion
 from .support_model import support_functions
 from .support_problem import (
     SupportProblem,
@@ -476,7 +476,9 @@ class SupportSearch:
         exported = exported_motion(
             self.robot, self.stance, self.parameters, motion, self.options.rate
         )
-        return added_root(root, self.robot, parameters, exported, self.noise, rows)
+        return floating_identifiability.added_root(
+            root, self.robot, parameters, exported, self.noise, rows
+        )
 
     def root_of_all_rows(self, motions: list[PhaseProfile]) -> FloatArray:
         """Return a root of the information of base and joint rows of all motions."""

@@ -15,6 +15,7 @@ from .._types import FloatArray
 from ..robot.floating_base import FloatingMotion, FloatingRobot
 from ..robot.inertial_parameters import Parameters
 from ..trajectory.rest_to_rest import PhaseProfile
+from .support_problem import profile_duration
 from .support_stance import BASE_COORDINATES as BASE
 from .support_stance import Foot, Stance, base_pose, solve_leg
 
@@ -108,6 +109,26 @@ def support_samples(
     motion = FloatingMotion(q[:, :7], q[:, 7:], v, a)
     base, base_rate = x[0, :, :BASE], x[1, :, :BASE]
     return SupportSamples(t, base, base_rate, motion, torque, wrenches, worst)
+
+
+def exported_motion(
+    robot: FloatingRobot,
+    stance: Stance,
+    parameters: Parameters,
+    profile: PhaseProfile,
+    rate: float,
+) -> FloatingMotion:
+    """Return the rows of a motion as exported, without the last one.
+
+    Args:
+        robot: The robot.
+        stance: The feet and the standing pose.
+        parameters: Its standard parameters.
+        profile: Motion of the independent coordinates.
+        rate: Rows per second [Hz].
+    """
+    t = np.arange(round(profile_duration(profile) * rate)) / rate
+    return support_samples(robot, stance, parameters, profile, t).motion
 
 
 def _drive_torque(parameters: Parameters, dq: FloatArray, ddq: FloatArray) -> FloatArray:

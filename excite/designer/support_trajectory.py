@@ -23,12 +23,12 @@ from ..trajectory.rest_to_rest import JerkProfile, PhaseProfile
 from ..trajectory.trajectory_file import load_designed_robot, package_versions
 from . import support_cell, support_certificate
 from .certificate import CELL_KEY, CRITERION_TOLERANCE, Certificate, limit_faults
-from .floating_identifiability import RowNoise
+from .floating_identifiability import RowNoise, added_root
 from .identifiability import identifiable_count
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
 from .support_cell import BASE_NAMES
 from .support_certificate import SupportConstraints
-from .support_information import added_root, exported_motion
+from .support_kinematics import exported_motion
 from .support_problem import profile_duration
 from .support_stance import ContactLimits, Foot, Stance, leg_of
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._linear_algebra import triangle
 from .._types import FloatArray
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
@@ -136,9 +137,8 @@ def torque_band(Y: FloatArray, base: Base, root: FloatArray | None) -> TorqueBan
     known = np.eye(p) / PRIOR_STD
     if root is not None:
         known = np.vstack([root @ base.geometric, known])
-    triangle = np.asarray(np.linalg.qr(known, mode="r"))
     rows = (Y @ base.geometric).reshape(-1, p)
-    white = np.linalg.solve(triangle.T, rows.T)
+    white = np.linalg.solve(triangle(known).T, rows.T)
     return TorqueBand(np.sqrt(np.sum(white**2, axis=0)).reshape(Y.shape[:2]))
 
 

@@ -23,7 +23,7 @@ from excite.robot.robot import load
 BOX = WorkspaceBox("tip", (-0.5, -0.1, -0.7), (0.8, 0.1, 0.6))
 STEP = 2e-5
 """Step of finite differences, in variables of size 1 [1]; Coulomb friction is wider."""
-KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "box0", "box1")
+KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "box")
 
 
 @cache
@@ -194,7 +194,7 @@ def test_box_constraints_are_positions_over_half_widths():
     q = e.problem.fourier(x).at(e.problem.fourier(x).grid(24))
     reach = dynamics.positions(e.problem.robot, "tip", q)
     assert np.allclose(
-        e.constraint_values(x)["box0"][0],
+        e.constraint_values(x)["box"][0],
         (reach - np.add(box.lower, box.upper) / 2) / (np.subtract(box.upper, box.lower) / 2),
     )
 

@@ -22,6 +22,12 @@ from .options import DesignOptions
 from .problem import DesignProblem
 from .stand_load import LOADS, load_function
 
+DERIVATIVES = ("velocity", "acceleration", "jerk")
+"""Kinds of limits of the derivatives of order 1 to 3."""
+
+BOX = "box"
+"""Name of the boxes among the kinds of constraints: three axes for each of them."""
+
 NEARLY_ACTIVE = 0.98
 """Constraint value from which a constraint is named as one that leaves no room [1]."""
 
@@ -179,14 +185,13 @@ class Evaluator(ConstrainedObjective):
         """Return the kinds of constraints that the problem has."""
         limits = self.problem.limits
         kinds = [
-            k
-            for k in ("position", "velocity", "acceleration", "jerk", "torque")
-            if np.isfinite(getattr(limits, k)).any()
+            k for k in ("position", *DERIVATIVES, "torque") if np.isfinite(getattr(limits, k)).any()
         ]
         kinds += ["braking"] * any(b is not None for b in limits.braking)
         kinds += [STAND] * (limits.stand is not None)
         kinds += ["clearance"] * (self.problem.clearance is not None)
-        return (*kinds, *(f"box{i}" for i in range(len(self._frames))))
+        kinds += [BOX] * bool(self.problem.boxes)
+        return tuple(kinds)
 
     def _stretch(self, x: FloatArray, order: int) -> float:
         """Return the factor on the columns of a and b, as derivatives scale with T^(1−order)."""
@@ -282,8 +287,8 @@ class Evaluator(ConstrainedObjective):
         """Return the values of all constraints; the motion is feasible where they are at most 1.
 
         Returns:
-            For each kind an array of shape (2, N, n), first for the sign +, then −; (2, N, 3) for
-            boxes, (1, N, 2) for the load on the stand and (1, N, pairs) for the clearance.
+            For each kind an array of shape (2, N, n), first for the sign +, then −; (2, N, 3B) for
+            B boxes, (1, N, 2) for the load on the stand and (1, N, pairs) for the clearance.
         """
         point = self._at(x)
         if not point.constraint_values:
@@ -307,26 +312,37 @@ class Evaluator(ConstrainedObjective):
 
     def _values(self, point: _Point, kind: str) -> FloatArray:
         """Return the values of the constraints of one kind."""
-        limits = self.problem.limits
-        q, dq, ddq, dddq = point.motion
-        if kind == "position":
-            return centred(q, limits.position[:, 0], limits.position[:, 1])
-        if kind in ("velocity", "acceleration", "jerk"):
-            ratio = {"velocity": dq, "acceleration": ddq, "jerk": dddq}[kind] / getattr(
-                limits, kind
-            )
+        limits, q = self.problem.limits, point.motion[0]
+        if kind in ("position", BOX):
+            values = q if kind == "position" else self._frame_positions(q)
+            return centred(values, *self._range(kind))
+        if kind in DERIVATIVES:
+            ratio = point.motion[1 + DERIVATIVES.index(kind)] / getattr(limits, kind)
             return np.stack([ratio, -ratio])
         if kind == "torque":
             nominal, width = self._band(point)
             return np.stack([nominal + width, width - nominal]) / self._torque_bound
         if kind == "braking":
-            return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
-        if kind in (STAND, "clearance"):
-            return self._one_sided(point, kind)[None]
-        index = int(kind[3:])
-        box = self.problem.boxes[index]
-        centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
-        return centred(centre, np.array(box.lower), np.array(box.upper))
+            return np.stack([self._braking(q, point.motion[1], sign)[0] for sign in (1.0, -1.0)])
+        if kind == STAND:
+            return self._stand_loads(*point.motion[:3])[0][None]
+        return self._clearances(point).constraint_values()[None]
+
+    def _range(self, kind: str) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper bounds of the positions of joints, or of the frames in boxes."""
+        if kind == "position":
+            return self.problem.limits.position[:, 0], self.problem.limits.position[:, 1]
+        corners = np.array([(box.lower, box.upper) for box in self.problem.boxes])
+        return corners[:, 0].ravel(), corners[:, 1].ravel()
+
+    def _frame_positions(self, q: FloatArray) -> FloatArray:
+        """Return the positions of the frames that have boxes. Shape (N, 3B) [m]."""
+        return np.hstack([np.asarray(frame.map(len(q))(q.T)[0]).T for frame in self._frames])
+
+    def _frame_jacobians(self, q: FloatArray) -> FloatArray:
+        """Return their Jacobians. Shape (3B, N, n)."""
+        parts = [np.asarray(frame.map(len(q))(q.T)[1]) for frame in self._frames]
+        return np.vstack(parts).reshape(-1, *q.shape)
 
     def _band(self, point: _Point) -> tuple[FloatArray, FloatArray]:
         """Return nominal torque and half width of its band over all uncertain robots."""
@@ -341,22 +357,6 @@ class Evaluator(ConstrainedObjective):
                 )
             point.spread = nominal, width
         return point.spread[0], self.problem.options.uncertainty * point.spread[1]
-
-    def _one_sided(self, point: _Point, kind: str) -> FloatArray:
-        """Return the values of constraints without sign: loads on the stand, clearances."""
-        if kind == STAND:
-            return self._stand_loads(*point.motion[:3])[0]
-        return self._clearances(point).constraint_values()
-
-    def _one_sided_slopes(
-        self, point: _Point, kind: str, sample: IntArray, joint: IntArray
-    ) -> list[tuple[int, FloatArray]]:
-        """Return the slopes of constraints without sign, see `_slopes`."""
-        if kind == "clearance":
-            return [(0, self._clearances(point).gradients(sample, joint))]
-        q, dq, ddq = (array[sample] for array in point.motion[:3])
-        _, gradients = self._stand_loads(q, dq, ddq)
-        return [(k, g[np.arange(len(sample)), joint]) for k, g in enumerate(gradients)]
 
     def _stand_loads(
         self, q: FloatArray, dq: FloatArray, ddq: FloatArray
@@ -417,8 +417,8 @@ class Evaluator(ConstrainedObjective):
         if kind == "clearance":
             assert problem.clearance is not None
             return f"the clearance of {problem.clearance.names[index]}"
-        if kind.startswith("box"):
-            return f"the box of '{problem.boxes[int(kind[3:])].frame}'"
+        if kind == BOX:
+            return f"the box of '{problem.boxes[index // 3].frame}'"
         return f"the {kind} limit of '{problem.robot.joints[index]}'"
 
     def unexcited_parameters(self, x: FloatArray, count: int = 3) -> list[str]:
@@ -475,16 +475,16 @@ class Evaluator(ConstrainedObjective):
     ) -> list[tuple[int, FloatArray]]:
         """Return (order, slope by the motion array of that order) of constraints of one kind."""
         limits = self.problem.limits
-        if kind == "position":
-            half = 0.5 * (limits.position[:, 1] - limits.position[:, 0])
-            return [(0, sign / half[joint])]
-        if kind in ("velocity", "acceleration", "jerk"):
-            return [
-                (
-                    ("velocity", "acceleration", "jerk").index(kind) + 1,
-                    sign / getattr(limits, kind)[joint],
-                )
-            ]
+        each = np.arange(len(sample))
+        if kind in ("position", BOX):
+            lower, upper = self._range(kind)
+            slope = sign / (0.5 * (upper - lower))[joint]
+            if kind == BOX:
+                jacobian = self._frame_jacobians(point.motion[0][sample])
+                slope = slope[:, None] * jacobian[joint, each]
+            return [(0, slope)]
+        if kind in DERIVATIVES:
+            return [(1 + DERIVATIVES.index(kind), sign / getattr(limits, kind)[joint])]
         if kind == "torque":
             return self._torque_slopes(point, sample, joint, sign)
         if kind == "braking":
@@ -494,14 +494,10 @@ class Evaluator(ConstrainedObjective):
                 (order, np.stack([b[order + 1] for b in both])[pick, sample, joint])
                 for order in (0, 1)
             ]
-        if kind in (STAND, "clearance"):
-            return self._one_sided_slopes(point, kind, sample, joint)
-        index = int(kind[3:])
-        box = self.problem.boxes[index]
-        half = 0.5 * (np.array(box.upper) - np.array(box.lower))
-        jacobian = np.asarray(self._frames[index].map(len(sample))(point.motion[0][sample].T)[1])
-        blocks = jacobian.reshape(3, len(sample), -1)[joint, np.arange(len(sample))]
-        return [(0, (sign / half[joint])[:, None] * blocks)]
+        if kind == STAND:
+            _, gradients = self._stand_loads(*(array[sample] for array in point.motion[:3]))
+            return [(order, gradient[each, joint]) for order, gradient in enumerate(gradients)]
+        return [(0, self._clearances(point).gradients(sample, joint))]
 
     def _torque_slopes(
         self, point: _Point, sample: IntArray, joint: IntArray, sign: FloatArray

@@ -14,7 +14,7 @@ from .._types import FloatArray
 from ..collision.clearance_constraint import ClearanceConstraint
 from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import ranges
-from .evaluator import ConstraintRows, Evaluator
+from .evaluator import BOX, ConstraintRows, Evaluator
 from .problem import DesignProblem
 
 COMFORTABLE_ROW_VALUE = 0.95
@@ -272,9 +272,9 @@ def _raise_infeasible(evaluator: Evaluator, pose: FloatArray) -> None:
             f"{robot.source}: no pose keeps the clearance of {pair}; "
             f"{remedy}, lower --clearance, or widen the position limits"
         )
-    name = problem.boxes[int(kind[3:])].frame if kind.startswith("box") else robot.joints[joint]
+    name = problem.boxes[joint // 3].frame if kind == BOX else robot.joints[joint]
     raise Infeasible(
-        f"{robot.source}: no pose keeps all limits: the {kind.rstrip('0123456789')} limit of "
+        f"{robot.source}: no pose keeps all limits: the {kind} limit of "
         f"'{name}' conflicts with the others (the best pose reaches {value:.3g} times it); "
         "widen the box or the position limits"
     )

@@ -33,7 +33,7 @@ from ..trajectory.trajectory_file import Trajectory, package_versions
 from . import constraint_margins, criteria
 from .constraint_margins import BoundedQuantity, MotionConstraints
 from .options import DesignOptions, WorkspaceBox
-from .ramps import with_derived_limits
+from .ramps import DEFAULT_SAMPLES, with_derived_limits
 
 RELATIVE_ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it [1]."""
@@ -528,14 +528,17 @@ def segment_quantities(
         yield from _ramp_quantities(constraints, trajectory, segment)
 
 
+def _optimiser_samples(trajectory: Trajectory) -> int:
+    """Return the samples over one period at which limits were kept by the optimiser."""
+    return int(trajectory.design.get("samples", DEFAULT_SAMPLES))
+
+
 def _fourier_quantities(
     constraints: MotionConstraints, trajectory: Trajectory, segment: MotionSegment
 ) -> Iterator[tuple[FloatArray, BoundedQuantity]]:
     """Yield the bounded quantities of one period, derivatives by `oversampling_bound`."""
     fourier = trajectory.motion.fourier
-    count = VERIFICATION_DENSITY * max(
-        int(trajectory.design.get("samples", 100)), 8 * fourier.harmonics
-    )
+    count = VERIFICATION_DENSITY * max(_optimiser_samples(trajectory), 8 * fourier.harmonics)
     t = fourier.grid(count)
     factor = oversampling_bound(count, fourier.harmonics) - 1.0
     for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
@@ -562,8 +565,9 @@ def _ramp_quantities(
     """
     profile, duration = segment.profile, segment.end - segment.start
     assert profile is not None
-    samples = int(trajectory.design.get("samples", 100))
-    step = constraint_margins.ramp_step(trajectory.motion.fourier.period, samples, trajectory.rate)
+    step = constraint_margins.ramp_step(
+        trajectory.motion.fourier.period, _optimiser_samples(trajectory), trajectory.rate
+    )
     if isinstance(profile, PhaseProfile):
         for local, quantity in constraint_margins.phase_quantities(
             constraints, profile, duration, step

@@ -1,4 +1,4 @@
-"""Pseudo-inverse of tall matrices whose columns have different units."""
+"""Triangles of tall matrices, and their pseudo-inverse where columns have different units."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ from ._types import FloatArray
 RANK_TOLERANCE = 1e-8
 """Smallest singular value that counts, relative to the largest, with columns of unit length [1]:
 about the square root of the precision of double numbers."""
+
+
+def triangle(rows: FloatArray) -> FloatArray:
+    """Return R of the QR factorisation: the fewest rows with the same RᵀR. Shape (≤ p, p)."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def factors(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

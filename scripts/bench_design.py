@@ -42,7 +42,7 @@ from robots import source_of, wheel
 from excite._types import FloatArray
 from excite.designer import criteria, optimize, pipeline, sqp
 from excite.designer.criteria import Criterion
-from excite.designer.evaluator import ConstraintRows, Evaluator
+from excite.designer.evaluator import Evaluator
 from excite.designer.optimize import DesignSetup
 from excite.designer.options import DesignOptions
 from excite.designer.problem import DesignProblem
@@ -183,10 +183,8 @@ class Case:
                 ".4g",
             )
         )
-        steps = (
-            f"{np.median([len(design.design.attempts[0].time) - 1 for design in self.done]):.0f}"
-            + "*" * self.tightened
-        )
+        counts = [len(design.design.attempts[0].history.time) - 1 for design in self.done]
+        steps = f"{np.median(counts):.0f}" + "*" * self.tightened
         margin, owner = min(nearest(design) for design in self.done)
         numbers = [
             f"{np.median(values):{style}} ({best(values):{style}})"
@@ -272,7 +270,9 @@ def report_starts(problems: Sequence[Case], starts: int) -> None:
             case.robot, case.limits, dataclasses.replace(case.options, starts=starts)
         )
         feasible = [
-            a.motion for a in design.design.attempts if min(a.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE
+            a.motion
+            for a in design.design.attempts
+            if min(a.history.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE
         ]
         problem = design.design.setup.problem
         values = [
@@ -460,15 +460,16 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
         sqp.sharpness_stages(case.options.criterion)[-1],
     )
     Y = dynamics.regressor(problem.robot, problem.parameters, samples)
-    rows = evaluator.rows(evaluator.rows_above(optimum, 1.0 - sqp.WORKING_SET_BAND))
+    rows = evaluator.rows(optimum, evaluator.rows_above(optimum, 1.0 - sqp.WORKING_SET_BAND))
     torque = np.array(evaluator.kinds)[rows.kind] == "torque"
     all_torque_rows = evaluator.rows(
+        optimum,
         np.concatenate(
             [
                 np.full(v.size, k == "torque")
                 for k, v in evaluator.constraint_values(optimum).items()
             ]
-        )
+        ),
     )
 
     def fresh() -> FloatArray:
@@ -481,14 +482,9 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
         evaluator.max_constraint_value(x)
         return x
 
-    def subset(which: FloatArray) -> ConstraintRows:
-        return ConstraintRows(
-            *(getattr(rows, f.name)[which] for f in dataclasses.fields(ConstraintRows))
-        )
-
     parts = {
-        "Jacobian: torque near its limit": subset(torque),
-        "kinematic rows near theirs": subset(~torque),
+        "Jacobian: torque near its limit": rows.subset(np.flatnonzero(torque)),
+        "kinematic rows near theirs": rows.subset(np.flatnonzero(~torque)),
         "both": rows,
     }
     parts["every torque row, for comparison"] = all_torque_rows
@@ -546,7 +542,7 @@ def grown(machine: Robot, samples: int) -> tuple[float, float]:
     )
     work: Job = lambda: x + 1e-9 * rng.normal(size=x.shape), lambda y: evaluator.objective(y, 1.0)
     return 1e3 * fastest({"": work}, 0.5)[""], 1e3 * float(
-        np.median(np.diff(design.attempts[0].time))
+        np.median(np.diff(design.attempts[0].history.time))
     )
 
 

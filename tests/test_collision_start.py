@@ -112,7 +112,7 @@ def test_clearance_is_added_only_for_violating_pairs(ur5e_cell):
     before, name = setup.problem.clearance, setup.problem.clearance.names[0]
     tightened = setup
     for _ in range(2):
-        tightened = optimize.tighten(tightened, table, 2e-3, {name: 3e-3}, finer=True)
+        tightened = optimize.tighten(tightened, 2e-3, {name: 3e-3}, finer=True)
     after = tightened.problem.clearance
     assert tightened.problem.options.samples == 4 * setup.problem.options.samples
     pose = FOLDED[None]

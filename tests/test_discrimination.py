@@ -41,11 +41,12 @@ from excite.designer.effect_columns import (
     curve_values,
 )
 from excite.designer.evaluator import Evaluator
+from excite.designer.experiment_menu import compute_menu
 from excite.designer.explanations import EffectSpecification, stated_factor, symbolic_effect
 from excite.designer.options import DesignOptions
 from excite.errors import UnusableInput
 from excite.robot.inertial_parameters import COULOMB_WIDTH
-from excite.robot.limits import resolve
+from excite.robot.limits import Braking, resolve
 from excite.robot.robot import load
 
 OPTIONS = DesignOptions(
@@ -324,6 +325,25 @@ QUICK = ("--harmonics", "3", "--period", "2", "--samples", "60", "--starts", "2"
 
 def joints() -> tuple[str, ...]:
     return load("two_link").joints
+
+
+def test_an_experiment_keeps_all_limits_of_the_design():
+    """A repeat at a higher speed would not stop in time before the ends of joint 1."""
+    problem, motion = setup().problem, reference()
+    calm = dataclasses.replace(motion, sine=0.5 * motion.sine, cosine=0.5 * motion.cosine)
+    objective = question("drag", "stribeck").objective(problem, setup().base, calm)
+    t, stop = calm.grid(500), (-3.0, 3.0)
+    speed, distance = calm.at(t, 1)[:, 0], 2.8 - np.abs(calm.at(t)[:, 0])
+    brake = Braking(0.0, float(np.max(speed**2 / distance)), stop)
+    obstacles = {}
+    for braking in ((None, None), (brake, None)):
+        table = dataclasses.replace(resolve(problem.robot), braking=braking)
+        limited = optimize.set_up(problem.robot, table, OPTIONS).problem
+        menu = compute_menu(limited, table, objective, calm, calm)
+        (fast,) = (e for e in menu if "1.3 times the speed" in e.name)
+        assert (fast.log_odds is None) == bool(fast.obstacle)
+        obstacles[braking] = fast.obstacle
+    assert not obstacles[None, None] and "braking limit of 'joint_1'" in obstacles[brake, None]
 
 
 def test_the_command_reports_comparisons_and_a_menu(

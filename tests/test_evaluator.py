@@ -23,7 +23,7 @@ from excite.robot.robot import load
 BOX = WorkspaceBox("tip", (-0.5, -0.1, -0.7), (0.8, 0.1, 0.6))
 STEP = 2e-5
 """Step of finite differences, in variables of size 1 [1]; Coulomb friction is wider."""
-KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "box0", "box1")
+KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "box")
 
 
 @cache
@@ -114,9 +114,10 @@ def test_returned_gradient_is_not_overwritten():
 def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> ConstraintRows:
     """Select all finite constraints of one kind."""
     return e.rows(
+        x,
         np.concatenate(
             [(np.isfinite(v) & (k == kind)).ravel() for k, v in e.constraint_values(x).items()]
-        )
+        ),
     )
 
 
@@ -193,7 +194,7 @@ def test_box_constraints_are_positions_over_half_widths():
     q = e.problem.fourier(x).at(e.problem.fourier(x).grid(24))
     reach = dynamics.positions(e.problem.robot, "tip", q)
     assert np.allclose(
-        e.constraint_values(x)["box0"][0],
+        e.constraint_values(x)["box"][0],
         (reach - np.add(box.lower, box.upper) / 2) / (np.subtract(box.upper, box.lower) / 2),
     )
 
@@ -211,7 +212,7 @@ def test_static_constraints_equal_those_of_a_motion_at_rest():
 def test_selected_constraints_are_above_the_threshold():
     e = evaluator()
     x = point(e)
-    rows = e.rows(e.rows_above(x, 0.5))
+    rows = e.rows(x, e.rows_above(x, 0.5))
     values = e.row_values(x, rows)
     assert (values > 0.5).all() and len(rows) == sum(
         int((v > 0.5).sum()) for v in e.constraint_values(x).values()

@@ -30,7 +30,7 @@ def quick_rounds(monkeypatch):
 def test_worse_half_of_the_starts_stops_early(problem, quick_rounds):
     messages: list[str] = []
     built = replace(problem, options=replace(problem.options, starts=8, jobs=1, iterations=40))
-    results = multistart.run_starts(built, 0.0, range(8), messages.append)
+    results = multistart.run_starts(built, range(8), messages.append)
     assert sorted(a.number for a in results) == list(range(8))
     assert [a.objective for a in results] == sorted(a.objective for a in results)
     used = sorted(a.state.iterations for a in results if a.stopped)
@@ -38,13 +38,13 @@ def test_worse_half_of_the_starts_stops_early(problem, quick_rounds):
     finished = [a for a in results if not a.stopped]
     assert len(finished) == 2 and all(a.state.done and a.state.iterations > 8 for a in finished)
     assert len(messages) == 8 + 4 + 2 and messages[-1].startswith("round 3/3, start 2/2")
-    assert all(len(a.time) == len(a.values) == a.state.iterations + 1 for a in results)
+    assert all(len(a.history.time) == a.state.iterations + 1 for a in results)
 
 
 def test_finished_start_equals_the_same_start_alone(problem, quick_rounds):
     built = replace(problem, options=replace(problem.options, starts=8, jobs=1, iterations=40))
-    best = next(a for a in multistart.run_starts(built, 0.0, range(8)) if not a.stopped)
-    (alone,) = multistart.run_starts(built, 0.0, [best.number])
+    best = next(a for a in multistart.run_starts(built, range(8)) if not a.stopped)
+    (alone,) = multistart.run_starts(built, [best.number])
     assert np.array_equal(alone.motion.sine, best.motion.sine) and alone.objective == best.objective
 
 
@@ -52,7 +52,7 @@ def test_few_starts_all_run_to_their_end(problem):
     built = replace(problem, options=replace(problem.options, jobs=1, iterations=40))
     assert not any(
         a.stopped
-        for a in multistart.run_starts(built, 0.0, range(multistart.MIN_STARTS_FOR_HALVING - 1))
+        for a in multistart.run_starts(built, range(multistart.MIN_STARTS_FOR_HALVING - 1))
     )
 
 
@@ -67,10 +67,10 @@ def are_equal(first: list, second: list) -> bool:
 def test_back_end_does_not_change_the_result(problem, quick_rounds, name):
     built = replace(problem, options=replace(problem.options, jobs=2, iterations=12))
     with cluster.backend(name):
-        spread = multistart.run_starts(built, 0.0, range(6))
+        spread = multistart.run_starts(built, range(6))
     with joblib.parallel_config(n_jobs=1):
         alone = multistart.run_starts(
-            replace(built, options=replace(built.options, jobs=1)), 0.0, range(6)
+            replace(built, options=replace(built.options, jobs=1)), range(6)
         )
     assert are_equal(spread, alone)
 
@@ -88,12 +88,10 @@ def test_dask_cluster_does_not_change_the_result(problem):
         Client(local),
         cluster.backend("dask", local.scheduler_address),
     ):
-        spread = multistart.run_starts(built, 0.0, range(4))
+        spread = multistart.run_starts(built, range(4))
     assert are_equal(
         spread,
-        multistart.run_starts(
-            replace(built, options=replace(built.options, jobs=1)), 0.0, range(4)
-        ),
+        multistart.run_starts(replace(built, options=replace(built.options, jobs=1)), range(4)),
     )
 
 

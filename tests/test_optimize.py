@@ -86,7 +86,7 @@ def test_design_obeys_all_limits_on_a_dense_grid(name):
 @pytest.mark.parametrize("plain", [False, True])
 def test_search_improves_on_the_initial_guess(two_link, table, criterion, plain):
     attempt = solved(two_link, table, replace(QUICK, criterion=criterion, plain=plain)).attempts[0]
-    assert attempt.objective < attempt.values[0] - 0.1
+    assert attempt.objective < attempt.history.objective[0] - 0.1
 
 
 @pytest.mark.parametrize(
@@ -158,6 +158,14 @@ def test_timing_reports_first_feasible_and_near_optimal_times(two_link, table):
         <= timing["solve"]
         < timing["total"]
     )
+
+
+def test_infeasible_iterates_are_no_first_feasible_motion(two_link, table):
+    design = solved(two_link, table)
+    build, history = design.setup.build_time, design.attempts[0].history
+    late = replace(history, worst=[1.5, 1.5, *history.worst[2:]])
+    late = replace(design, attempts=(replace(design.attempts[0], history=late),))
+    assert late.timing()["first_feasible"] == pytest.approx(history.time[2] - build)
 
 
 # limits
@@ -379,10 +387,10 @@ def test_start_pose_outside_limits_names_the_joint(two_link, table):
 
 
 def test_motion_that_fails_its_certificate_is_not_delivered(two_link, table, monkeypatch):
-    original = pipeline.certificate_module.verify
+    original = pipeline.certificate_module.certify
     monkeypatch.setattr(
         pipeline.certificate_module,
-        "verify",
+        "certify",
         lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
     )
     with pytest.raises(CheckFailed, match="it wobbles; --force delivers it"):
@@ -390,10 +398,10 @@ def test_motion_that_fails_its_certificate_is_not_delivered(two_link, table, mon
 
 
 def test_forced_motion_is_marked(two_link, table, monkeypatch):
-    original = pipeline.certificate_module.verify
+    original = pipeline.certificate_module.certify
     monkeypatch.setattr(
         pipeline.certificate_module,
-        "verify",
+        "certify",
         lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
     )
     assert pipeline.design_trajectory(

@@ -37,7 +37,7 @@ def series(seed: int, n: int = 3, harmonics: int = 4, period: float = 3.0) -> Fo
 def phase_delivery(two_link, table) -> CertifiedDesign:
     """A design for which Ruckig finds no ramp."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ramps.RampPlanner, "plan_stops", lambda *_, **__: iter(()))
+        patch.setattr(ramps.RampPlanner, "plan_stop", lambda *_, **__: None)
         return pipeline.design_trajectory(two_link, table, QUICK)
 
 

@@ -16,7 +16,7 @@ from excite.designer import criteria, identifiability, ramps
 from excite.designer.certificate import Certificate, LimitMargin, promised_share
 from excite.designer.constraint_margins import MotionConstraints
 from excite.designer.multistart import Attempt
-from excite.designer.sqp import SearchState
+from excite.designer.sqp import History, SearchState
 from excite.report import design_page, identifiability_page
 from excite.report.design import relative_margins
 from excite.report.figures.drawing import thin_curve
@@ -135,10 +135,7 @@ def attempts() -> list[Attempt]:
             number=k,
             motion=motion,
             objective=5.0 + 0.3 * k,
-            time=(0.0, 0.1),
-            values=(9.0, 5.0 + 0.3 * k),
-            worst=(1.1, 1.0),
-            stage=(0, 0),
+            history=History([0.0, 0.1], [9.0, 5.0 + 0.3 * k], [1.1, 1.0], [0, 0]),
             state=SearchState(np.zeros(1), np.zeros(1), 0.0 if k < 2 else np.inf),
         )
         for k in range(3)
@@ -257,9 +254,8 @@ def test_answers_are_computed_from_the_data() -> None:
     ratio = (np.abs(joints[0]) + joints[1]).max(axis=0) / trajectory.limits.torque
     assert loaded.joints[int(np.argmax(ratio))] in answer(page, "torque")
     assert f"{100 * ratio.max():.0f} %" in answer(page, "torque")
-    assert "number 0" in answer(page, "history") and "1 of 3 starts end within 5 %" in answer(
-        page, "history"
-    )
+    assert "number 0, after 1 iteration;" in answer(page, "history")
+    assert "1 of 3 starts end within 5 %" in answer(page, "history")
     assert "seed 7" in answer(page, "made")
     for text in (
         loaded.sha256,

@@ -11,7 +11,7 @@ from conftest import QUICK
 from excite.collision import clearance_builder, scene_file
 from excite.collision.geometry import Shape, ShapeKind
 from excite.collision.scene_file import Scene
-from excite.designer import initial_guess, multistart, optimize, pipeline, sqp
+from excite.designer import initial_guess, multistart, optimize, pipeline, ramps, sqp
 from excite.designer.evaluator import Evaluator
 from excite.designer.multistart import Attempt
 from excite.errors import CheckFailed, ExciteWarning, Infeasible
@@ -34,7 +34,7 @@ def test_start_at_rest_begins_again(setup, monkeypatch):
 
     monkeypatch.setattr(initial_guess, "scale_random_motion", at_rest_first)
     monkeypatch.setattr(sqp, "STALL_ITERATIONS", 1)
-    (attempt,) = multistart.run_starts(setup.problem, 0.0, [0])
+    (attempt,) = multistart.run_starts(setup.problem, [0])
     assert isinstance(attempt, Attempt) and attempt.usable and len(calls) >= 2
 
 
@@ -46,12 +46,12 @@ def test_good_start_is_not_repeated(setup, monkeypatch):
         return original(*arguments)
 
     monkeypatch.setattr(initial_guess, "find_static_poses", counted)
-    (attempt,) = multistart.run_starts(setup.problem, 0.0, [0])
+    (attempt,) = multistart.run_starts(setup.problem, [0])
     assert attempt.usable and len(calls) == 1
 
 
 def test_infeasible_attempts_rank_last(setup):
-    (good,) = multistart.run_starts(setup.problem, 0.0, [0])
+    (good,) = multistart.run_starts(setup.problem, [0])
     infeasible = replace(
         good, objective=-99.0, state=replace(good.state, best_value=np.inf, best_excess=0.3)
     )
@@ -99,7 +99,7 @@ def test_parameters_that_no_motion_shows_are_named(two_link, table, monkeypatch)
 
 def test_certificate_that_keeps_failing_is_searched_again(two_link, table, monkeypatch):
     """After stalled tightenings the search begins again; the error names the limit."""
-    original, verified = pipeline.certificate_module.verify, []
+    original, verified = pipeline.certificate_module.certify, []
 
     def failing(trajectory, *arguments, **options):
         certificate = original(trajectory, *arguments, **options)
@@ -107,7 +107,7 @@ def test_certificate_that_keeps_failing_is_searched_again(two_link, table, monke
         worst = replace(certificate.margins[0], free_share=-0.01)
         return replace(certificate, margins=(worst, *certificate.margins[1:]))
 
-    monkeypatch.setattr(pipeline.certificate_module, "verify", failing)
+    monkeypatch.setattr(pipeline.certificate_module, "certify", failing)
     lines: list[str] = []
     with pytest.raises(CheckFailed, match="no motion of 4 searches keeps all limits") as error:
         pipeline.design_trajectory(
@@ -120,7 +120,7 @@ def test_certificate_that_keeps_failing_is_searched_again(two_link, table, monke
 
 def test_loss_of_a_motion_without_ramps_is_stated(two_link, table, monkeypatch):
     """A worse attempt is not delivered in silence because ramps failed for the best one."""
-    original, calls = pipeline.ramps.plan_rest_to_rest, []
+    original, calls = ramps.plan_rest_to_rest, []
 
     def failing_first(*arguments):
         calls.append(arguments)
@@ -128,7 +128,7 @@ def test_loss_of_a_motion_without_ramps_is_stated(two_link, table, monkeypatch):
             raise Infeasible("two_link: no ramp keeps the torque limits")
         return original(*arguments)
 
-    monkeypatch.setattr(pipeline.ramps, "plan_rest_to_rest", failing_first)
+    monkeypatch.setattr(ramps, "plan_rest_to_rest", failing_first)
     monkeypatch.setattr(pipeline, "NOTABLE_LOSS", -1.0)
     with pytest.warns(ExciteWarning, match=r"not certified \(no ramps \(no ramp keeps the torque"):
         pipeline.design_trajectory(two_link, table, replace(QUICK, starts=2))

@@ -166,7 +166,7 @@ def test_the_gradients_of_all_constraints_are_exact(evaluated):
     _, evaluator, x = evaluated
     direction = np.random.default_rng(5).normal(size=len(x))
     count = sum(values.size for values in evaluator.constraint_values(x).values())
-    rows = evaluator.rows(np.ones(count, bool))
+    rows = evaluator.rows(x, np.ones(count, bool))
     jacobian = evaluator.row_gradients(x, rows)
     step = 1e-6
     change = evaluator.row_values(x + step * direction, rows) - evaluator.row_values(

@@ -421,7 +421,6 @@ def design(
         **({} if task is None else {"for": task.source}),
         **({} if questions is None else {"discriminate": questions.source}),
         "given": [str(path) for path in given],
-        "speed": speed,
         "chosen": request.unspecified,
     }
     if questions is not None and questions.noise is not None and chosen.noise is questions.noise:

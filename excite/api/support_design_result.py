@@ -65,7 +65,7 @@ class SupportDesignResult:
                     sole.source,
                     sole.outline,
                 )
-                for foot, sole in zip(stance.feet, design.soles, strict=True)
+                for foot, sole in zip(stance.feet, design.options.soles, strict=True)
             ),
             contact=stance.contact,
             base=stance.base,

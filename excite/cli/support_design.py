@@ -140,7 +140,7 @@ def _lines(result: SupportDesignResult) -> list[str]:
         *(
             f"sole of {foot.frame}: {2e3 * foot.half_length:.0f} mm by "
             f"{2e3 * foot.half_width:.0f} mm, from {sole.source}"
-            for foot, sole in zip(design.stance.feet, design.soles, strict=True)
+            for foot, sole in zip(design.stance.feet, design.options.soles, strict=True)
         ),
         *design.certificate.verdict_lines(),
         f"designed in {design.seconds:.1f} s",

@@ -29,11 +29,11 @@ from ..robot.robot import Robot, require_possible_bodies
 from ..robot.samples import Samples
 from ..trajectory.fourier import VERIFICATION_DENSITY, oversampling_bound
 from ..trajectory.rest_to_rest import Motion, MotionSegment, PhaseProfile, SegmentKind
-from ..trajectory.trajectory_file import Trajectory
+from ..trajectory.trajectory_file import Trajectory, package_versions
 from . import constraint_margins, criteria
 from .constraint_margins import BoundedQuantity, MotionConstraints
-from .options import WorkspaceBox
-from .ramps import with_derived_limits
+from .options import DesignOptions, WorkspaceBox
+from .ramps import DEFAULT_SAMPLES, with_derived_limits
 
 RELATIVE_ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it [1]."""
@@ -318,17 +318,30 @@ def verify(
     Returns:
         The certificate; nothing is raised for a motion that fails.
     """
+    certificate = certify(
+        trajectory, robot, limits, cell, unchecked_reason=unchecked_reason, cell_fault=cell_fault
+    )
+    faults = _criteria_faults(trajectory, certificate.criteria)
+    return replace(certificate, faults=(*certificate.faults, *faults))
+
+
+def certify(
+    trajectory: Trajectory,
+    robot: Robot,
+    limits: Limits,
+    cell: Cell | None = None,
+    *,
+    unchecked_reason: str = NOT_CHECKED,
+    cell_fault: str | None = None,
+) -> Certificate:
+    """Compute the certificate of a trajectory; stated criteria are not compared; see `verify`."""
     truth = with_derived_limits(limits, trajectory.motion.fourier)
     constraints = motion_constraints(trajectory, robot, truth)
     margins = limit_margins(trajectory, constraints)
     clearance, collision, distances = _clearance(trajectory, cell, unchecked_reason, cell_fault)
     margins += [distance_margin(distance) for distance in distances[:MAX_LISTED_PAIRS]]
     scores = recompute_criteria(trajectory, robot, truth, constraints.parameters)
-    faults = (
-        *limit_faults(trajectory.limits, truth),
-        *_motion_faults(trajectory),
-        *_criteria_faults(trajectory, scores),
-    )
+    faults = (*limit_faults(trajectory.limits, truth), *_motion_faults(trajectory))
     ordered = tuple(sorted(margins, key=lambda margin: margin.free_share))
     terms = CertificateTerms(
         constraints.uncertainty,
@@ -339,6 +352,52 @@ def verify(
     return Certificate(
         ordered, scores, faults, clearance, collision, tuple(distances), robot.joints, terms
     )
+
+
+def certified_trajectory(
+    robot: Robot,
+    limits: Limits,
+    motion: Motion,
+    options: DesignOptions,
+    noise: FloatArray,
+    design: Mapping[str, Any],
+    cell: Cell | None,
+    unchecked_reason: str,
+) -> tuple[Trajectory, Certificate]:
+    """Return the content of the file of a new motion, and its certificate.
+
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        motion: The motion.
+        options: Options of its design.
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        design: Entries of the file's `design`, without the cell.
+        cell: Surroundings to keep clear of; None: distances are not checked.
+        unchecked_reason: Sentence that the file states where `cell` is None.
+    """
+    draft = Trajectory(
+        robot=robot.document(),
+        motion=motion,
+        rate=options.rate,
+        limits=with_derived_limits(limits, motion.fourier),
+        noise=noise,
+        design={**design, **({} if cell is None else {CELL_KEY: cell.document()})},
+        criteria={},
+        margins=[],
+        collision=unchecked_reason,
+        seed=options.seed,
+        versions=package_versions(),
+    )
+    certificate = certify(draft, robot, limits, cell, unchecked_reason=unchecked_reason)
+    trajectory = replace(
+        draft,
+        criteria=certificate.criteria,
+        margins=[margin.document() for margin in certificate.margins],
+        collision=certificate.collision,
+        forced=not certificate.ok,
+    )
+    return trajectory, certificate
 
 
 def motion_constraints(trajectory: Trajectory, robot: Robot, limits: Limits) -> MotionConstraints:
@@ -469,14 +528,17 @@ def segment_quantities(
         yield from _ramp_quantities(constraints, trajectory, segment)
 
 
+def _optimiser_samples(trajectory: Trajectory) -> int:
+    """Return the samples over one period at which limits were kept by the optimiser."""
+    return int(trajectory.design.get("samples", DEFAULT_SAMPLES))
+
+
 def _fourier_quantities(
     constraints: MotionConstraints, trajectory: Trajectory, segment: MotionSegment
 ) -> Iterator[tuple[FloatArray, BoundedQuantity]]:
     """Yield the bounded quantities of one period, derivatives by `oversampling_bound`."""
     fourier = trajectory.motion.fourier
-    count = VERIFICATION_DENSITY * max(
-        int(trajectory.design.get("samples", 100)), 8 * fourier.harmonics
-    )
+    count = VERIFICATION_DENSITY * max(_optimiser_samples(trajectory), 8 * fourier.harmonics)
     t = fourier.grid(count)
     factor = oversampling_bound(count, fourier.harmonics) - 1.0
     for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
@@ -503,8 +565,9 @@ def _ramp_quantities(
     """
     profile, duration = segment.profile, segment.end - segment.start
     assert profile is not None
-    samples = int(trajectory.design.get("samples", 100))
-    step = constraint_margins.ramp_step(trajectory.motion.fourier.period, samples, trajectory.rate)
+    step = constraint_margins.ramp_step(
+        trajectory.motion.fourier.period, _optimiser_samples(trajectory), trajectory.rate
+    )
     if isinstance(profile, PhaseProfile):
         for local, quantity in constraint_margins.phase_quantities(
             constraints, profile, duration, step

@@ -14,6 +14,7 @@ from enum import Enum
 
 import numpy as np
 
+from .._linear_algebra import triangle
 from .._types import FloatArray, IntArray
 from ..robot.base_parameters import Base
 
@@ -303,17 +304,12 @@ def _rows_of_all(
         # stack A of both parts, each scaled by the root of its share of the samples, and reduce it
         shares = np.sqrt(count / total), np.sqrt(len(Y) / total)
         rows = (
-            {n: _triangle(np.vstack([shares[0] * rows[n], shares[1] * here[n]])) for n in here}
+            {n: triangle(np.vstack([shares[0] * rows[n], shares[1] * here[n]])) for n in here}
             if rows
             else here
         )
         count = total
     return rows
-
-
-def _triangle(rows: FloatArray) -> FloatArray:
-    """Return R of the QR factorisation."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def select_criterion(criteria: Mapping[str, object], criterion: Criterion, *, plain: bool) -> float:

@@ -22,14 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from .._linear_algebra import triangle
 from .._types import FloatArray
 from .design_objective import ObjectiveGradient, SampledMotion
 from .effect_columns import EffectColumns, SymbolicEffect
+from .task_variance import PRIOR_STD
 
 INDEPENDENT_RATE = 40.0
 """Independent torque samples per second [Hz]: twice the 20 Hz band in which torque is compared."""
-PRIOR_STD = 1.0
-"""Prior standard deviation of the base parameters in the metric [1], as in `task_variance`."""
 RELATIVE_RANK = 1e-10
 """Eigenvalue of a Gram matrix over the largest one, below which a column adds nothing [1]."""
 COEFFICIENT_STD = 10.0
@@ -104,8 +104,8 @@ class WeightedRows:
     def compressed(self) -> WeightedRows:
         """Return the fewest rows with the same inner products of all columns."""
         p = self.base.shape[1]
-        triangle = np.asarray(np.linalg.qr(np.hstack([self.base, self.columns]), mode="r"))
-        return WeightedRows(triangle[:, :p], triangle[:, p:])
+        fewest = triangle(np.hstack([self.base, self.columns]))
+        return WeightedRows(fewest[:, :p], fewest[:, p:])
 
 
 @dataclass(frozen=True)

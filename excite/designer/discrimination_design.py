@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -163,7 +162,7 @@ class ExplanationSet:
                 "--discriminate and --optimise-period do not go together, as some effects depend "
                 "on the time; state --period"
             )
-        attempts = multistart.run_starts(problem, time.perf_counter(), range(options.starts))
+        attempts = multistart.run_starts(problem, range(options.starts))
         complete = [a for a in attempts if isinstance(a, Attempt)]
         if not complete:
             raise next(a for a in attempts if isinstance(a, ExciteError))

@@ -5,7 +5,7 @@ An evaluation takes one pass of the regressor, dense linear algebra, and one rev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -17,10 +17,16 @@ from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
 from .casadi_batch import MappedFunction, PaddedFunction
 from .constraint_margins import STAND
-from .design_objective import DesignObjective, SampledMotion
+from .design_objective import SampledMotion
 from .options import DesignOptions
 from .problem import DesignProblem
 from .stand_load import LOADS, load_function
+
+DERIVATIVES = ("velocity", "acceleration", "jerk")
+"""Kinds of limits of the derivatives of order 1 to 3."""
+
+BOX = "box"
+"""Name of the boxes among the kinds of constraints: three axes for each of them."""
 
 NEARLY_ACTIVE = 0.98
 """Constraint value from which a constraint is named as one that leaves no room [1]."""
@@ -35,7 +41,7 @@ class ConstraintRows:
     """Selected constraints g ≤ 1, each a quantity over its limit.
 
     Attributes:
-        kind: Index into `Evaluator.kinds`. Shape (m,).
+        kind: Index into the `kinds` of the evaluator. Shape (m,).
         sample: Index of the sample. Shape (m,).
         joint: Index of the joint, axis or pair of bodies. Shape (m,).
         sign: Sign of the quantity, 1 or −1. Shape (m,).
@@ -49,37 +55,11 @@ class ConstraintRows:
     def __len__(self) -> int:
         return len(self.kind)
 
-    def values_of(self, table: dict[str, FloatArray], kinds: Sequence[str]) -> FloatArray:
-        """Return the values of the selected constraints. Shape (m,).
-
-        Args:
-            table: Values of all constraints, by kind. Shape (signs, N, joints) each.
-            kinds: Names of the kinds, in the order of `kind`.
-        """
-        out = np.empty(len(self))
-        for number, kind in enumerate(kinds):
-            at = self.kind == number
-            out[at] = table[kind][(self.sign[at] < 0).astype(int), self.sample[at], self.joint[at]]
-        return out
-
-
-def selected_rows(mask: BoolArray, shapes: Sequence[tuple[int, int, int]]) -> ConstraintRows:
-    """Return the constraints that a flat mask selects.
-
-    Args:
-        mask: Mask of all constraints, kind after kind.
-        shapes: Shape of the values of each kind: signs, samples, joints.
-    """
-    kinds, samples, joints, signs, start = [], [], [], [], 0
-    for number, shape in enumerate(shapes):
-        size = int(np.prod(shape))
-        sign, sample, joint = np.unravel_index(np.flatnonzero(mask[start : start + size]), shape)
-        start += size
-        kinds.append(np.full(len(sign), number))
-        samples.append(sample)
-        joints.append(joint)
-        signs.append(1.0 - 2.0 * sign)
-    return ConstraintRows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
+    def subset(self, chosen: IntArray) -> ConstraintRows:
+        """Return some of the constraints. Shape of `chosen`: (k,)."""
+        return ConstraintRows(
+            self.kind[chosen], self.sample[chosen], self.joint[chosen], self.sign[chosen]
+        )
 
 
 class SearchProblem(Protocol):
@@ -91,45 +71,73 @@ class SearchProblem(Protocol):
         ...
 
     @property
-    def objective(self) -> DesignObjective | None:
-        """Objective in place of the criterion of the options, None for the criterion."""
+    def stopping_gain(self) -> float:
+        """Decrease of the objective over ten iterations below which a search ends."""
         ...
 
 
-class ConstrainedObjective(Protocol):
+class ConstrainedObjective(ABC):
     """Objective and constraints of a motion, with exact derivatives, as `sqp` needs them.
 
-    The methods are those of `Evaluator`.
+    Attributes:
+        problem: The problem that is evaluated.
+        kinds: Names of the kinds of constraints that it has.
     """
 
-    @property
-    def problem(self) -> SearchProblem:
-        """The problem that is evaluated."""
-        ...
+    problem: SearchProblem
+    kinds: tuple[str, ...]
 
+    @abstractmethod
     def objective(self, x: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-        """Return the objective to be minimised, and its gradient."""
-        ...
+        """Evaluate the objective to be minimised, and its exact gradient.
+
+        Args:
+            x: Variables. Shape (size,).
+            sharpness: Sharpness of the smoothed extreme eigenvalues [1].
+
+        Returns:
+            The objective, and its gradient. Shape (size,).
+        """
+
+    @abstractmethod
+    def constraint_values(self, x: FloatArray) -> dict[str, FloatArray]:
+        """Return the values of all constraints; the motion is feasible where they are at most 1.
+
+        Returns:
+            For each of `kinds`, in their order, an array of shape (signs, samples, joints).
+        """
+
+    @abstractmethod
+    def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
+        """Return the exact Jacobian of selected constraints. Shape (m, size)."""
 
     def max_constraint_value(self, x: FloatArray) -> float:
-        """Return the largest value of all constraints, at most 1 where the motion is feasible."""
-        ...
+        """Return the largest value of all constraints; at most 1 where the samples are feasible."""
+        return max(float(values.max()) for values in self.constraint_values(x).values())
 
     def rows_above(self, x: FloatArray, threshold: float) -> BoolArray:
-        """Return the flat mask of the constraints above a threshold."""
-        ...
+        """Return the flat mask of the constraints above a threshold, in the order of `kinds`."""
+        return np.concatenate(
+            [(values > threshold).ravel() for values in self.constraint_values(x).values()]
+        )
 
-    def rows(self, mask: BoolArray) -> ConstraintRows:
+    def rows(self, x: FloatArray, mask: BoolArray) -> ConstraintRows:
         """Return the constraints that a flat mask selects."""
-        ...
+        parts, start = [], 0
+        for number, values in enumerate(self.constraint_values(x).values()):
+            chosen = np.flatnonzero(mask[start : start + values.size])
+            start += values.size
+            sign, sample, joint = np.unravel_index(chosen, values.shape)
+            parts.append((np.full(len(chosen), number), sample, joint, 1.0 - 2.0 * sign))
+        return ConstraintRows(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
-        """Return the values of selected constraints."""
-        ...
-
-    def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
-        """Return the Jacobian of selected constraints."""
-        ...
+        """Return the values of selected constraints. Shape (m,)."""
+        out = np.empty(len(rows))
+        for number, values in enumerate(self.constraint_values(x).values()):
+            at = rows.kind == number
+            out[at] = values[(rows.sign[at] < 0).astype(int), rows.sample[at], rows.joint[at]]
+        return out
 
 
 @dataclass
@@ -144,7 +152,7 @@ class _Point:
     clearances: ClearanceEvaluation | None = None
 
 
-class Evaluator:
+class Evaluator(ConstrainedObjective):
     """Evaluate a design problem; the results of the last variables are kept.
 
     Attributes:
@@ -152,6 +160,8 @@ class Evaluator:
         bases: Factors of the coefficients at the samples, for derivatives of order 0 to 3.
         kinds: Names of the kinds of constraints that this problem has.
     """
+
+    problem: DesignProblem
 
     def __init__(self, problem: DesignProblem) -> None:
         self.problem = problem
@@ -165,13 +175,7 @@ class Evaluator:
         self._frames = [
             casadi_model.frame_position(problem.robot, box.frame) for box in problem.boxes
         ]
-        # Coulomb friction jumps between two samples wherever the velocity changes its sign. It is
-        # therefore assumed to act against the actuator at all times: it is left out of the nominal
-        # torque and subtracted from the limit.
-        friction = problem.parameters.coulomb()
-        self._torque_bound = np.maximum(
-            problem.limits.torque - friction, 1e-3 * problem.limits.torque
-        )
+        self._torque_bound = without_friction(problem.limits.torque, problem.parameters)
         self._nominal = _without_coulomb(problem.parameters)
         self._inverse_metric = problem.parameters.scale @ problem.parameters.scale.T
         self._point: _Point | None = None
@@ -181,14 +185,13 @@ class Evaluator:
         """Return the kinds of constraints that the problem has."""
         limits = self.problem.limits
         kinds = [
-            k
-            for k in ("position", "velocity", "acceleration", "jerk", "torque")
-            if np.isfinite(getattr(limits, k)).any()
+            k for k in ("position", *DERIVATIVES, "torque") if np.isfinite(getattr(limits, k)).any()
         ]
         kinds += ["braking"] * any(b is not None for b in limits.braking)
         kinds += [STAND] * (limits.stand is not None)
         kinds += ["clearance"] * (self.problem.clearance is not None)
-        return (*kinds, *(f"box{i}" for i in range(len(self._frames))))
+        kinds += [BOX] * bool(self.problem.boxes)
+        return tuple(kinds)
 
     def _stretch(self, x: FloatArray, order: int) -> float:
         """Return the factor on the columns of a and b, as derivatives scale with T^(1−order)."""
@@ -220,15 +223,7 @@ class Evaluator:
         return point.Y
 
     def objective(self, x: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-        """Evaluate the objective to be minimised, and its exact gradient.
-
-        Args:
-            x: Variables. Shape (size,).
-            sharpness: Sharpness of the smoothed extreme eigenvalues [1].
-
-        Returns:
-            The objective, and its gradient. Shape (size,).
-        """
+        """Evaluate the objective and its gradient; see `ConstrainedObjective`."""
         point, problem = self._at(x), self.problem
         Y, weights = self._regressor_at(point), problem.weighting
         if problem.objective is not None:
@@ -292,8 +287,8 @@ class Evaluator:
         """Return the values of all constraints; the motion is feasible where they are at most 1.
 
         Returns:
-            For each kind an array of shape (2, N, n), first for the sign +, then −; (2, N, 3) for
-            boxes, (1, N, 2) for the load on the stand and (1, N, pairs) for the clearance.
+            For each kind an array of shape (2, N, n), first for the sign +, then −; (2, N, 3B) for
+            B boxes, (1, N, 2) for the load on the stand and (1, N, pairs) for the clearance.
         """
         point = self._at(x)
         if not point.constraint_values:
@@ -317,26 +312,37 @@ class Evaluator:
 
     def _values(self, point: _Point, kind: str) -> FloatArray:
         """Return the values of the constraints of one kind."""
-        limits = self.problem.limits
-        q, dq, ddq, dddq = point.motion
-        if kind == "position":
-            return centred(q, limits.position[:, 0], limits.position[:, 1])
-        if kind in ("velocity", "acceleration", "jerk"):
-            ratio = {"velocity": dq, "acceleration": ddq, "jerk": dddq}[kind] / getattr(
-                limits, kind
-            )
+        limits, q = self.problem.limits, point.motion[0]
+        if kind in ("position", BOX):
+            values = q if kind == "position" else self._frame_positions(q)
+            return centred(values, *self._range(kind))
+        if kind in DERIVATIVES:
+            ratio = point.motion[1 + DERIVATIVES.index(kind)] / getattr(limits, kind)
             return np.stack([ratio, -ratio])
         if kind == "torque":
             nominal, width = self._band(point)
             return np.stack([nominal + width, width - nominal]) / self._torque_bound
         if kind == "braking":
-            return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
-        if kind in (STAND, "clearance"):
-            return self._one_sided(point, kind)[None]
-        index = int(kind[3:])
-        box = self.problem.boxes[index]
-        centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
-        return centred(centre, np.array(box.lower), np.array(box.upper))
+            return np.stack([self._braking(q, point.motion[1], sign)[0] for sign in (1.0, -1.0)])
+        if kind == STAND:
+            return self._stand_loads(*point.motion[:3])[0][None]
+        return self._clearances(point).constraint_values()[None]
+
+    def _range(self, kind: str) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper bounds of the positions of joints, or of the frames in boxes."""
+        if kind == "position":
+            return self.problem.limits.position[:, 0], self.problem.limits.position[:, 1]
+        corners = np.array([(box.lower, box.upper) for box in self.problem.boxes])
+        return corners[:, 0].ravel(), corners[:, 1].ravel()
+
+    def _frame_positions(self, q: FloatArray) -> FloatArray:
+        """Return the positions of the frames that have boxes. Shape (N, 3B) [m]."""
+        return np.hstack([np.asarray(frame.map(len(q))(q.T)[0]).T for frame in self._frames])
+
+    def _frame_jacobians(self, q: FloatArray) -> FloatArray:
+        """Return their Jacobians. Shape (3B, N, n)."""
+        parts = [np.asarray(frame.map(len(q))(q.T)[1]) for frame in self._frames]
+        return np.vstack(parts).reshape(-1, *q.shape)
 
     def _band(self, point: _Point) -> tuple[FloatArray, FloatArray]:
         """Return nominal torque and half width of its band over all uncertain robots."""
@@ -351,22 +357,6 @@ class Evaluator:
                 )
             point.spread = nominal, width
         return point.spread[0], self.problem.options.uncertainty * point.spread[1]
-
-    def _one_sided(self, point: _Point, kind: str) -> FloatArray:
-        """Return the values of constraints without sign: loads on the stand, clearances."""
-        if kind == STAND:
-            return self._stand_loads(*point.motion[:3])[0]
-        return self._clearances(point).constraint_values()
-
-    def _one_sided_slopes(
-        self, point: _Point, kind: str, sample: IntArray, joint: IntArray
-    ) -> list[tuple[int, FloatArray]]:
-        """Return the slopes of constraints without sign, see `_slopes`."""
-        if kind == "clearance":
-            return [(0, self._clearances(point).gradients(sample, joint))]
-        q, dq, ddq = (array[sample] for array in point.motion[:3])
-        _, gradients = self._stand_loads(q, dq, ddq)
-        return [(k, g[np.arange(len(sample)), joint]) for k, g in enumerate(gradients)]
 
     def _stand_loads(
         self, q: FloatArray, dq: FloatArray, ddq: FloatArray
@@ -403,10 +393,6 @@ class Evaluator:
             by_q[:, j], by_dq[:, j] = sign / half, 2.0 * sign * over / brake.rate / half
         return value, by_q, by_dq
 
-    def max_constraint_value(self, x: FloatArray) -> float:
-        """Return the largest value of all constraints; at most 1 where the samples are feasible."""
-        return max(float(values.max()) for values in self.constraint_values(x).values())
-
     def active_constraints(self, x: FloatArray, count: int = 2) -> list[str]:
         """Name the constraints that are violated or all but active, the worst first.
 
@@ -431,8 +417,8 @@ class Evaluator:
         if kind == "clearance":
             assert problem.clearance is not None
             return f"the clearance of {problem.clearance.names[index]}"
-        if kind.startswith("box"):
-            return f"the box of '{problem.boxes[int(kind[3:])].frame}'"
+        if kind == BOX:
+            return f"the box of '{problem.boxes[index // 3].frame}'"
         return f"the {kind} limit of '{problem.robot.joints[index]}'"
 
     def unexcited_parameters(self, x: FloatArray, count: int = 3) -> list[str]:
@@ -453,29 +439,6 @@ class Evaluator:
         order = np.argsort(-share)
         names = self.problem.parameters.names
         return [names[i] for i in order[:count]]
-
-    def rows_above(self, x: FloatArray, threshold: float) -> BoolArray:
-        """Return the flat mask of the constraints above a threshold, in the order of `kinds`."""
-        return np.concatenate(
-            [(values > threshold).ravel() for values in self.constraint_values(x).values()]
-        )
-
-    def rows(self, mask: BoolArray) -> ConstraintRows:
-        """Return the constraints that a flat mask selects."""
-        return selected_rows(mask, [self._shape(kind) for kind in self.kinds])
-
-    def _shape(self, kind: str) -> tuple[int, int, int]:
-        """Return the shape of the values of one kind."""
-        p = self.problem
-        if p.clearance is not None and kind == "clearance":
-            return 1, p.options.samples, len(p.clearance)
-        if kind == STAND:
-            return 1, p.options.samples, len(LOADS)
-        return 2, p.options.samples, 3 if kind.startswith("box") else p.robot.n
-
-    def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
-        """Return the values of selected constraints. Shape (m,)."""
-        return rows.values_of(self.constraint_values(x), self.kinds)
 
     def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
         """Return the exact Jacobian of selected constraints. Shape (m, size)."""
@@ -512,16 +475,16 @@ class Evaluator:
     ) -> list[tuple[int, FloatArray]]:
         """Return (order, slope by the motion array of that order) of constraints of one kind."""
         limits = self.problem.limits
-        if kind == "position":
-            half = 0.5 * (limits.position[:, 1] - limits.position[:, 0])
-            return [(0, sign / half[joint])]
-        if kind in ("velocity", "acceleration", "jerk"):
-            return [
-                (
-                    ("velocity", "acceleration", "jerk").index(kind) + 1,
-                    sign / getattr(limits, kind)[joint],
-                )
-            ]
+        each = np.arange(len(sample))
+        if kind in ("position", BOX):
+            lower, upper = self._range(kind)
+            slope = sign / (0.5 * (upper - lower))[joint]
+            if kind == BOX:
+                jacobian = self._frame_jacobians(point.motion[0][sample])
+                slope = slope[:, None] * jacobian[joint, each]
+            return [(0, slope)]
+        if kind in DERIVATIVES:
+            return [(1 + DERIVATIVES.index(kind), sign / getattr(limits, kind)[joint])]
         if kind == "torque":
             return self._torque_slopes(point, sample, joint, sign)
         if kind == "braking":
@@ -531,14 +494,10 @@ class Evaluator:
                 (order, np.stack([b[order + 1] for b in both])[pick, sample, joint])
                 for order in (0, 1)
             ]
-        if kind in (STAND, "clearance"):
-            return self._one_sided_slopes(point, kind, sample, joint)
-        index = int(kind[3:])
-        box = self.problem.boxes[index]
-        half = 0.5 * (np.array(box.upper) - np.array(box.lower))
-        jacobian = np.asarray(self._frames[index].map(len(sample))(point.motion[0][sample].T)[1])
-        blocks = jacobian.reshape(3, len(sample), -1)[joint, np.arange(len(sample))]
-        return [(0, (sign / half[joint])[:, None] * blocks)]
+        if kind == STAND:
+            _, gradients = self._stand_loads(*(array[sample] for array in point.motion[:3]))
+            return [(order, gradient[each, joint]) for order, gradient in enumerate(gradients)]
+        return [(0, self._clearances(point).gradients(sample, joint))]
 
     def _torque_slopes(
         self, point: _Point, sample: IntArray, joint: IntArray, sign: FloatArray
@@ -562,6 +521,16 @@ class Evaluator:
         pick = np.zeros((len(sample), n))
         pick[np.arange(len(sample)), joint] = 1.0 / self._torque_bound[joint]
         return list(enumerate(self._row(q[sample], dq[sample], ddq[sample], weight, pick)))
+
+
+def without_friction(torque: FloatArray, parameters: Parameters) -> FloatArray:
+    """Return torque limits less Coulomb friction. Shape (n,) [N m].
+
+    Coulomb friction jumps between two samples wherever the velocity changes its sign. It is
+    therefore assumed to act against the actuator at all times: it is left out of the nominal torque
+    and subtracted from the limit, of which a thousandth remains.
+    """
+    return np.maximum(torque - parameters.coulomb(), 1e-3 * torque)
 
 
 def _without_coulomb(parameters: Parameters) -> FloatArray:

@@ -99,7 +99,6 @@ class _Bench:
     limits: Limits
     objective: SeparationObjective
     reference: FourierSeries
-    designed: FourierSeries
 
     def rows(
         self,
@@ -179,48 +178,36 @@ def _with_load(bench: _Bench) -> Experiment:
     return Experiment("repeat with a load at the flange", seconds, None, "torque limits")
 
 
-def _faster(bench: _Bench) -> Experiment:
-    """Repeat the reference motion faster, where the limits allow it."""
-    name, reference = f"repeat at {FASTER:g} times the speed", bench.reference
-    quick = FourierSeries(
-        FASTER * reference.sine,
-        FASTER * reference.cosine,
-        reference.offset,
-        reference.period / FASTER,
+def _repeat(bench: _Bench, name: str, motion: FourierSeries) -> Experiment:
+    """Repeat the reference motion in a changed form, where all limits of the design allow it."""
+    problem, options = bench.problem, bench.problem.options
+    played = dataclasses.replace(
+        problem, options=dataclasses.replace(options, period=motion.period)
     )
-    limits, seconds = bench.limits, bench.duration / FASTER
-    for order, kind in ((1, "velocity"), (2, "acceleration"), (3, "jerk")):
-        over = quick.peak(order) / getattr(limits, kind)
-        if over.max() > 1.0:
-            joint = bench.problem.robot.joints[int(np.argmax(over))]
-            return Experiment(name, seconds, None, f"{kind} limit of {joint}")
-    torque = np.abs(bench.sampled(quick).regressor @ bench.objective.effects.constants.psi)
-    over = torque.max(axis=0) / limits.torque
-    if over.max() > 1.0:
-        joint = bench.problem.robot.joints[int(np.argmax(over))]
-        return Experiment(name, seconds, None, f"torque limit of {joint}")
-    return Experiment(name, seconds, bench.log_odds(bench.rows(quick)))
+    evaluator, x = Evaluator(played), played.variables(motion)
+    seconds = options.periods * motion.period
+    if evaluator.max_constraint_value(x) > MAX_FEASIBLE_ROW_VALUE:
+        return Experiment(name, seconds, None, " and ".join(evaluator.active_constraints(x, 1)))
+    return Experiment(name, seconds, bench.log_odds(bench.rows(motion)))
 
 
 def _other_pose(bench: _Bench) -> Experiment:
     """Repeat the reference motion about another mean position of joint 1."""
-    joint = bench.problem.robot.joints[0]
-    is_sliding = bench.problem.robot.entries[0].kind == "prismatic"
+    robot = bench.problem.robot
     low, high = bench.limits.position[0]
     reach = float(high - low) if np.isfinite(high - low) else 2.0 * np.pi
-    evaluator = Evaluator(bench.problem)
     for share in POSE_SHARES:
-        offset = bench.reference.offset.copy()
-        offset[0] += share * reach
-        moved = dataclasses.replace(bench.reference, offset=offset)
-        if evaluator.max_constraint_value(bench.problem.variables(moved)) > MAX_FEASIBLE_ROW_VALUE:
-            continue
         shift = share * reach
+        offset = bench.reference.offset.copy()
+        offset[0] += shift
+        is_sliding = robot.entries[0].kind == "prismatic"
         size = f"{shift:.2g} m" if is_sliding else f"{np.degrees(shift):.0f}°"
-        name = f"repeat with {joint} shifted by {size.replace('-', '−')}"
-        return Experiment(name, bench.duration, bench.log_odds(bench.rows(moved)))
-    name = f"repeat in another pose of {joint}"
-    return Experiment(name, bench.duration, None, f"limits or clearances of {joint}")
+        name = f"repeat with {robot.joints[0]} shifted by {size.replace('-', '−')}"
+        experiment = _repeat(bench, name, dataclasses.replace(bench.reference, offset=offset))
+        if not experiment.obstacle:
+            return experiment
+    name = f"repeat in another pose of {robot.joints[0]}"
+    return dataclasses.replace(experiment, name=name)
 
 
 def compute_menu(
@@ -242,17 +229,11 @@ def compute_menu(
     Returns:
         The experiments, the designed motion first.
     """
-    bench = _Bench(problem, limits.reduced(), objective, reference, designed)
+    bench = _Bench(problem, limits.reduced(), objective, reference)
     settings = objective.settings
-    slow = reference.slowed(SLOWER)
     simple: list[tuple[str, float, Callable[[], WeightedRows]]] = [
         ("this motion", settings.periods * designed.period, lambda: bench.rows(designed)),
         ("repeat the D-optimal motion", bench.duration, lambda: bench.rows(reference)),
-        (
-            f"repeat it at {SLOWER:g} times the speed",
-            bench.duration / SLOWER,
-            lambda: bench.rows(slow),
-        ),
         (
             f"record it {LONGER} times as long",
             LONGER * bench.duration,
@@ -267,5 +248,12 @@ def compute_menu(
             lambda: bench.rows(reference, settings=dataclasses.replace(settings, run_time=WARM_UP)),
         ),
     ]
-    out = [Experiment(name, time, bench.log_odds(rows())) for name, time, rows in simple]
-    return (*out, _faster(bench), _other_pose(bench), _with_load(bench))
+    return (
+        *(Experiment(name, time, bench.log_odds(rows())) for name, time, rows in simple),
+        *(
+            _repeat(bench, f"repeat at {speed:g} times the speed", reference.slowed(speed))
+            for speed in (SLOWER, FASTER)
+        ),
+        _other_pose(bench),
+        _with_load(bench),
+    )

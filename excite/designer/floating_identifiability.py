@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .._linear_algebra import triangle
 from .._types import FloatArray
 from ..robot import floating_base
 from ..robot.base_parameters import Base
@@ -40,19 +41,6 @@ class RowNoise:
         """Return the standard deviation of each row. Shape (r,)."""
         both = np.concatenate([[self.force] * 3, [self.moment] * 3, self.torque])
         return np.asarray(both[rows.selection(len(self.torque))])
-
-
-@dataclass(frozen=True)
-class NamedFloatingRows:
-    """Names of the rows of a floating-base robot, for a result.
-
-    Attributes:
-        name: Name of the robot.
-        joints: Names of the rows.
-    """
-
-    name: str
-    joints: tuple[str, ...]
 
 
 def assumed_noise(
@@ -96,11 +84,21 @@ def information_root(
     Returns:
         Shape (≤ P, P).
     """
-    root = np.zeros((0, parameters.count))
-    for Y in floating_base.regressor_blocks(robot, parameters, motion, rows):
-        block = identifiability.regressor_root(Y, noise.of(rows))
-        root = np.asarray(np.linalg.qr(np.vstack([root, block]), mode="r"))
-    return root
+    blocks = floating_base.regressor_blocks(robot, parameters, motion, rows)
+    return identifiability.root_of_blocks(blocks, noise.of(rows), parameters.count)
+
+
+def added_root(
+    root: FloatArray,
+    robot: FloatingRobot,
+    parameters: Parameters,
+    motion: FloatingMotion,
+    noise: RowNoise,
+    rows: Rows,
+) -> FloatArray:
+    """Return a root of information to which that of a motion is added; see `information_root`."""
+    added = information_root(robot, parameters, motion, noise, rows)
+    return triangle(np.vstack([root, added]))
 
 
 def analyse(
@@ -126,7 +124,7 @@ def analyse(
         threshold: Largest scale-free variance of an identifiable direction [1].
         samples: Number of samples of the motion, for the record.
     """
-    named = NamedFloatingRows(robot.name, robot.row_names[rows.selection(robot.n)])
-    return identifiability.analyse_root(
-        parameters, base, root, noise.of(rows), named, threshold=threshold, samples=samples
+    analysis = identifiability.analyse_root(
+        parameters, base, root, noise.of(rows), robot, threshold=threshold, samples=samples
     )
+    return replace(analysis, joint_names=robot.row_names[rows.selection(robot.n)])

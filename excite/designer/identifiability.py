@@ -7,12 +7,13 @@ variance of its direction. A direction is practically identifiable when 1/λ is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
+from .._linear_algebra import triangle
 from .._types import BoolArray, FloatArray
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
@@ -119,7 +120,7 @@ class Identifiability:
         base_parameters: Base parameters with their Cramér–Rao bounds.
         links: Identifiable shares of the inertial parameters of each link.
         joints: Identifiable shares of the actuator parameters of each joint.
-        joint_names: Names of the joints.
+        joint_names: Names of the joints; with a floating base, of the rows.
         noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
         samples: Number of samples of the recording, None where unknown.
     """
@@ -184,11 +185,6 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _triangle(rows: FloatArray) -> FloatArray:
-    """Return R of the QR factorisation."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
-
-
 def regressor_root(Y: FloatArray, noise: FloatArray) -> FloatArray:
     """Return R with RᵀR = Σₜ Yᵀ Σ⁻¹ Y.
 
@@ -201,7 +197,7 @@ def regressor_root(Y: FloatArray, noise: FloatArray) -> FloatArray:
     Returns:
         The root R. Shape (≤ P, P).
     """
-    return _triangle((Y / noise[:, None]).reshape(-1, Y.shape[2]))
+    return triangle((Y / noise[:, None]).reshape(-1, Y.shape[2]))
 
 
 def information_root(
@@ -218,13 +214,28 @@ def information_root(
     Returns:
         R with RᵀR = Σₜ Yᵀ Σ⁻¹ Y. Shape (≤ P, P).
     """
-    root = np.zeros((0, parameters.count))
-    for start in range(0, len(samples), SAMPLES_PER_BLOCK):
-        block = regressor_root(
-            regressor(robot, parameters, samples.rows(slice(start, start + SAMPLES_PER_BLOCK))),
-            noise,
-        )
-        root = _triangle(np.vstack([root, block]))
+    parts = (
+        samples.rows(slice(start, start + SAMPLES_PER_BLOCK))
+        for start in range(0, len(samples), SAMPLES_PER_BLOCK)
+    )
+    blocks = (regressor(robot, parameters, part) for part in parts)
+    return root_of_blocks(blocks, noise, parameters.count)
+
+
+def root_of_blocks(blocks: Iterable[FloatArray], noise: FloatArray, count: int) -> FloatArray:
+    """Return the root R of the information of consecutive samples, computed block by block.
+
+    Args:
+        blocks: Regressor Y of each block. Shape (N, n, P).
+        noise: Standard deviation of each row of a sample. Shape (n,).
+        count: Number P of parameters.
+
+    Returns:
+        R with RᵀR = Σₜ Yᵀ Σ⁻¹ Y. Shape (≤ P, P).
+    """
+    root = np.zeros((0, count))
+    for Y in blocks:
+        root = triangle(np.vstack([root, regressor_root(Y, noise)]))
     return root
 
 
@@ -251,62 +262,6 @@ def analyse_root(
         samples: Number of samples of the recording, for the record.
     """
     values, vectors = eigenvalues_and_directions(root, base)
-    return _describe(
-        _Eigensystem(parameters, base, values, vectors), robot, noise, threshold, samples
-    )
-
-
-def eigenvalues_and_directions(root: FloatArray, base: Base) -> tuple[FloatArray, FloatArray]:
-    """Return eigenvalues and directions of the scaled information.
-
-    Args:
-        root: Root of the information. Shape (m, P).
-        base: Base parameters.
-
-    Returns:
-        Descending eigenvalues λ of I·H₀⁻¹, shape (p,), and their directions as columns in the
-        coordinates of `base.geometric`, shape (p, p).
-    """
-    _, singular, right = np.linalg.svd(_triangle(root @ base.geometric), full_matrices=True)
-    values = np.zeros(base.count)
-    floor = (
-        base.count * np.finfo(float).eps * max(float(singular[0]), 0.0) if len(singular) else 0.0
-    )
-    values[: len(singular)] = np.where(singular > floor, singular, 0.0) ** 2
-    return values, right.T
-
-
-@dataclass(frozen=True)
-class _Eigensystem:
-    """Eigenvalues with their directions.
-
-    Attributes:
-        parameters: Standard parameters.
-        base: Base parameters.
-        values: Descending eigenvalues. Shape (p,).
-        vectors: Directions as columns in the coordinates of `base.geometric`. Shape (p, p).
-    """
-
-    parameters: Parameters
-    base: Base
-    values: FloatArray
-    vectors: FloatArray
-
-
-def _describe(
-    eigensystem: _Eigensystem,
-    robot: NamedRows,
-    noise: FloatArray,
-    threshold: float,
-    samples: int | None,
-) -> Identifiability:
-    """Decide which directions are identifiable, name them, and derive parameters and shares."""
-    parameters, base, values, vectors = (
-        eigensystem.parameters,
-        eigensystem.base,
-        eigensystem.values,
-        eigensystem.vectors,
-    )
     with np.errstate(divide="ignore"):
         variances = 1.0 / values
     identifiable_mask = is_identifiable(values, threshold)
@@ -337,6 +292,39 @@ def _describe(
         noise=np.asarray(noise, float),
         samples=samples,
     )
+
+
+def identifiable_count(
+    root: FloatArray, base: Base, threshold: float = IDENTIFIABLE_VARIANCE
+) -> int:
+    """Return the number of practically identifiable directions.
+
+    Args:
+        root: Root of the information. Shape (m, P).
+        base: Base parameters.
+        threshold: Largest scale-free variance of an identifiable direction [1].
+    """
+    return int(is_identifiable(eigenvalues_and_directions(root, base)[0], threshold).sum())
+
+
+def eigenvalues_and_directions(root: FloatArray, base: Base) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues and directions of the scaled information.
+
+    Args:
+        root: Root of the information. Shape (m, P).
+        base: Base parameters.
+
+    Returns:
+        Descending eigenvalues λ of I·H₀⁻¹, shape (p,), and their directions as columns in the
+        coordinates of `base.geometric`, shape (p, p).
+    """
+    _, singular, right = np.linalg.svd(triangle(root @ base.geometric), full_matrices=True)
+    values = np.zeros(base.count)
+    floor = (
+        base.count * np.finfo(float).eps * max(float(singular[0]), 0.0) if len(singular) else 0.0
+    )
+    values[: len(singular)] = np.where(singular > floor, singular, 0.0) ** 2
+    return values, right.T
 
 
 def _base_parameters(

@@ -14,7 +14,7 @@ from .._types import FloatArray
 from ..collision.clearance_constraint import ClearanceConstraint
 from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import ranges
-from .evaluator import ConstraintRows, Evaluator
+from .evaluator import BOX, ConstraintRows, Evaluator
 from .problem import DesignProblem
 
 COMFORTABLE_ROW_VALUE = 0.95
@@ -65,49 +65,36 @@ def stationary_variables(problem: DesignProblem, pose: FloatArray) -> FloatArray
     return x
 
 
-class _StaticPoses:
-    """Constraint values of static poses, many at a time.
+def _max_values(evaluator: Evaluator, poses: FloatArray) -> FloatArray:
+    """Return the largest constraint value of each pose at rest. Shape (N,).
 
-    The samples of an evaluator stand for poses.
+    Args:
+        evaluator: Evaluator of the design problem.
+        poses: As many poses as the problem has samples. Shape (N, n).
     """
+    return np.max(
+        [
+            _scale_slack(kind, values).max(axis=(0, 2))
+            for kind, values in evaluator.static_constraint_values(poses).items()
+        ],
+        axis=0,
+    )
 
-    def __init__(self, evaluator: Evaluator) -> None:
-        """Store the evaluator."""
-        self.evaluator = evaluator
 
-    def max_values(self, poses: FloatArray) -> FloatArray:
-        """Return the largest constraint value of each pose. Shape (N,)."""
-        return np.max(
-            [
-                _scale_slack(kind, values).max(axis=(0, 2))
-                for kind, values in self.evaluator.static_constraint_values(poses).items()
-            ],
-            axis=0,
-        )
+def _relative_max_values(evaluator: Evaluator, poses: FloatArray) -> FloatArray:
+    """Return the largest constraint value of each pose, by what each constraint can reach.
 
-    def relative_max_values(self, poses: FloatArray) -> FloatArray:
-        """Return the largest constraint value of each pose, by what each constraint can reach.
-
-        Bodies that are close by construction leave little slack at all poses, and a constant
-        constraint the same at all; both would outweigh all others. Shape (N,).
-        """
-        worst = np.full(len(poses), -np.inf)
-        for kind, values in self.evaluator.static_constraint_values(poses).items():
-            scaled = _scale_slack(kind, values)
-            reached = np.quantile(1.0 - scaled, 0.9, axis=1, keepdims=True)
-            tight = (scaled < 1.0) & (reached < USUAL_SLACK) & (reached > 0.0)
-            relative = 1.0 - USUAL_SLACK * (1.0 - scaled) / np.where(reached > 0.0, reached, 1.0)
-            worst = np.maximum(worst, np.where(tight, relative, scaled).max(axis=(0, 2)))
-        return worst
-
-    def active_constraint(self, pose: FloatArray) -> tuple[str, int, float]:
-        """Return kind, joint and value of the largest constraint value at one pose."""
-        table = self.evaluator.static_constraint_values(
-            np.tile(pose, (self.evaluator.problem.options.samples, 1))
-        )
-        kind = max(table, key=lambda k: float(table[k][:, 0].max()))
-        joint = int(np.argmax(table[kind][:, 0].max(axis=0)))
-        return kind, joint, float(table[kind][:, 0].max())
+    Bodies that are close by construction leave little slack at all poses, and a constant constraint
+    the same at all; both would outweigh all others. Shape (N,).
+    """
+    worst = np.full(len(poses), -np.inf)
+    for kind, values in evaluator.static_constraint_values(poses).items():
+        scaled = _scale_slack(kind, values)
+        reached = np.quantile(1.0 - scaled, 0.9, axis=1, keepdims=True)
+        tight = (scaled < 1.0) & (reached < USUAL_SLACK) & (reached > 0.0)
+        relative = 1.0 - USUAL_SLACK * (1.0 - scaled) / np.where(reached > 0.0, reached, 1.0)
+        worst = np.maximum(worst, np.where(tight, relative, scaled).max(axis=(0, 2)))
+    return worst
 
 
 def _scale_slack(kind: str, values: FloatArray) -> FloatArray:
@@ -139,7 +126,6 @@ def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int
     problem = evaluator.problem
     limits, count = problem.limits, problem.options.samples
     lower, upper = ranges(limits).T
-    static = _StaticPoses(evaluator)
     feasible: list[FloatArray] = []
     for attempt in range(tries):
         # the first batch stays in the middle of the ranges, where motions can be large
@@ -150,17 +136,17 @@ def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int
             candidates = reachable_along_lines(
                 problem.clearance, problem.start_pose, candidates, rng
             )
-        worst = static.max_values(candidates)
+        worst = _max_values(evaluator, candidates)
         good = worst < COMFORTABLE_ROW_VALUE
         if good.any():
             order = np.argsort(worst[good])
             return np.asarray(candidates[good][order])
-        relative = static.relative_max_values(candidates)
+        relative = _relative_max_values(evaluator, candidates)
         good = relative < COMFORTABLE_ROW_VALUE
         feasible += list(candidates[good][np.argsort(relative[good])])
     if feasible:
         return np.array(feasible)
-    return _improved(evaluator, static, candidates[np.argsort(worst)[:8]])
+    return _improved(evaluator, candidates[np.argsort(worst)[:8]])
 
 
 def reachable_along_lines(
@@ -193,21 +179,24 @@ def reachable_along_lines(
     )
 
 
-def _improved(evaluator: Evaluator, static: _StaticPoses, candidates: FloatArray) -> FloatArray:
+def _improved(evaluator: Evaluator, candidates: FloatArray) -> FloatArray:
     """Improve poses by minimising their largest constraint value; return the best. Shape (1, n)."""
     best, best_value = candidates[0], np.inf
     for pose in candidates:
         improved = _minimise_largest(evaluator, pose)
-        value = float(
-            static.max_values(np.tile(improved, (evaluator.problem.options.samples, 1)))[0]
-        )
+        value = float(_max_values(evaluator, _repeated(evaluator, improved))[0])
         if value < best_value:
             best, best_value = improved, value
         if best_value < COMFORTABLE_ROW_VALUE:
             break
     if best_value >= 1.0 - 1e-3:
-        _raise_infeasible(evaluator.problem, static, best)
+        _raise_infeasible(evaluator, best)
     return best[None, :]
+
+
+def _repeated(evaluator: Evaluator, pose: FloatArray) -> FloatArray:
+    """Return a pose at all samples. Shape (N, n)."""
+    return np.tile(pose, (evaluator.problem.options.samples, 1))
 
 
 def _minimise_largest(evaluator: Evaluator, pose: FloatArray) -> FloatArray:
@@ -225,7 +214,7 @@ def _minimise_largest(evaluator: Evaluator, pose: FloatArray) -> FloatArray:
 
     def rows_at(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         x = stationary_variables(problem, z[:n])
-        rows: ConstraintRows = evaluator.rows(evaluator.rows_above(x, -np.inf))
+        rows: ConstraintRows = evaluator.rows(x, evaluator.rows_above(x, -np.inf))
         values = evaluator.row_values(x, rows)
         keep = np.isfinite(values) & (rows.kind != position)
         slopes = evaluator.row_gradients(x, rows)[:, columns] / problem.scale[:, -1]
@@ -255,10 +244,13 @@ def _inner_range(position: FloatArray) -> FloatArray:
     return np.column_stack([lower + trimmed, upper - trimmed])
 
 
-def _raise_infeasible(problem: DesignProblem, static: _StaticPoses, pose: FloatArray) -> None:
+def _raise_infeasible(evaluator: Evaluator, pose: FloatArray) -> None:
     """Raise the error that names the constraint which no pose keeps."""
-    kind, joint, value = static.active_constraint(pose)
-    robot = problem.robot
+    table = evaluator.static_constraint_values(_repeated(evaluator, pose))
+    largest = {kind: values[:, 0].max(axis=0) for kind, values in table.items()}
+    kind = max(largest, key=lambda k: float(largest[k].max()))
+    joint, value = int(np.argmax(largest[kind])), float(largest[kind].max())
+    problem, robot = evaluator.problem, evaluator.problem.robot
     if kind == "torque":
         r = problem.options.uncertainty
         hint = f" (with --uncertainty {r:g}; try less)" if r else ""
@@ -280,9 +272,9 @@ def _raise_infeasible(problem: DesignProblem, static: _StaticPoses, pose: FloatA
             f"{robot.source}: no pose keeps the clearance of {pair}; "
             f"{remedy}, lower --clearance, or widen the position limits"
         )
-    name = problem.boxes[int(kind[3:])].frame if kind.startswith("box") else robot.joints[joint]
+    name = problem.boxes[joint // 3].frame if kind == BOX else robot.joints[joint]
     raise Infeasible(
-        f"{robot.source}: no pose keeps all limits: the {kind.rstrip('0123456789')} limit of "
+        f"{robot.source}: no pose keeps all limits: the {kind} limit of "
         f"'{name}' conflicts with the others (the best pose reaches {value:.3g} times it); "
         "widen the box or the position limits"
     )

@@ -54,22 +54,16 @@ class Attempt:
         number: Number of the start.
         motion: Best motion.
         objective: Smooth objective of the motion.
-        time: Time of each iterate since the problem was built [s].
-        values: Smooth objective of each iterate.
-        worst: Largest constraint value of each iterate, at most 1 where it is feasible.
-        stage: Stage of the smoothing of each iterate.
+        history: Record of all its iterates.
         state: State of its search.
-        excites_all: True if the motion excites all base parameters.
         stopped: True if it was stopped early, because other starts were better.
+        excites_all: True if the motion excites all base parameters.
     """
 
     number: int
     motion: FourierSeries
     objective: float
-    time: tuple[float, ...]
-    values: tuple[float, ...]
-    worst: tuple[float, ...]
-    stage: tuple[int, ...]
+    history: sqp.History
     state: sqp.SearchState
     stopped: bool = False
     excites_all: bool = True
@@ -91,32 +85,13 @@ class Attempt:
         return not self.usable, excess, self.objective, self.number
 
 
-@dataclass(frozen=True)
-class _Round:
-    """Task of one round of successive halving.
-
-    Attributes:
-        problem: The design problem.
-        build_time: `time.perf_counter()` when the problem was complete [s].
-        until: Iterations that a start may have spent in total after the round.
-    """
-
-    problem: DesignProblem
-    build_time: float
-    until: int
-
-
 def run_starts(
-    problem: DesignProblem,
-    build_time: float,
-    numbers: Sequence[int],
-    progress: Progress | None = None,
+    problem: DesignProblem, numbers: Sequence[int], progress: Progress | None = None
 ) -> list[Attempt | ExciteError]:
     """Run starts and rank them.
 
     Args:
         problem: The design problem.
-        build_time: `time.perf_counter()` when the problem was complete [s].
         numbers: Numbers of the starts; each has a random stream of its own.
         progress: Called with a line of text after each start.
 
@@ -136,7 +111,7 @@ def run_starts(
         report = (
             None if progress is None else _ProgressReport(progress, len(alive), index, len(limits))
         )
-        ended = _run_round(_Round(problem, build_time, until), alive, report)
+        ended = _run_round(problem, until, alive, report)
         errors += [e for e in ended if isinstance(e, ExciteError)]
         ranked = sorted((a for a in ended if isinstance(a, Attempt)), key=lambda a: a.rank)
         kept = len(ranked) if until == end else -(-len(ranked) // 2)
@@ -148,13 +123,21 @@ def run_starts(
 
 
 def _run_round(
-    task: _Round,
+    problem: DesignProblem,
+    until: int,
     alive: Sequence[int | Attempt],
     report: Callable[[Attempt | ExciteError], None] | None,
 ) -> list[Attempt | ExciteError]:
-    """Run one round of all starts that are still alive."""
+    """Run one round of all starts that are still alive.
+
+    Args:
+        problem: The design problem.
+        until: Iterations that a start may have spent in total after the round.
+        alive: Numbers of new starts, or results of the round before.
+        report: Called with each result.
+    """
     ended: list[Attempt | ExciteError] = []
-    for group in _run_groups(task, alive):
+    for group in _run_groups(problem, until, alive):
         ended += group
         if report is not None:
             for result in group:
@@ -163,16 +146,17 @@ def _run_round(
 
 
 def _run_groups(
-    task: _Round, alive: Sequence[int | Attempt]
+    problem: DesignProblem, until: int, alive: Sequence[int | Attempt]
 ) -> Iterator[list[Attempt | ExciteError]]:
     """Run groups of starts in parallel, since sending the problem costs a few iterations."""
     if len(alive) == 1:
-        yield _run_group(task, alive)
+        yield _run_group(problem, until, alive)
         return
-    workers = min(joblib.effective_n_jobs(task.problem.options.jobs), len(alive))
+    workers = min(joblib.effective_n_jobs(problem.options.jobs), len(alive))
     size = max(1, len(alive) // (16 * workers))
     tasks = [
-        joblib.delayed(_run_group)(task, alive[i : i + size]) for i in range(0, len(alive), size)
+        joblib.delayed(_run_group)(problem, until, alive[i : i + size])
+        for i in range(0, len(alive), size)
     ]
     with joblib.Parallel(n_jobs=workers) as pool:
         # batches make progress visible with back ends that cannot stream results
@@ -213,32 +197,32 @@ class _ProgressReport:
         )
 
 
-def _run_group(task: _Round, starts: Sequence[int | Attempt]) -> list[Attempt | ExciteError]:
+def _run_group(
+    problem: DesignProblem, until: int, starts: Sequence[int | Attempt]
+) -> list[Attempt | ExciteError]:
     """Run the round of a few starts in this process."""
     # one thread: sums in the same order, whatever the number of processes
     with threadpoolctl.threadpool_limits(1):
-        evaluator = Evaluator(task.problem)
+        evaluator = Evaluator(problem)
         return [
-            _begin(evaluator, task, start)
+            _begin(evaluator, until, start)
             if isinstance(start, int)
-            else _resume(evaluator, task, start)
+            else _resume(evaluator, until, start)
             for start in starts
         ]
 
 
-def _begin(evaluator: Evaluator, task: _Round, number: int) -> Attempt | ExciteError:
+def _begin(evaluator: Evaluator, until: int, number: int) -> Attempt | ExciteError:
     """Run a new start; errors are returned as values, so that they pass between processes.
 
     A search that ends infeasible, or without exciting all base parameters, is repeated from another
     initial guess.
     """
-    best: Attempt | None = None
-    warm = task.problem.warm_start
-    if warm is not None and number == 0:
-        x = task.problem.variables(warm)
-        return optimize_from(evaluator, x, task.build_time, number, task.until)
+    problem, best = evaluator.problem, None
+    if problem.warm_start is not None and number == 0:
+        return optimize_from(evaluator, problem.variables(problem.warm_start), number, until)
     for guess in range(MAX_GUESSES):
-        entropy = [task.problem.options.seed, number, *([guess] if guess else [])]
+        entropy = [problem.options.seed, number, *([guess] if guess else [])]
         rng = np.random.default_rng(entropy)
         try:
             poses = initial_guess.find_static_poses(evaluator, rng)
@@ -247,10 +231,11 @@ def _begin(evaluator: Evaluator, task: _Round, number: int) -> Attempt | ExciteE
         pose = poses[rng.integers(min(len(poses), 1 + len(poses) // 4))]
         x = initial_guess.scale_random_motion(evaluator, pose, rng)
         blind = evaluator.spectrum_ratio(x) <= MIN_SPECTRUM_RATIO
-        until = min(BLIND_ITERATIONS, task.until) if blind else task.until
-        attempt = optimize_from(evaluator, x, task.build_time, number, until)
+        attempt = optimize_from(
+            evaluator, x, number, min(BLIND_ITERATIONS, until) if blind else until
+        )
         if blind and attempt.usable:
-            attempt = _resume(evaluator, task, attempt)
+            attempt = _resume(evaluator, until, attempt)
         if best is None or attempt.rank < best.rank:
             best = attempt
         if best.usable or (guess > 0 and len(poses) == 1):  # another guess finds the same pose
@@ -261,7 +246,6 @@ def _begin(evaluator: Evaluator, task: _Round, number: int) -> Attempt | ExciteE
 def optimize_from(
     evaluator: Evaluator,
     x: FloatArray,
-    build_time: float,
     number: int,
     until: int | None = None,
     state: sqp.SearchState | None = None,
@@ -271,13 +255,12 @@ def optimize_from(
     Args:
         evaluator: Evaluator of the design problem.
         x: Variables to begin with. Shape (size,).
-        build_time: `time.perf_counter()` when the problem was complete [s].
         number: Number of the start.
         until: Number of iterations; None: to the end.
         state: State to begin with, at `x`; None: that of a new search.
     """
     sharpness = sqp.sharpness_stages(evaluator.problem.options.criterion)
-    history = sqp.History(began=build_time)
+    history = sqp.History()
     history.add(
         evaluator.objective(x, sharpness[-1])[0],
         evaluator.max_constraint_value(x),
@@ -287,19 +270,11 @@ def optimize_from(
     return _attempt(evaluator, number, sqp.advance(evaluator, state, history, until), history)
 
 
-def _resume(evaluator: Evaluator, task: _Round, before: Attempt) -> Attempt:
-    """Continue a start after an earlier round."""
-    history = sqp.History(
-        task.build_time,
-        list(before.time),
-        list(before.values),
-        list(before.worst),
-        list(before.stage),
-    )
-    more = task.until - before.state.iterations
-    return _attempt(
-        evaluator, before.number, sqp.advance(evaluator, before.state, history, more), history
-    )
+def _resume(evaluator: Evaluator, until: int, before: Attempt) -> Attempt:
+    """Continue a start after an earlier round; its history grows."""
+    more = until - before.state.iterations
+    state = sqp.advance(evaluator, before.state, before.history, more)
+    return _attempt(evaluator, before.number, state, before.history)
 
 
 def _attempt(
@@ -310,15 +285,11 @@ def _attempt(
     objective = evaluator.objective(
         state.best, sqp.sharpness_stages(problem.options.criterion)[-1]
     )[0]
-    h = history
     return Attempt(
         number,
         problem.fourier(state.best),
         objective,
-        tuple(h.time),
-        tuple(h.objective),
-        tuple(h.worst),
-        tuple(h.stage),
+        history,
         state,
         excites_all=problem.earlier_root is not None
         or evaluator.spectrum_ratio(state.best) > MIN_SPECTRUM_RATIO,

@@ -18,7 +18,8 @@ from ..robot.base_parameters import Base
 from ..robot.limits import Limits
 from ..robot.robot import Robot, require_possible_bodies
 from ..trajectory.fourier import FourierSeries
-from . import criteria, design_cost, initial_guess, multistart, problem, sqp, stand_load
+from ..trajectory.rest_to_rest import Motion
+from . import criteria, design_cost, initial_guess, multistart, problem, ramps, sqp, stand_load
 from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .evaluator import Evaluator
@@ -53,22 +54,41 @@ class DesignSetup:
 
     Attributes:
         problem: The design problem.
+        limits: Limits that its motions have to keep at all times.
         base: Base parameters of the robot.
         noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
         build_time: `time.perf_counter()` when the problem was complete [s].
     """
 
     problem: DesignProblem
+    limits: Limits
     base: Base
     noise: FloatArray
     build_time: float
 
-    def constraints(self, limits: Limits) -> MotionConstraints:
-        """Return the constraints on its motions under the given limits, which are not shrunk."""
-        p = self.problem
-        return MotionConstraints(
-            p.robot, limits, p.parameters, p.options.uncertainty, p.options.boxes, p.clearance
+    def complete(self, motion: FourierSeries) -> Motion:
+        """Complete a periodic motion to one from rest to rest.
+
+        Raises:
+            Infeasible: No ramps keep all limits.
+        """
+        usable = ramps.with_derived_limits(self.limits, motion).reduced()
+        p, options = self.problem, self.problem.options
+        return ramps.plan_rest_to_rest(
+            _constraints(p, usable),
+            motion,
+            options.periods,
+            options.rate,
+            p.start_pose,
+            options.samples,
         )
+
+
+def _constraints(p: DesignProblem, limits: Limits) -> MotionConstraints:
+    """Return the constraints on the motions of a problem under given limits."""
+    return MotionConstraints(
+        p.robot, limits, p.parameters, p.options.uncertainty, p.options.boxes, p.clearance
+    )
 
 
 @dataclass(frozen=True)
@@ -95,8 +115,8 @@ class OptimizedDesign:
             `first_feasible`: until the first feasible motion; `within_1_percent`: until a
             criterion within 1 % of the best one.
         """
-        final = [self._final(a) for a in self.attempts]
-        first = min(times[0] for times, _ in final)
+        first = min(_first_feasible(a.history) for a in self.attempts)
+        final = [_feasible_objectives(a.history) for a in self.attempts]
         best = min(values.min() for _, values in final)
         # The objective is the logarithm of the criterion, for the condition number of the regressor
         # that of its square; for D it is the mean of log λ.
@@ -106,14 +126,23 @@ class OptimizedDesign:
             for times, values in final
             if (values <= best + share).any()
         )
-        return {"first_feasible": float(first), "within_1_percent": float(within)}
+        built = self.setup.build_time
+        return {"first_feasible": float(first - built), "within_1_percent": float(within - built)}
 
-    def _final(self, attempt: Attempt) -> tuple[FloatArray, FloatArray]:
-        """Return times and best feasible objectives of the last stage, which smooths the least."""
-        stage, worst = np.array(attempt.stage), np.array(attempt.worst)
-        last = (stage == stage.max()) & (worst <= sqp.MAX_FEASIBLE_ROW_VALUE)
-        values = np.where(last, np.array(attempt.values), np.inf)
-        return np.array(attempt.time), np.minimum.accumulate(values)
+
+def _first_feasible(history: sqp.History) -> float:
+    """Return the time of the first feasible iterate, of the last one where none is feasible."""
+    records = zip(history.time, history.worst, strict=True)
+    feasible = (t for t, worst in records if worst <= sqp.MAX_FEASIBLE_ROW_VALUE)
+    return next(feasible, history.time[-1])
+
+
+def _feasible_objectives(history: sqp.History) -> tuple[FloatArray, FloatArray]:
+    """Return times and best feasible objectives of the last stage, which smooths the least."""
+    stage, worst = np.array(history.stage), np.array(history.worst)
+    last = (stage == stage.max()) & (worst <= sqp.MAX_FEASIBLE_ROW_VALUE)
+    values = np.where(last, np.array(history.objective), np.inf)
+    return np.array(history.time), np.minimum.accumulate(values)
 
 
 def set_up(
@@ -140,7 +169,7 @@ def set_up(
         objective: Sets the objective that replaces the criterion; None: the criterion.
 
     Raises:
-        UnusableInput: Options are inconsistent.
+        UnusableInput: Options are inconsistent, or the start pose violates a limit.
     """
     check_options(options)
     design_cost.require(robot, options)
@@ -179,9 +208,11 @@ def set_up(
         clearance=clearance,
         start_pose=start_pose,
     )
+    if start_pose is not None:  # before a search begins
+        ramps.check_start_pose(_constraints(built, limits.reduced()), start_pose)
     if objective is not None:
         built = objective(built, base)
-    return DesignSetup(built, base, noise, time.perf_counter())
+    return DesignSetup(built, limits, base, noise, time.perf_counter())
 
 
 def solve(
@@ -207,7 +238,7 @@ def solve(
     if restart:
         begin = 2 * options.starts + (2 * restart + (first > 0)) * STARTS_PER_RESTART
         numbers = range(begin, begin + min(options.starts, STARTS_PER_RESTART))
-    results = multistart.run_starts(setup.problem, setup.build_time, numbers, progress)
+    results = multistart.run_starts(setup.problem, numbers, progress)
     attempts = [r for r in results if isinstance(r, Attempt)]
     if not attempts:
         raise next(r for r in results if isinstance(r, ExciteError))
@@ -250,7 +281,6 @@ def improve(
         return multistart.optimize_from(
             evaluator,
             shrunk,
-            setup.build_time,
             number,
             until=None if state is None else WARM_ITERATIONS,
             state=state,
@@ -295,7 +325,6 @@ def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None
 
 def tighten(
     setup: DesignSetup,
-    limits: Limits,
     reserve: float,
     deficits: Mapping[str, float] | None = None,
     *,
@@ -305,14 +334,13 @@ def tighten(
 
     Args:
         setup: The design problem.
-        limits: Limits of the robot.
         reserve: Share of torque, braking and box limits to keep free [1].
         deficits: Clearance to add for pairs of bodies [m].
         finer: Double the number of samples.
     """
     p = setup.problem
     options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
-    tighter = problem.rebuild_problem(p, limits, options, p.earlier_root, reserve)
+    tighter = problem.rebuild_problem(p, setup.limits, options, p.earlier_root, reserve)
     if p.clearance is not None:
         extra = np.array([(deficits or {}).get(pair, 0.0) for pair in p.clearance.names])
         tighter = dataclasses.replace(

@@ -8,6 +8,8 @@ Dubowsky and Gibson, IJRR 1985, for motion along a path). All other limits are c
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .._types import FloatArray
@@ -68,93 +70,54 @@ def delayed_stop(fourier: FourierSeries, cruise: float, duration: float) -> Phas
     return PhaseProfile(fourier, phase)
 
 
-def violated_limit(
+def keeps_limits(
     constraints: MotionConstraints, profile: PhaseProfile, duration: float, step: float
-) -> str:
-    """Return the kind of the limit that a ramp violates, "" where it violates none.
+) -> bool:
+    """Return whether a ramp keeps all limits; clearances hold by its path.
 
     Args:
-        constraints: Constraints; clearances are not checked, as the path keeps them.
+        constraints: Constraints, derived limits included.
         profile: The ramp.
         duration: Its duration [s].
         step: Time step at which the certificate will check it [s].
     """
-    for _, quantity in constraint_margins.phase_quantities(constraints, profile, duration, step):
-        if quantity.largest_ratio() > MAX_RATIO:
-            return quantity.limit
-    return ""
+    # a few samples discard most ramps cheaply
+    times = duration * (np.arange(COARSE_SAMPLES) + 0.5) / COARSE_SAMPLES
+    for order, limit in ((3, "jerk"), (2, "acceleration"), (1, "velocity")):
+        if (np.abs(profile.at(times, order)) > getattr(constraints.limits, limit)).any():
+            return False
+    return all(
+        quantity.largest_ratio() <= MAX_RATIO
+        for _, quantity in constraint_margins.phase_quantities(constraints, profile, duration, step)
+    )
 
 
 def shortest_ramp(
     constraints: MotionConstraints,
-    fourier: FourierSeries,
+    period: float,
     grid: float,
     step: float,
-    *,
-    inwards: bool,
+    ramp_of: Callable[[float], PhaseProfile],
     below: float = np.inf,
 ) -> tuple[PhaseProfile, float] | None:
     """Return the shortest ramp of the tried durations that keeps all limits.
 
     Args:
         constraints: Constraints, derived limits included.
-        fourier: Periodic motion from the end of the ramp-in, or to the start of the ramp-out.
-        grid: Duration that segments are multiples of [s].
+        period: Period of the periodic motion [s].
+        grid: Duration that ramps are multiples of [s].
         step: Time step at which the certificate will check it [s].
-        inwards: True for a ramp-in, False for a ramp-out.
+        ramp_of: Returns the ramp of a duration [s].
         below: Duration that the ramp has to undercut [s].
 
     Returns:
         The ramp and its duration [s]; None where there is none.
     """
-    for duration in _durations(fourier.period, grid, below):
-        profile = phase_profile(fourier, duration, inwards=inwards)
-        if _exceeds_coarsely(constraints, profile, duration):
-            continue
-        if not violated_limit(constraints, profile, duration, step):
-            return profile, duration
+    for duration in _durations(period, grid, below):
+        ramp = ramp_of(duration)
+        if keeps_limits(constraints, ramp, duration, step):
+            return ramp, float(duration)
     return None
-
-
-def shortest_at_rest(
-    constraints: MotionConstraints,
-    fourier: FourierSeries,
-    rest_phase: float,
-    grid: float,
-    step: float,
-    *,
-    inwards: bool,
-) -> float | None:
-    """Return the duration of the shortest ramp that begins, or ends, at rest at a given phase.
-
-    Args:
-        constraints: Constraints, derived limits included.
-        fourier: Periodic motion.
-        rest_phase: Phase of the pose at rest [s].
-        grid: Duration that ramps are multiples of [s].
-        step: Time step at which the certificate will check it [s].
-        inwards: True for a ramp-in, which begins there; False for a ramp-out, which ends there.
-    """
-    for duration in _durations(fourier.period, grid, np.inf):
-        half = 0.5 * duration
-        shifted = fourier.shifted(rest_phase + half if inwards else rest_phase - half)
-        profile = phase_profile(shifted, duration, inwards=inwards)
-        if _exceeds_coarsely(constraints, profile, duration):
-            continue
-        if not violated_limit(constraints, profile, duration, step):
-            return float(duration)
-    return None
-
-
-def _exceeds_coarsely(
-    constraints: MotionConstraints, profile: PhaseProfile, duration: float
-) -> bool:
-    """Return whether a few samples exceed the limits of a joint: a cheap necessary condition."""
-    times = duration * (np.arange(COARSE_SAMPLES) + 0.5) / COARSE_SAMPLES
-    return any(
-        (np.abs(profile.at(times, order)) > getattr(constraints.limits, limit)).any()
-        for order, limit in ((3, "jerk"), (2, "acceleration"), (1, "velocity"))
-    )
 
 
 def _durations(period: float, grid: float, below: float) -> FloatArray:

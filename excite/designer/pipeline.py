@@ -23,18 +23,16 @@ from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import CheckFailed, ExciteError, ExciteWarning, Infeasible, UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..trajectory.trajectory_file import Trajectory, package_versions
+from ..trajectory.trajectory_file import Trajectory
 from . import certificate as certificate_module
-from . import design_cost, optimize, ramps
-from .certificate import CELL_KEY, CLEARANCE, Certificate
+from . import design_cost, optimize
+from .certificate import CLEARANCE, Certificate
 from .evaluator import Evaluator
 from .motion_overlap import OverlapPenalty
 from .multistart import MIN_SPECTRUM_RATIO, Attempt, Progress
 from .optimize import DesignSetup, ObjectiveBuilder, OptimizedDesign
 from .options import DesignOptions, check_options, check_played_period
 from .problem import LIMIT_RESERVE
-
-CertifiedTrajectory = tuple[Trajectory, Certificate]
 
 MAX_LIMIT_RESERVE = 0.3
 """Largest share of torque, braking and box limits that is kept free between samples [1]."""
@@ -75,14 +73,14 @@ class CertifiedDesign:
     Attributes:
         trajectory: Content of the trajectory file.
         certificate: Its certificate.
-        design: Result of the search for its periodic part.
+        design: Result of the search for its periodic part, which is its first attempt.
         timing: Durations of the steps, by name [s].
     """
 
     trajectory: Trajectory
     certificate: Certificate
     design: OptimizedDesign
-    timing: dict[str, float]
+    timing: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 # on small matrices threads cost more than they gain
@@ -139,20 +137,20 @@ def design_trajectory(
     setup = optimize.set_up(
         robot, limits, options, earlier_information, overlap_penalty, clearance, start, objective
     )
-    if start is not None:  # the search needs a valid start pose
-        ramps.check_start_pose(setup.constraints(limits.reduced()), start)
     report(f"{robot.name}: {robot.n} joints, {setup.base.count} base parameters")
     design = optimize.solve(setup, progress)
     timing = {"build": setup.build_time - begun, **design.timing()}
-    entries = {**(notes or {}), **({} if cell is None else {CELL_KEY: cell.document()})}
 
-    def certify(design: OptimizedDesign) -> CertifiedTrajectory:
-        trajectory = _assemble(design, robot, limits, start, speed, entries, unchecked_reason)
-        return trajectory, certificate_module.verify(
-            trajectory, robot, limits, cell, unchecked_reason=unchecked_reason
+    def certify(design: OptimizedDesign) -> CertifiedDesign:
+        motion = design.setup.complete(design.motion).slowed(speed)
+        entry = {**_design_entry(design.setup, speed), **(notes or {})}
+        options, noise = design.setup.problem.options, design.setup.noise
+        trajectory, certificate = certificate_module.certified_trajectory(
+            robot, limits, motion, options, noise, entry, cell, unchecked_reason
         )
+        return CertifiedDesign(trajectory, certificate, design)
 
-    search = _CertifiedSearch(limits, certify, report)
+    search = _CertifiedSearch(certify, report)
     result = search.best_of(design)
     for restart in range(1, MAX_RESTARTS + 1):
         # faults of the file are no matter of the motion
@@ -168,29 +166,19 @@ def design_trajectory(
         result = search.best_of(design) or result
     if result is None:
         raise search.error or _unexcited(setup, design)
-    design, trajectory, certificate = result.design, result.trajectory, result.certificate
+    _check(robot, result, force, earlier_information)
     timing |= {
         "solve": time.perf_counter() - setup.build_time,
         "total": time.perf_counter() - begun,
     }
-    _check(robot, trajectory, certificate, force, earlier_information)
-    trajectory = dataclasses.replace(
-        trajectory,
-        margins=[m.document() for m in certificate.margins],
-        collision=certificate.collision,
-        forced=not certificate.ok,
-    )
-    return CertifiedDesign(trajectory, certificate, design, timing)
+    return dataclasses.replace(result, timing=timing)
 
 
 def _check(
-    robot: Robot,
-    trajectory: Trajectory,
-    certificate: Certificate,
-    force: bool,
-    earlier_information: FloatArray | None,
+    robot: Robot, result: CertifiedDesign, force: bool, earlier_information: FloatArray | None
 ) -> None:
     """Raise CheckFailed for a motion that must not be delivered."""
+    trajectory, certificate = result.trajectory, result.certificate
     if certificate.faults and not force:
         raise CheckFailed(
             f"{robot.source}: the designed motion fails its certificate: "
@@ -208,7 +196,8 @@ def _check(
         )
     # directions known from earlier recordings need not be excited again, nor the robot of a payload
     is_known = earlier_information is not None or "payload_link" in trajectory.design
-    if not is_known and not _condition(trajectory) < 1.0 / MIN_SPECTRUM_RATIO:
+    condition = float(trajectory.criteria["optimum"]["geometric"]["cond"])
+    if not is_known and not condition < 1.0 / MIN_SPECTRUM_RATIO:
         raise CheckFailed(
             f"{robot.source}: the designed motion does not excite all base parameters; "
             "widen the limits or lengthen --period"
@@ -235,45 +224,21 @@ def _unexcited(setup: DesignSetup, design: OptimizedDesign) -> ExciteError:
     )
 
 
-def _condition(trajectory: Trajectory) -> float:
-    """Return the geometric condition number of the periodic part."""
-    return float(trajectory.criteria["optimum"]["geometric"]["cond"])
-
-
-@dataclass(frozen=True)
-class _Result:
-    """Design with its trajectory and certificate.
-
-    Attributes:
-        design: The design; its first attempt is the periodic part.
-        trajectory: Content of the trajectory file.
-        certificate: Its certificate, which may fail.
-    """
-
-    design: OptimizedDesign
-    trajectory: Trajectory
-    certificate: Certificate
-
-
 class _CertifiedSearch:
     """Certify the motions of searches, with more reserve where a certificate fails.
 
     Attributes:
-        limits: Limits of the robot.
-        certify: Function that adds ramps to a design and verifies it.
+        certify: Function that adds ramps to a design and certifies it.
         report: Called with a line of text.
         reason: Why the last motion was not certified.
         error: First error of a motion without ramps.
     """
 
     def __init__(
-        self,
-        limits: Limits,
-        certify: Callable[[OptimizedDesign], CertifiedTrajectory],
-        report: Progress,
+        self, certify: Callable[[OptimizedDesign], CertifiedDesign], report: Progress
     ) -> None:
         """Store the functions."""
-        self.limits, self.certify, self.report = limits, certify, report
+        self.certify, self.report = certify, report
         self.reason = ""
         self.error: Infeasible | None = None
         self._clearance: ClearanceConstraint | None = None
@@ -286,14 +251,14 @@ class _CertifiedSearch:
         problem = dataclasses.replace(setup.problem, clearance=self._clearance)
         return dataclasses.replace(setup, problem=problem)
 
-    def best_of(self, design: OptimizedDesign) -> _Result | None:
+    def best_of(self, design: OptimizedDesign) -> CertifiedDesign | None:
         """Return the certified trajectory of the best attempt that has one.
 
         Returns:
             The result; one whose certificate fails where none is certified; None where no motion
             has ramps, keeps all limits at its samples and excites all base parameters.
         """
-        failed: _Result | None = None
+        failed: CertifiedDesign | None = None
         usable = [
             a for a in design.attempts if a.usable and a.motion.period == design.motion.period
         ]
@@ -334,13 +299,13 @@ class _CertifiedSearch:
                 stacklevel=4,
             )
 
-    def _until_certified(self, design: OptimizedDesign) -> _Result:
+    def _until_certified(self, design: OptimizedDesign) -> CertifiedDesign:
         """Optimise a motion with more reserve until its certificate holds or nothing improves.
 
         Raises:
             Infeasible: The motion has no ramps.
         """
-        result = _Result(design, *self.certify(design))
+        result = self.certify(design)
         reserve, least, stalled = LIMIT_RESERVE, np.inf, 0
         asked = design.setup.problem.options.samples
         for _ in range(MAX_TIGHTENINGS):
@@ -353,23 +318,17 @@ class _CertifiedSearch:
             if stalled >= STALLED_TIGHTENINGS:
                 break
             design, reserve = _tighten(
-                design,
-                self.limits,
-                result.certificate,
-                reserve,
-                MAX_REFINEMENT * asked,
-                self.report,
+                design, result.certificate, reserve, MAX_REFINEMENT * asked, self.report
             )
             self._clearance = design.setup.problem.clearance
             if not design.attempts[0].usable:
                 break
-            result = _Result(design, *self.certify(design))
+            result = self.certify(design)
         return result
 
 
 def _tighten(
     design: OptimizedDesign,
-    limits: Limits,
     certificate: Certificate,
     reserve: float,
     max_samples: int,
@@ -390,64 +349,24 @@ def _tighten(
         reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.spare_share), MAX_LIMIT_RESERVE)
     report(f"between samples: {worst.describe()}; tightening the constraints")
     added = {pair: 1.5 * min(missed, MAX_CLEARANCE_DEFICIT) for pair, missed in deficits.items()}
-    tighter = optimize.tighten(design.setup, limits, reserve, added, finer=finer)
+    tighter = optimize.tighten(design.setup, reserve, added, finer=finer)
     attempt = design.attempts[0]
     improved = optimize.improve(tighter, design.motion, attempt.number, attempt.state)
     return OptimizedDesign(tighter, (improved, *design.attempts[1:])), reserve
 
 
-def _assemble(
-    design: OptimizedDesign,
-    robot: Robot,
-    limits: Limits,
-    start: FloatArray | None,
-    speed: float,
-    notes: dict[str, Any],
-    unchecked_reason: str,
-) -> Trajectory:
-    """Return the content of the trajectory file, with ramps but before its certificate."""
-    setup = design.setup
+def _design_entry(setup: DesignSetup, speed: float) -> dict[str, Any]:
+    """Return the entries of the file's `design` that the options of a design determine."""
     options = setup.problem.options
-    usable = ramps.with_derived_limits(limits, design.motion).reduced()
-    motion = ramps.plan_rest_to_rest(
-        setup.constraints(usable),
-        design.motion,
-        options.periods,
-        options.rate,
-        start,
-        options.samples,
-    )
-    if speed != 1.0:
-        motion = motion.slowed(speed)
-    entry = {
+    return {
         "criterion": options.criterion.value,
         "plain": options.plain,
         "drive": list(options.drive),
         "samples": options.samples,
         "starts": options.starts,
         "uncertainty": options.uncertainty,
-        "margin": dict(limits.margin),
+        "margin": dict(setup.limits.margin),
         "speed": speed,
         "boxes": [dataclasses.asdict(box) for box in options.boxes],
         **({} if options.payload_link is None else {"payload_link": options.payload_link}),
-        **notes,
     }
-    draft = Trajectory(
-        robot=robot.document(),
-        motion=motion,
-        rate=options.rate,
-        limits=ramps.with_derived_limits(limits, motion.fourier),
-        noise=setup.noise,
-        design=entry,
-        criteria={},
-        margins=[],
-        collision=unchecked_reason,
-        seed=options.seed,
-        versions=package_versions(),
-    )
-    return dataclasses.replace(
-        draft,
-        criteria=certificate_module.recompute_criteria(
-            draft, robot, limits, setup.problem.parameters
-        ),
-    )

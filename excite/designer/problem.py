@@ -20,7 +20,7 @@ from ..trajectory.fourier import (
 )
 from . import casadi_model
 from .casadi_model import DynamicsFunctions
-from .criteria import Weighting
+from .criteria import Criterion, Weighting
 from .design_objective import DesignObjective
 from .motion_overlap import OverlapPenalty
 from .options import DesignOptions, WorkspaceBox
@@ -29,6 +29,12 @@ LIMIT_RESERVE = 2e-3
 """Share of torque, braking, stand and box limits kept free for the solver's tolerance and for what
 happens between samples [1]. The certificate decides whether it suffices; `pipeline` enlarges it if
 not."""
+
+STOPPING_GAIN = 4e-3
+"""Decrease of the criterion's logarithm over ten iterations below which a search ends [1]."""
+
+STOPPING_GAIN_OF_REGRESSOR = 2e-3
+"""The same for the condition number of the regressor [1]."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,14 @@ class DesignProblem:
     start_pose: FloatArray | None = None
     objective: DesignObjective | None = None
     warm_start: FourierSeries | None = None
+
+    @property
+    def stopping_gain(self) -> float:
+        """Decrease of the objective over ten iterations below which a search ends."""
+        if self.objective is not None:
+            return self.objective.stopping_gain
+        is_regressor = self.options.criterion is Criterion.COND_REGRESSOR
+        return STOPPING_GAIN_OF_REGRESSOR if is_regressor else STOPPING_GAIN
 
     @property
     def size(self) -> int:
@@ -119,8 +133,6 @@ def build_problem(
     weighting: Weighting,
     options: DesignOptions,
     earlier_root: FloatArray | None = None,
-    reserve: float = LIMIT_RESERVE,
-    functions: DynamicsFunctions | None = None,
 ) -> DesignProblem:
     """Build a design problem: shrink the limits and scale the variables.
 
@@ -131,49 +143,18 @@ def build_problem(
         weighting: Coordinates of the criterion.
         options: Options of the design.
         earlier_root: Root of the information of earlier recordings, see `DesignProblem`.
-        reserve: Share of torque, braking and box limits to keep free [1].
-        functions: Dynamics that were generated for the same robot and parameters.
     """
-    # The first bound keeps a limit between the optimiser's samples (exact for Fourier series), the
-    # second one compensates for the certificate's own bound between its denser samples.
-    K = options.harmonics
-    factor = 1.0 / (
-        oversampling_bound(options.samples, K)
-        * oversampling_bound(VERIFICATION_DENSITY * options.samples, K)
-    )
-    bounded = np.asarray(np.isfinite(limits.position).all(axis=1))
-    lower, upper = np.where(bounded[:, None], limits.position, 0.0).T
-    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    position = np.where(
-        bounded[:, None],
-        np.column_stack([middle - factor * half, middle + factor * half]),
-        limits.position,
-    )
-    free = limits.reduced()
-    shrunk = free.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - reserve)
-    shrunk = dataclasses.replace(
-        shrunk,
-        position=position,
-        braking=tuple(None if b is None else _shrink_braking(b, reserve) for b in free.braking),
-        stand=None
-        if free.stand is None
-        else dataclasses.replace(
-            free.stand,
-            force=(1.0 - reserve) * free.stand.force,
-            moment=(1.0 - reserve) * free.stand.moment,
-        ),
-    )
-    boxes = tuple(_shrink_box(box, reserve) for box in options.boxes)
-    harmonics = np.arange(1, options.harmonics + 1)
-    reach = np.where(bounded, half, np.pi)
-    speed = np.minimum(limits.velocity, reach * 2.0 * np.pi / options.period)[:, None] / np.sqrt(
-        harmonics
-    )
-    scale = np.column_stack([speed, speed, reach])
-    functions = functions or casadi_model.dynamics_functions(robot, parameters)
-    weighting = dataclasses.replace(weighting, support=functions.support)
+    functions = casadi_model.dynamics_functions(robot, parameters)
     return DesignProblem(
-        robot, parameters, shrunk, boxes, weighting, earlier_root, options, scale, functions
+        robot,
+        parameters,
+        limits_at_samples(limits, options),
+        tuple(_shrink_box(box, LIMIT_RESERVE) for box in options.boxes),
+        dataclasses.replace(weighting, support=functions.support),
+        earlier_root,
+        options,
+        variable_scale(limits, options),
+        functions,
     )
 
 
@@ -184,29 +165,72 @@ def rebuild_problem(
     earlier_root: FloatArray | None,
     reserve: float = LIMIT_RESERVE,
 ) -> DesignProblem:
-    """Build a problem again with other limits, options, earlier information or reserve.
+    """Return a problem with other limits, options, earlier information or reserve.
 
-    Overlap penalty, clearance, start pose, objective and warm start are those of `problem`; see
-    `build_problem`.
+    Args:
+        problem: The problem.
+        limits: Limits that the motion has to keep at all times.
+        options: Options of the design.
+        earlier_root: Root of the information of earlier recordings, see `DesignProblem`.
+        reserve: Share of torque, braking, stand and box limits to keep free [1].
     """
-    rebuilt = build_problem(
-        problem.robot,
-        limits,
-        problem.parameters,
-        problem.weighting,
-        options,
-        earlier_root,
-        reserve,
-        problem.functions,
-    )
     return dataclasses.replace(
-        rebuilt,
-        overlap_penalty=problem.overlap_penalty,
-        clearance=problem.clearance,
-        start_pose=problem.start_pose,
-        objective=problem.objective,
-        warm_start=problem.warm_start,
+        problem,
+        limits=limits_at_samples(limits, options, reserve),
+        boxes=tuple(_shrink_box(box, reserve) for box in options.boxes),
+        earlier_root=earlier_root,
+        options=options,
+        scale=variable_scale(limits, options),
     )
+
+
+def limits_at_samples(
+    limits: Limits, options: DesignOptions, reserve: float = LIMIT_RESERVE
+) -> Limits:
+    """Shrink limits so that motions that keep them at the samples keep the given ones between.
+
+    Args:
+        limits: Limits that the motion has to keep at all times.
+        options: Options of the design.
+        reserve: Share of torque, braking and stand limits to keep free [1].
+    """
+    # The first bound keeps a limit between the optimiser's samples (exact for Fourier series), the
+    # second one compensates for the certificate's own bound between its denser samples.
+    K = options.harmonics
+    factor = 1.0 / (
+        oversampling_bound(options.samples, K)
+        * oversampling_bound(VERIFICATION_DENSITY * options.samples, K)
+    )
+    bounded = np.isfinite(limits.position).all(axis=1, keepdims=True)
+    lower, upper = np.where(bounded, limits.position, 0.0).T
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    shrunk = np.column_stack([middle - factor * half, middle + factor * half])
+    free = limits.reduced()
+    scaled = free.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - reserve)
+    return dataclasses.replace(
+        scaled,
+        position=np.where(bounded, shrunk, limits.position),
+        braking=tuple(None if b is None else _shrink_braking(b, reserve) for b in free.braking),
+        stand=None
+        if free.stand is None
+        else dataclasses.replace(
+            free.stand,
+            force=(1.0 - reserve) * free.stand.force,
+            moment=(1.0 - reserve) * free.stand.moment,
+        ),
+    )
+
+
+def variable_scale(limits: Limits, options: DesignOptions) -> FloatArray:
+    """Return the units of the variables: range and speed that the limits allow. Shape (n, 2K+1)."""
+    bounded = np.asarray(np.isfinite(limits.position).all(axis=1))
+    lower, upper = np.where(bounded[:, None], limits.position, 0.0).T
+    reach = np.where(bounded, 0.5 * (upper - lower), np.pi)
+    harmonics = np.arange(1, options.harmonics + 1)
+    speed = np.minimum(limits.velocity, reach * 2.0 * np.pi / options.period)[:, None] / np.sqrt(
+        harmonics
+    )
+    return np.column_stack([speed, speed, reach])
 
 
 def _shrink_braking(brake: Braking, reserve: float) -> Braking:

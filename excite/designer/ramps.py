@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,14 @@ from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import DERIVED, Limits
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, Profile, SegmentKind
+from ..trajectory.rest_to_rest import (
+    JerkProfile,
+    Motion,
+    MotionSegment,
+    PhaseProfile,
+    Profile,
+    SegmentKind,
+)
 from . import constraint_margins, phase_ramps
 from .constraint_margins import MotionConstraints
 
@@ -166,7 +173,6 @@ class RampPlanner:
 
     Attributes:
         constraints: Constraints on the ramps, derived limits included.
-        rate: Samples per second of the motion [Hz].
         time_step: Time grid of the segments [s].
         n: Number of joints.
         violated: Constraint that the last ramp violated, "" where it violated none.
@@ -174,7 +180,7 @@ class RampPlanner:
 
     def __init__(self, constraints: MotionConstraints, rate: float) -> None:
         """Set up Ruckig for the joints and the time grid."""
-        self.constraints, self.rate, self.time_step = constraints, rate, time_grid(rate)
+        self.constraints, self.time_step = constraints, time_grid(rate)
         self.n = constraints.robot.n
         self._ruckig = ruckig.Ruckig(self.n, self.time_step)
         self.violated = ""
@@ -216,23 +222,19 @@ class RampPlanner:
         count = max(int(np.ceil(duration / CHECK_STEP)), 4)
         t = np.linspace(0.0, duration, count + 1)
         motion = Samples(profile.at(t), profile.at(t, 1), profile.at(t, 2))
-        quantities = [
-            constraint_margins.joint_quantity(
-                "position",
-                self.constraints,
-                motion.q - constraint_margins.intersample_bound(motion.q),
-                motion.q + constraint_margins.intersample_bound(motion.q),
-            ),
-            constraint_margins.joint_quantity(
-                "velocity",
-                self.constraints,
-                motion.dq - constraint_margins.intersample_bound(motion.dq),
-                motion.dq + constraint_margins.intersample_bound(motion.dq),
-            ),
+        quantities = []
+        for limit, values in (("position", motion.q), ("velocity", motion.dq)):
+            rise = constraint_margins.intersample_bound(values)
+            quantities.append(
+                constraint_margins.joint_quantity(
+                    limit, self.constraints, values - rise, values + rise
+                )
+            )
+        quantities.append(
             constraint_margins.joint_quantity(
                 "acceleration", self.constraints, motion.ddq, motion.ddq
-            ),
-        ]
+            )
+        )
         if max(d.largest_ratio() for d in quantities) <= 1.0 - JOINT_LIMIT_MARGIN:
             quantities = constraint_margins.model_quantities(self.constraints, motion)
         worst = max(quantities, key=lambda d: d.largest_ratio())
@@ -261,19 +263,19 @@ class RampPlanner:
             else f"the clearance of {self.constraints.clearance.names[pair[worst]]}"
         )
 
-    def plan_stops(
+    def plan_stop(
         self, begin: JointState, *, backwards: bool = False
-    ) -> Iterator[tuple[JerkProfile, float]]:
-        """Plan ramps from a state to rest, the fastest first; all have passed the checks.
+    ) -> tuple[JerkProfile, float] | None:
+        """Plan the fastest ramp from a state to rest that passes the checks.
 
         Args:
             begin: State to begin with.
-            backwards: Plan ramps from rest to the state instead. Such a ramp is a stop from the
+            backwards: Plan a ramp from rest to the state instead. Such a ramp is a stop from the
                 state with reversed velocity, run backwards in time. It is checked in the direction
                 of its execution, as friction is not symmetric in time.
 
-        Yields:
-            Ramps and their durations [s].
+        Returns:
+            The ramp and its duration [s]; None where there is none.
         """
         if backwards:
             begin = JointState(begin.q, -begin.dq, begin.ddq)
@@ -285,7 +287,8 @@ class RampPlanner:
             ramp = reverse_profile(profile, duration) if backwards else profile
             passes, self.violated = self._check(ramp, duration)
             if passes:
-                yield ramp, duration
+                return ramp, duration
+        return None
 
     def plan_transfer(
         self, begin: FloatArray, end: FloatArray, known: FloatArray
@@ -398,6 +401,10 @@ def reverse_profile(profile: JerkProfile, duration: float) -> JerkProfile:
     )
 
 
+Part = tuple[SegmentKind, Profile | None, float]
+"""Kind, motion (None for the periodic part) and duration [s] of a part of a motion."""
+
+
 @dataclass(frozen=True)
 class _RampPair:
     """Periodic motion that begins at some phase, with the ramps that fit there.
@@ -481,20 +488,37 @@ def _with_approach_and_return(
         else _transfer_legs(planner, home_pose, ramp_start, known, SegmentKind.APPROACH)
     )
     back = _transfer_legs(planner, ramp_end, home_pose, known, SegmentKind.RETURN)
-    parts: list[tuple[SegmentKind, Profile | None, float]] = [
-        (SegmentKind.APPROACH, *leg) for leg in approach
-    ]
-    parts += [
+    parts: tuple[Part, ...] = (
+        *((SegmentKind.APPROACH, *leg) for leg in approach),
         (SegmentKind.RAMP_IN, *pair.ramp_in),
         (SegmentKind.FOURIER, None, periods * pair.fourier.period),
         (SegmentKind.RAMP_OUT, *pair.ramp_out),
-    ]
-    parts += [(SegmentKind.RETURN, *leg) for leg in back]
+        *((SegmentKind.RETURN, *leg) for leg in back),
+    )
+    return joined_parts(planner.constraints.robot.joints, pair.fourier, periods, parts, rate)
+
+
+def joined_parts(
+    joints: tuple[str, ...],
+    fourier: FourierSeries,
+    periods: int,
+    parts: Iterable[Part],
+    rate: float,
+) -> Motion:
+    """Join consecutive parts to a motion; each lasts a whole number of samples.
+
+    Args:
+        joints: Names of the joints.
+        fourier: Periodic part.
+        periods: Its number of periods.
+        parts: The parts in order of time.
+        rate: Samples per second [Hz].
+    """
     segments, ticks = [], 0
     for kind, profile, duration in parts:
         begin, ticks = ticks, ticks + round(duration * rate)
         segments.append(MotionSegment(kind, begin / rate, ticks / rate, profile))
-    return Motion(planner.constraints.robot.joints, pair.fourier, periods, tuple(segments))
+    return Motion(joints, fourier, periods, tuple(segments))
 
 
 def _transfer_legs(
@@ -548,14 +572,14 @@ def _shortest_ramp(
     """Return the shortest ramp at the start of a periodic motion, None where there is none."""
     zero = np.zeros(1)
     state = JointState(*(fourier.at(zero, order)[0] for order in range(3)))
-    free = next(planner.plan_stops(state, backwards=inwards), None)
+    free = planner.plan_stop(state, backwards=inwards)
     along_path = phase_ramps.shortest_ramp(
         planner.constraints,
-        fourier,
+        fourier.period,
         planner.time_step,
         step,
-        inwards=inwards,
-        below=np.inf if free is None else free[1],
+        lambda duration: phase_ramps.phase_profile(fourier, duration, inwards=inwards),
+        np.inf if free is None else free[1],
     )
     return free if along_path is None else along_path
 
@@ -569,25 +593,28 @@ def _closed_pair(
     which the ramp-in began. Each of both ramps is short, as a slow one may exceed a torque limit
     where the motion of the periodic part helps against gravity.
     """
-    constraints, grid = planner.constraints, 2.0 * planner.time_step
-    begin = phase_ramps.shortest_at_rest(constraints, fourier, rest_phase, grid, step, inwards=True)
-    if begin is None:
+
+    def shortest(inwards: bool) -> tuple[PhaseProfile, float] | None:
+        def ramp_of(duration: float) -> PhaseProfile:
+            half = 0.5 * duration  # by which the phase advances
+            shifted = fourier.shifted(rest_phase + half if inwards else rest_phase - half)
+            return phase_ramps.phase_profile(shifted, duration, inwards=inwards)
+
+        grid = 2.0 * planner.time_step
+        return phase_ramps.shortest_ramp(planner.constraints, fourier.period, grid, step, ramp_of)
+
+    ramp_in = shortest(inwards=True)
+    ramp_out = None if ramp_in is None else shortest(inwards=False)
+    if ramp_in is None or ramp_out is None:
         return None
-    end = phase_ramps.shortest_at_rest(constraints, fourier, rest_phase, grid, step, inwards=False)
-    if end is None:
-        return None
+    shifted, (_, begin), (_, end) = ramp_in[0].fourier, ramp_in, ramp_out
     advance = 0.5 * (begin + end)  # of the phase, in both ramps
-    cruise = np.ceil(advance / fourier.period - 1e-9) * fourier.period - advance
-    shifted = fourier.shifted(rest_phase + 0.5 * begin)
-    ramp_in = phase_ramps.phase_profile(shifted, begin, inwards=True)
+    cruise = float(np.ceil(advance / fourier.period - 1e-9) * fourier.period - advance)
     if cruise < 1e-9:  # both ramps together take whole periods already
-        return _RampPair(
-            shifted,
-            (ramp_in, begin),
-            (phase_ramps.phase_profile(shifted, end, inwards=False), end),
-        )
-    ramp_out = phase_ramps.delayed_stop(shifted, float(cruise), end)
-    return _RampPair(shifted, (ramp_in, begin), (ramp_out, float(cruise) + end))
+        stop = phase_ramps.phase_profile(shifted, end, inwards=False)
+        return _RampPair(shifted, ramp_in, (stop, end))
+    stop = phase_ramps.delayed_stop(shifted, cruise, end)
+    return _RampPair(shifted, ramp_in, (stop, cruise + end))
 
 
 def check_start_pose(constraints: MotionConstraints, start: FloatArray) -> None:

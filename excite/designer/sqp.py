@@ -39,7 +39,7 @@ STEERED_DECREASE = 1e-4
 as feasible."""
 
 STALL_ITERATIONS = 10
-"""Iterations over which the gain is compared with the stopping tolerance [1]."""
+"""Iterations over which the gain is compared with the stopping gain [1]."""
 
 INFEASIBLE_STALL_ITERATIONS = 40
 """The same while the iterate is infeasible [1]."""
@@ -54,7 +54,13 @@ RETURN_PENALTY = 1e3
 """Least penalty after that [1]: infeasible iterates must gain a thousand times their excess."""
 
 EARLY_STAGE_GAIN_FACTOR = 20.0
-"""Factor on the stopping tolerance in all stages but the last one [1]."""
+"""Factor on the stopping gain in all stages but the last one [1]."""
+
+FIRST_RADIUS = 0.2
+"""Trust-region radius at the beginning of a stage, in units of the variables."""
+
+LEAST_RADIUS = 1e-6
+"""Trust-region radius below which a stage ends, in units of the variables."""
 
 
 @dataclass
@@ -62,14 +68,12 @@ class History:
     """Record of all iterates of a search.
 
     Attributes:
-        began: `time.perf_counter()` at time 0 [s].
-        time: Time of each iterate [s].
+        time: `time.perf_counter()` at each iterate [s].
         objective: Smooth objective of each iterate.
         worst: Largest constraint value of each iterate.
         stage: Stage of the smoothing of each iterate.
     """
 
-    began: float = field(default_factory=time.perf_counter)
     time: list[float] = field(default_factory=list)
     objective: list[float] = field(default_factory=list)
     worst: list[float] = field(default_factory=list)
@@ -77,26 +81,10 @@ class History:
 
     def add(self, objective: float, worst: float, stage: int) -> None:
         """Record one iterate with the present time."""
-        self.time.append(time.perf_counter() - self.began)
+        self.time.append(time.perf_counter())
         self.objective.append(objective)
         self.worst.append(worst)
         self.stage.append(stage)
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """Stopping tolerances and the first trust region.
-
-    Attributes:
-        gain: Decrease of the objective over ten iterations below which a stage ends; None: as the
-            criterion needs.
-        radius: Trust-region radius below which a stage ends, in units of the variables.
-        first_radius: Trust-region radius at the beginning of a stage.
-    """
-
-    gain: float | None = None
-    radius: float = 1e-6
-    first_radius: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -148,14 +136,6 @@ def sharpness_stages(criterion: Criterion) -> tuple[float, ...]:
     return (4.0, 25.0, 25.0) if criterion is Criterion.E else (4.0, 25.0)
 
 
-def stopping_gain(criterion: Criterion) -> float:
-    """Return the decrease of the objective over ten iterations below which the last stage ends.
-
-    Earlier stages end at twenty times this value.
-    """
-    return 2e-3 if criterion is Criterion.COND_REGRESSOR else 4e-3
-
-
 def initial_state(x: FloatArray) -> SearchState:
     """Return the state of a search that begins at `x`. Shape of `x`: (size,)."""
     return SearchState(x, x)
@@ -166,7 +146,6 @@ def advance(
     state: SearchState,
     history: History,
     iterations: int | None = None,
-    tolerances: Tolerances | None = None,
 ) -> SearchState:
     """Continue a search.
 
@@ -175,17 +154,12 @@ def advance(
         state: State to continue from.
         history: Record that the iterates are added to.
         iterations: Number of iterations; None: to the end.
-        tolerances: Stopping tolerances.
 
     Returns:
         The state after the iterations, or when the objective stalls in the last stage.
     """
-    tolerances = tolerances or Tolerances()
-    options = evaluator.problem.options
+    options, min_gain = evaluator.problem.options, evaluator.problem.stopping_gain
     sharpnesses = sharpness_stages(options.criterion)
-    objective = evaluator.problem.objective
-    usual = stopping_gain(options.criterion) if objective is None else objective.stopping_gain
-    min_gain = usual if tolerances.gain is None else tolerances.gain
     until = (
         options.iterations
         if iterations is None
@@ -193,7 +167,7 @@ def advance(
     )
     while not state.done and state.iterations < until:
         last = state.stage == len(sharpnesses) - 1
-        search = _Search(evaluator, state, sharpnesses[state.stage], history, tolerances)
+        search = _Search(evaluator, state, sharpnesses[state.stage], history)
         stalled = search.run(
             until - state.iterations, min_gain if last else EARLY_STAGE_GAIN_FACTOR * min_gain
         )
@@ -225,10 +199,9 @@ class _Search:
         state: SearchState,
         sharpness: float,
         history: History,
-        tolerances: Tolerances,
     ) -> None:
         self.evaluator, self.sharpness, self.stage = evaluator, sharpness, state.stage
-        self.history, self.tolerances = history, tolerances
+        self.history = history
         self.x, self.scaled = state.x, state.B is not None
         self.B = np.eye(len(self.x)) if state.B is None else state.B.copy()
         self.f, self.gradient = evaluator.objective(self.x, sharpness)
@@ -237,7 +210,7 @@ class _Search:
         self.best_excess = state.best_excess
         self.returns = state.returns
         self._keep_best()
-        self.radius = tolerances.first_radius if state.radius is None else state.radius
+        self.radius = FIRST_RADIUS if state.radius is None else state.radius
         self.penalty, self.trail, self.iterations = (
             state.penalty,
             list(state.trail),
@@ -313,7 +286,7 @@ class _Search:
             if np.isfinite(self.best_f):
                 merit = self.f + self.penalty * self.excess
                 trail.append(min(merit, trail[-1] if trail else np.inf))
-            if self.radius < self.tolerances.radius or self._is_stalled(min_gain):
+            if self.radius < LEAST_RADIUS or self._is_stalled(min_gain):
                 return True
         return False
 
@@ -367,7 +340,7 @@ class _Search:
 
     def _linearise(self, mask: BoolArray) -> tuple[ConstraintRows, FloatArray, FloatArray]:
         """Return the constraints that a mask selects, their Jacobian and their values."""
-        rows = self.evaluator.rows(mask)
+        rows = self.evaluator.rows(self.x, mask)
         return (
             rows,
             self.evaluator.row_gradients(self.x, rows),
@@ -398,14 +371,8 @@ class _Search:
         active = np.flatnonzero(multipliers > 1e-9)
         change = gradient - self.gradient
         if len(active):
-            active_rows = ConstraintRows(
-                *(getattr(rows, name)[active] for name in ("kind", "sample", "joint", "sign"))
-            )
-            change = (
-                change
-                + (evaluator.row_gradients(x, active_rows) - jacobian[active]).T
-                @ multipliers[active]
-            )
+            later = evaluator.row_gradients(x, rows.subset(active))
+            change = change + (later - jacobian[active]).T @ multipliers[active]
         self._update(step, change)
         length = float(np.abs(step).max())
         if ratio > 0.7 and length > 0.9 * self.radius:

@@ -34,13 +34,11 @@ def require_weight(robot: Robot, limits: Limits) -> None:
     """
     if limits.stand is None:
         return
-    mass = float(sum(inertia.mass for inertia in robot.model.inertias))
-    weight = mass * float(np.linalg.norm(robot.model.gravity.linear))
-    if weight >= limits.stand.force:
+    if robot.weight >= limits.stand.force:
         raise UnusableInput(
             f"{limits.stand.source}: [stand] force {limits.stand.force:g} N is not above the "
-            f"weight of {robot.name}, {weight:.4g} N; state the load that the stand takes with "
-            "the robot"
+            f"weight of {robot.name}, {robot.weight:.4g} N; state the load that the stand takes "
+            "with the robot"
         )
 
 

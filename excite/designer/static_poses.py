@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -27,15 +26,15 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, SegmentKind
-from ..trajectory.trajectory_file import Trajectory, package_versions
-from . import certificate, constraint_margins, ramps
-from .certificate import CELL_KEY, Certificate
+from ..trajectory.rest_to_rest import JerkProfile, Motion, SegmentKind
+from ..trajectory.trajectory_file import Trajectory
+from . import constraint_margins, ramps
+from .certificate import Certificate, certified_trajectory
 from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .options import DesignOptions, torque_noise_levels
 from .payload_weighting import LINK_PARAMETERS, predicted_text
-from .ramps import EXTRA_CLEARANCE, RampPlanner, with_derived_limits
+from .ramps import EXTRA_CLEARANCE, Part, RampPlanner, with_derived_limits
 
 GRAVITY_PARAMETERS = 4
 """Parameters of a body that the torque at rest depends on: mass and first moments."""
@@ -326,10 +325,6 @@ class _Blocked(Exception):
     reason: str
 
 
-Part = tuple[SegmentKind, JerkProfile, float]
-"""Kind, motion and duration [s] of a part before the last rest."""
-
-
 def _visits(
     planner: RampPlanner,
     problem: _StaticProblem,
@@ -337,7 +332,7 @@ def _visits(
     known: FloatArray,
     start: FloatArray | None,
 ) -> list[Part]:
-    """Plan the parts from the start to the last arrival, and back to the start.
+    """Plan the parts from the start to the last rest, and back to the start.
 
     Args:
         planner: Planner of the parts.
@@ -364,7 +359,9 @@ def _visits(
                     raise _Blocked(k, reason or "the clearances on the direct way")
                 parts += [(SegmentKind.APPROACH, *leg) for leg in legs]
                 here = target
-            if not (is_last and side < 0.0):  # the last rest is the constant Fourier part
+            if is_last and side < 0.0:
+                parts.append((SegmentKind.FOURIER, None, 2.0 * REST_PERIOD))  # it is constant
+            else:
                 parts.append((SegmentKind.APPROACH, *_rest(pose)))
     legs, reason = planner.plan_transfer(here, home, known)
     if not legs:
@@ -382,17 +379,7 @@ def _motion(joints: tuple[str, ...], parts: list[Part], pose: FloatArray, rate: 
     """Join the parts to a motion, whose Fourier part is the rest at the last pose."""
     zero = np.zeros((len(pose), 1))
     fourier = FourierSeries(zero, zero, pose, REST_PERIOD)
-    before = [part for part in parts if part[0] is SegmentKind.APPROACH]
-    after = parts[len(before) :]
-    segments, ticks = list[MotionSegment](), 0
-    for kind, profile, duration in (
-        *before,
-        (SegmentKind.FOURIER, None, 2.0 * REST_PERIOD),
-        *after,
-    ):
-        begin, ticks = ticks, ticks + round(duration * rate)
-        segments.append(MotionSegment(kind, begin / rate, ticks / rate, profile))
-    return Motion(joints, fourier, 2, tuple(segments))
+    return ramps.joined_parts(joints, fourier, 2, parts, rate)
 
 
 def design_static_poses(
@@ -464,59 +451,8 @@ def design_static_poses(
             distance = np.abs(candidates.poses - best.poses[blocked.pose]).max(axis=1)
             candidates = candidates.without(int(np.argmin(distance)))
             continue
-        motion = _motion(robot.joints, parts, best.poses[-1], options.rate)
-        return _certified(
-            StaticDesign(
-                _draft(
-                    motion if speed == 1.0 else motion.slowed(speed),
-                    robot,
-                    limits,
-                    options,
-                    noise,
-                    {
-                        "payload_link": link,
-                        "speed": speed,
-                        "static": {"poses": best.poses.tolist(), "rest": 2.0 * REST_PERIOD / speed},
-                        **({} if cell is None else {CELL_KEY: cell.document()}),
-                    },
-                    unchecked_reason,
-                ),
-                Certificate((), {}, ()),
-                parameters,
-                link,
-                best.poses,
-                problem.deviation(best),
-                _efficiency(candidates, best, rng),
-            ),
-            robot,
-            limits,
-            cell,
-            unchecked_reason,
-            force,
-        )
-    raise Infeasible(
-        f"{robot.source}: no {count} static poses can be reached within {reason}; widen them, "
-        "clear the scene or give fewer --poses"
-    )
-
-
-def _draft(
-    motion: Motion,
-    robot: Robot,
-    limits: Limits,
-    options: DesignOptions,
-    noise: FloatArray,
-    notes: dict[str, Any],
-    unchecked_reason: str,
-) -> Trajectory:
-    """Return the content of the trajectory file before its certificate."""
-    return Trajectory(
-        robot=robot.document(),
-        motion=motion,
-        rate=options.rate,
-        limits=with_derived_limits(limits, motion.fourier),
-        noise=noise,
-        design={
+        motion = _motion(robot.joints, parts, best.poses[-1], options.rate).slowed(speed)
+        design = {
             "criterion": Criterion.D.value,
             "plain": False,
             "drive": list(options.drive),
@@ -524,41 +460,28 @@ def _draft(
             "uncertainty": options.uncertainty,
             "margin": dict(limits.margin),
             "boxes": [dataclasses.asdict(box) for box in options.boxes],
-            **notes,
-        },
-        criteria={},
-        margins=[],
-        collision=unchecked_reason,
-        seed=options.seed,
-        versions=package_versions(),
-    )
-
-
-def _certified(
-    design: StaticDesign,
-    robot: Robot,
-    limits: Limits,
-    cell: Cell | None,
-    unchecked_reason: str,
-    force: bool,
-) -> StaticDesign:
-    """Return the design with its criteria and its certificate.
-
-    Raises:
-        CheckFailed: The certificate fails and `force` is not set.
-    """
-    scores = certificate.recompute_criteria(design.trajectory, robot, limits, design.parameters)
-    trajectory = replace(design.trajectory, criteria=scores)
-    result = certificate.verify(trajectory, robot, limits, cell, unchecked_reason=unchecked_reason)
-    if not result.ok and not force:
-        raise CheckFailed(
-            f"{robot.source}: the motion between static poses fails its certificate: "
-            f"{result.failure_reason()}; try another --seed, widen that limit, or --force"
+            "payload_link": link,
+            "speed": speed,
+            "static": {"poses": best.poses.tolist(), "rest": 2.0 * REST_PERIOD / speed},
+        }
+        trajectory, certificate = certified_trajectory(
+            robot, limits, motion, options, noise, design, cell, unchecked_reason
         )
-    trajectory = replace(
-        trajectory,
-        margins=[margin.document() for margin in result.margins],
-        collision=result.collision,
-        forced=not result.ok,
+        if not certificate.ok and not force:
+            raise CheckFailed(
+                f"{robot.source}: the motion between static poses fails its certificate: "
+                f"{certificate.failure_reason()}; try another --seed, widen that limit, or --force"
+            )
+        return StaticDesign(
+            trajectory,
+            certificate,
+            parameters,
+            link,
+            best.poses,
+            problem.deviation(best),
+            _efficiency(candidates, best, rng),
+        )
+    raise Infeasible(
+        f"{robot.source}: no {count} static poses can be reached within {reason}; widen them, "
+        "clear the scene or give fewer --poses"
     )
-    return replace(design, trajectory=trajectory, certificate=result)

@@ -28,15 +28,16 @@ from ..trajectory.rest_to_rest import PhaseProfile
 from . import floating_identifiability, sqp, support_cell, support_certificate
 from .certificate import CLEARANCE, Certificate
 from .criteria import Criterion
+from .evaluator import without_friction
 from .floating_identifiability import RowNoise
-from .identifiability import Identifiability
+from .identifiability import Identifiability, identifiable_count
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
 from .options import DesignOptions, samples_per_period
 from .support_cell import Surroundings
 from .support_certificate import CONTACT_LIMITS, JOINT_LIMITS, SupportConstraints
 from .support_evaluator import SupportEvaluator
-from .support_information import added_root, exported_motion, identifiable_counts
-from .support_model import SupportFunctions, support_functions
+from .support_kinematics import exported_motion
+from .support_model import support_functions
 from .support_problem import (
     SupportProblem,
     motion_duration,
@@ -66,10 +67,6 @@ MAX_SHRINKAGES = 130
 
 START_MAX_VALUE = 0.98
 """Largest constraint value of a start [1]."""
-
-STOPPING_GAIN = 5e-5
-"""Decrease of the objective over ten iterations below which a search ends [1]: of the mean
-logarithm of over a hundred eigenvalues."""
 
 SAMPLES_PER_OSCILLATION = 30
 """Samples of the optimiser over a period of the highest harmonic [1]: forces have twice its
@@ -160,7 +157,6 @@ class SupportDesign:
         limits: Limits of its joints.
         options: Options of the design.
         stance: The feet and the standing pose.
-        soles: Sole of each foot.
         parameters: Standard parameters with those of the joints.
         inertial: Standard parameters of the bodies alone.
         base: Base parameters of the base rows.
@@ -177,7 +173,6 @@ class SupportDesign:
     limits: Limits
     options: SupportOptions
     stance: Stance
-    soles: tuple[SoleSize, ...]
     parameters: Parameters
     inertial: Parameters
     base: Base
@@ -201,7 +196,7 @@ class SupportDesign:
 
     def identifiable_counts(self, threshold: float = IDENTIFIABLE_VARIANCE) -> list[int]:
         """Return the number of identifiable directions of the base rows after each motion."""
-        return identifiable_counts(self.roots, self.base, threshold)
+        return [identifiable_count(root, self.base, threshold) for root in self.roots]
 
     def analysis(self, rows: Rows, threshold: float = IDENTIFIABLE_VARIANCE) -> Identifiability:
         """Return the identifiability by all motions.
@@ -278,8 +273,7 @@ def design_support(
         motions.append(motion)
         certificates.append(certificate)
         roots.append(search.root)
-        eigenvalues = np.linalg.eigvalsh(search.information)
-        known = int(np.sum(eigenvalues >= 1.0 / IDENTIFIABLE_VARIANCE))
+        known = identifiable_count(search.root, search.base)
         report(
             f"motion {number + 1} of {options.count}: {known} of {search.base.count} directions "
             "identifiable"
@@ -290,7 +284,6 @@ def design_support(
         limits,
         options,
         stance,
-        options.soles,
         search.parameters,
         search.inertial,
         search.base,
@@ -349,7 +342,8 @@ class SupportSearch:
         )
         self.root = np.zeros((0, self.inertial.count))
         self.prior = np.eye(self.base.count) / options.prior_deviation**2
-        self._functions = self._build_functions()
+        torque = without_friction(limits.reduced().torque, self.parameters)
+        self._functions = support_functions(robot.joint_robot, self.parameters, stance, torque)
         self.constraints = SupportConstraints(
             robot, limits, stance, self.parameters, cell, unchecked_reason
         )
@@ -361,17 +355,6 @@ class SupportSearch:
         """Information of the motions so far, in the metric. Shape (p, p)."""
         rows = self.root @ self.base.geometric
         return np.asarray(rows.T @ rows)
-
-    def _build_functions(self) -> SupportFunctions:
-        """Build the dynamics, with the torque limits less Coulomb friction."""
-        friction = self.parameters.coulomb()
-        usable = self.limits.reduced().torque
-        return support_functions(
-            self.robot.joint_robot,
-            self.parameters,
-            self.stance,
-            np.maximum(usable - friction, 1e-3 * usable),
-        )
 
     def problem(self, joint_reserve: float, contact_reserve: float) -> SupportProblem:
         """Return the problem of the next motion, which keeps shares of its limits free."""
@@ -464,9 +447,7 @@ class SupportSearch:
         iterations: int | None = None,
     ) -> sqp.SearchState:
         """Return the state after some iterations of the search, None for all."""
-        return sqp.advance(
-            evaluator, state, sqp.History(), iterations, sqp.Tolerances(gain=STOPPING_GAIN)
-        )
+        return sqp.advance(evaluator, state, sqp.History(), iterations)
 
     def _start(self, evaluator: SupportEvaluator, number: int) -> FloatArray:
         """Return the best of some random feasible motions.
@@ -495,7 +476,9 @@ class SupportSearch:
         exported = exported_motion(
             self.robot, self.stance, self.parameters, motion, self.options.rate
         )
-        return added_root(root, self.robot, parameters, exported, self.noise, rows)
+        return floating_identifiability.added_root(
+            root, self.robot, parameters, exported, self.noise, rows
+        )
 
     def root_of_all_rows(self, motions: list[PhaseProfile]) -> FloatArray:
         """Return a root of the information of base and joint rows of all motions."""

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .._types import BoolArray, FloatArray, IntArray
+from .._types import FloatArray, IntArray
 from ..collision.clearance_constraint import ClearanceEvaluation
 from . import criteria
 from .casadi_batch import MappedFunction, PaddedFunction
-from .evaluator import ConstraintRows, centred, selected_rows
-from .support_model import BASE_COORDINATES, BODY_STATE, WRENCH_SIZE, LegFunctions
+from .evaluator import ConstrainedObjective, ConstraintRows, centred
+from .support_model import BODY_STATE, WRENCH_SIZE, LegFunctions
 from .support_problem import SupportProblem, motion_duration
-from .support_stance import MAX_CLOSURE_ERROR, MAX_NEWTON_STEP
+from .support_stance import BASE_COORDINATES, MAX_CLOSURE_ERROR, MAX_NEWTON_STEP
 
 NEWTON_ITERATIONS = 12
 """Iterations of Newton's method for a leg at most [1]: it begins at a solution nearby."""
@@ -99,7 +99,7 @@ class _Leg:
         return (leg, dleg, ddleg), -_solve_matrix(by_z, by_y), is_reachable
 
 
-class SupportEvaluator:
+class SupportEvaluator(ConstrainedObjective):
     """Evaluate a support problem; the results of the last variables are kept.
 
     Attributes:
@@ -107,6 +107,8 @@ class SupportEvaluator:
         bases: Factors of the coefficients at the samples, for derivatives of order 0 to 2.
         kinds: Names of the kinds of constraints that this problem has.
     """
+
+    problem: SupportProblem
 
     def __init__(self, problem: SupportProblem) -> None:
         """Allocate the functions at all samples."""
@@ -133,7 +135,7 @@ class SupportEvaluator:
             "contact",
             *["clearance"] * (problem.clearance is not None),
         )
-        self._independent, self._home = problem.independent, problem.home
+        self._independent, self._home = problem.stance.independent, problem.stance.home
         self._row_scale = np.sqrt(
             problem.options.rate * motion_duration(problem.options.period) / some
         ) / np.asarray(problem.wrench_noise)
@@ -179,15 +181,7 @@ class SupportEvaluator:
         return point.states, rows.reshape(count * WRENCH_SIZE, 10 * bodies)
 
     def objective(self, x: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-        """Evaluate the objective to be minimised, and its exact gradient.
-
-        Args:
-            x: Variables. Shape (size,).
-            sharpness: Not used: A and D are smooth.
-
-        Returns:
-            The objective, and its gradient. Shape (size,).
-        """
+        """Evaluate the objective and its gradient; A and D are smooth, so sharpness is not used."""
         point, p = self._at(x), self.problem
         states, Y = self._regressor(point)
         rows = Y @ p.columns
@@ -278,26 +272,7 @@ class SupportEvaluator:
         """Return the largest value of all constraints; infinite where a foot is out of reach."""
         if not self._at(x).is_reachable:
             return float("inf")
-        return max(float(values.max()) for values in self.constraint_values(x).values())
-
-    def rows_above(self, x: FloatArray, threshold: float) -> BoolArray:
-        """Return the flat mask of the constraints above a threshold, in the order of `kinds`."""
-        return np.concatenate(
-            [(values > threshold).ravel() for values in self.constraint_values(x).values()]
-        )
-
-    def rows(self, mask: BoolArray) -> ConstraintRows:
-        """Return the constraints that a flat mask selects."""
-        p = self.problem
-        count = p.options.samples
-        shapes = {"contact": (1, count, len(p.functions.contact_names))}
-        if p.clearance is not None:
-            shapes["clearance"] = (1, len(self._clear), len(p.clearance))
-        return selected_rows(mask, [shapes.get(k, (2, count, p.robot.n)) for k in self.kinds])
-
-    def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
-        """Return the values of selected constraints. Shape (m,)."""
-        return rows.values_of(self.constraint_values(x), self.kinds)
+        return super().max_constraint_value(x)
 
     def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
         """Return the exact Jacobian of selected constraints. Shape (m, size)."""

@@ -15,10 +15,9 @@ from .._types import FloatArray
 from ..robot.floating_base import FloatingMotion, FloatingRobot
 from ..robot.inertial_parameters import Parameters
 from ..trajectory.rest_to_rest import PhaseProfile
+from .support_problem import profile_duration
+from .support_stance import BASE_COORDINATES as BASE
 from .support_stance import Foot, Stance, base_pose, solve_leg
-
-BASE = 6
-"""Coordinates of the base link."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +55,6 @@ class SupportSamples:
         return self.motion.acceleration[:, BASE:]
 
 
-def independent_coordinates(robot: FloatingRobot, stance: Stance) -> list[int]:
-    """Return the places in (b, q) of the coordinates that a motion states, without support legs."""
-    legs = {BASE + int(joint) for joint in stance.leg_joints}
-    return [i for i in range(BASE + robot.n) if i not in legs]
-
-
 def support_samples(
     robot: FloatingRobot,
     stance: Stance,
@@ -79,7 +72,7 @@ def support_samples(
         t: Times [s]. Shape (N,).
     """
     count, n = len(t), robot.n
-    places = independent_coordinates(robot, stance)
+    places = stance.independent
     x = np.zeros((3, count, BASE + n))
     for order in range(3):
         x[order][:, places] = profile.at(t, order)
@@ -88,7 +81,7 @@ def support_samples(
     force = np.empty((count, BASE + n))
     wrenches = np.empty((count, len(stance.feet), 6))
     previous, worst = stance.pose.copy(), 0.0
-    others = [place - BASE for place in places if place >= BASE]
+    others = places[places >= BASE] - BASE
     for i in range(count):
         pose = base_pose(x[0, i])
         joints = previous.copy()
@@ -116,6 +109,26 @@ def support_samples(
     motion = FloatingMotion(q[:, :7], q[:, 7:], v, a)
     base, base_rate = x[0, :, :BASE], x[1, :, :BASE]
     return SupportSamples(t, base, base_rate, motion, torque, wrenches, worst)
+
+
+def exported_motion(
+    robot: FloatingRobot,
+    stance: Stance,
+    parameters: Parameters,
+    profile: PhaseProfile,
+    rate: float,
+) -> FloatingMotion:
+    """Return the rows of a motion as exported, without the last one.
+
+    Args:
+        robot: The robot.
+        stance: The feet and the standing pose.
+        parameters: Its standard parameters.
+        profile: Motion of the independent coordinates.
+        rate: Rows per second [Hz].
+    """
+    t = np.arange(round(profile_duration(profile) * rate)) / rate
+    return support_samples(robot, stance, parameters, profile, t).motion
 
 
 def _drive_torque(parameters: Parameters, dq: FloatArray, ddq: FloatArray) -> FloatArray:

@@ -30,10 +30,7 @@ from .casadi_model import (
     inverse_dynamics,
     kinematic_tree,
 )
-from .support_stance import Foot, Stance
-
-BASE_COORDINATES = 6
-"""Coordinates of the base link."""
+from .support_stance import BASE_COORDINATES, Foot, Stance
 
 BODY_STATE = 21
 """Numbers that describe a body: rotation (9, column by column) and origin (3) in the frame of the

@@ -12,20 +12,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._types import FloatArray, IntArray
+from .._types import FloatArray
 from ..collision.clearance_constraint import ClearanceConstraint
 from ..errors import UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..trajectory.fourier import FourierSeries, fourier_basis
 from ..trajectory.rest_to_rest import JerkProfile, PhaseProfile
-from .design_objective import DesignObjective
 from .options import DesignOptions
-from .support_model import BASE_COORDINATES, SupportFunctions
-from .support_stance import Stance
+from .support_model import SupportFunctions
+from .support_stance import BASE_COORDINATES, Stance
 
 BASE_REACH = (0.08, 0.08, 0.08, 0.25, 0.25, 0.25)
 """Units of the base coordinates [m and rad]: the order of magnitude of what bent legs allow."""
+
+STOPPING_GAIN = 5e-5
+"""Decrease of the objective over ten iterations below which a search ends [1]: of the mean
+logarithm of over a hundred eigenvalues."""
 
 RAMP_SHARE = 0.2
 """Share of a motion in which its phase accelerates, and in which it decelerates [1]."""
@@ -51,7 +54,6 @@ class SupportProblem:
         torque_reserve: Share of the torque limits of `functions` that is kept free [1].
         contact_reserve: Share of the weight that contact constraints keep free [1].
         clearance: Bodies that keep their distance at poses (b, q); None: distances are free.
-        objective: None: the criterion of the options.
     """
 
     robot: Robot
@@ -66,23 +68,16 @@ class SupportProblem:
     torque_reserve: float = 0.0
     contact_reserve: float = 0.0
     clearance: ClearanceConstraint | None = None
-    objective: DesignObjective | None = None
+
+    @property
+    def stopping_gain(self) -> float:
+        """Decrease of the objective over ten iterations below which a search ends."""
+        return STOPPING_GAIN
 
     @property
     def size(self) -> int:
         """Number of decision variables."""
         return self.scale.size
-
-    @property
-    def independent(self) -> IntArray:
-        """Return the independent ones of the coordinates (b, q): all but the support legs'."""
-        legs = BASE_COORDINATES + self.stance.leg_joints
-        return np.setdiff1d(np.arange(BASE_COORDINATES + self.robot.n), legs)
-
-    @property
-    def home(self) -> FloatArray:
-        """Return the independent coordinates of the standing pose. Shape (m,)."""
-        return np.concatenate([self.stance.base, self.stance.pose])[self.independent]
 
     def motion(self, x: FloatArray) -> PhaseProfile:
         """Return the motion of the independent coordinates that variables describe.
@@ -94,7 +89,8 @@ class SupportProblem:
         table = x.reshape(self.scale.shape) * self.scale
         sine, cosine = table[:, :K], table[:, K:]
         k = 2.0 * np.pi / self.options.period * np.arange(1, K + 1)
-        series = FourierSeries(sine, cosine, self.home + cosine @ (1.0 / k), self.options.period)
+        home = self.stance.home
+        series = FourierSeries(sine, cosine, home + cosine @ (1.0 / k), self.options.period)
         return PhaseProfile(series, rest_to_rest_phase(self.options.period))
 
     def bases(self) -> tuple[FloatArray, ...]:
@@ -185,10 +181,8 @@ def variable_scale(
     )
     reach = np.concatenate([BASE_REACH, half])
     speed = np.concatenate([np.full(BASE_COORDINATES, np.inf), limits.velocity])
-    legs = BASE_COORDINATES + stance.leg_joints
-    independent = np.setdiff1d(np.arange(len(reach)), legs)
     omega = 2.0 * np.pi / options.period
-    unit = np.minimum(speed, reach * omega)[independent]
+    unit = np.minimum(speed, reach * omega)[stance.independent]
     harmonics = np.arange(1, options.harmonics + 1)
     table = unit[:, None] / np.sqrt(harmonics)
     return np.hstack([table, table])

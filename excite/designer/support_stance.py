@@ -19,6 +19,9 @@ from ..robot.inertial_parameters import ranges
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 
+BASE_COORDINATES = 6
+"""Coordinates of the base link."""
+
 LEG_JOINTS = 6
 """Joints of a support leg: as many as the foot has degrees of freedom."""
 
@@ -150,15 +153,21 @@ class Stance:
         """Return the indices of the joints of all support legs."""
         return np.concatenate([foot.joints for foot in self.feet])
 
+    @property
+    def independent(self) -> IntArray:
+        """Return the places in (b, q) of the coordinates that a motion states, without the legs."""
+        count = BASE_COORDINATES + len(self.pose)
+        return np.setdiff1d(np.arange(count), BASE_COORDINATES + self.leg_joints)
+
+    @property
+    def home(self) -> FloatArray:
+        """Return the independent coordinates of the standing pose."""
+        return np.concatenate([self.base, self.pose])[self.independent]
+
 
 def base_pose(coordinates: FloatArray) -> pin.SE3:
     """Return the pose of the base link of its coordinates. Shape (6,) [m, rad]."""
     return pin.SE3(pin.rpy.rpyToMatrix(*coordinates[3:6]), coordinates[:3])
-
-
-def robot_mass(robot: Robot) -> float:
-    """Return the mass of a robot with its base link [kg]."""
-    return float(sum(inertia.mass for inertia in robot.model.inertias))
 
 
 def centre_of_mass(robot: Robot, q: FloatArray) -> FloatArray:
@@ -166,8 +175,8 @@ def centre_of_mass(robot: Robot, q: FloatArray) -> FloatArray:
     data = robot.model.createData()
     moving = np.asarray(pin.centerOfMass(robot.model, data, robot.expand(q)))
     base = robot.model.inertias[0]
-    total = robot_mass(robot)
-    return np.asarray(((total - base.mass) * moving + base.mass * base.lever) / total)
+    of_joints = (robot.mass - base.mass) * moving
+    return np.asarray((of_joints + base.mass * base.lever) / robot.mass)
 
 
 def solve_leg(
@@ -296,8 +305,7 @@ def standing(
             q, error = solve_leg(robot, data, foot, base_pose(base), q)
             if error > MAX_CLOSURE_ERROR:
                 raise _unreachable(robot, foot)
-    weight = robot_mass(robot) * float(np.linalg.norm(robot.model.gravity.linear))
-    return Stance(feet, contact, weight, base, q)
+    return Stance(feet, contact, robot.weight, base, q)
 
 
 def without_singularities(robot: Robot, limits: Limits, stance: Stance) -> Limits:

@@ -23,13 +23,14 @@ from ..trajectory.rest_to_rest import JerkProfile, PhaseProfile
 from ..trajectory.trajectory_file import load_designed_robot, package_versions
 from . import support_cell, support_certificate
 from .certificate import CELL_KEY, CRITERION_TOLERANCE, Certificate, limit_faults
-from .floating_identifiability import RowNoise
+from .floating_identifiability import RowNoise, added_root
+from .identifiability import identifiable_count
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE
 from .support_cell import BASE_NAMES
 from .support_certificate import SupportConstraints
-from .support_information import added_root, exported_motion, identifiable_counts
+from .support_kinematics import exported_motion
 from .support_problem import profile_duration
-from .support_stance import ContactLimits, Foot, Stance, leg_of, robot_mass
+from .support_stance import ContactLimits, Foot, Stance, leg_of
 
 GROUND_TOLERANCE = 1e-9
 """Largest height of a sole over the ground [m]: rounding."""
@@ -207,8 +208,7 @@ class SupportTrajectory:
             )
             for foot in self.feet
         )
-        weight = robot_mass(fixed) * float(np.linalg.norm(fixed.model.gravity.linear))
-        return Stance(feet, self.contact, weight, self.base, self.pose)
+        return Stance(feet, self.contact, fixed.weight, self.base, self.pose)
 
 
 def parse_support_trajectory(content: Any, path: Path) -> SupportTrajectory:
@@ -380,7 +380,7 @@ def _identifiable(
         root = added_root(root, robot, inertial, motion, trajectory.noise, Rows.BASE)
         roots.append(root)
     counts, fewest, most = (
-        identifiable_counts(roots, base, factor * IDENTIFIABLE_VARIANCE)
+        [identifiable_count(root, base, factor * IDENTIFIABLE_VARIANCE) for root in roots]
         for factor in (1.0, 1.0 - CRITERION_TOLERANCE, 1.0 + CRITERION_TOLERANCE)
     )
     faults = [

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._linear_algebra import triangle
 from .._types import FloatArray
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
@@ -120,25 +121,22 @@ class TorqueBand:
         return np.asarray(self.std.max(axis=0))
 
 
-def torque_band(Y: FloatArray, base: Base, root: FloatArray | None) -> TorqueBand:
+def torque_band(Y: FloatArray, base: Base, root: FloatArray) -> TorqueBand:
     """Predict the torque band along a task from the information of recordings and the weak prior.
 
     Args:
         Y: Regressor along the task. Shape (N, n, P).
         base: Base parameters of the robot.
-        root: Root R of the information RᵀR of the recordings, in standard parameters; None: the
-            prior alone. Shape (m, P).
+        root: Root R of the information RᵀR of the recordings, in standard parameters. Shape (m, P),
+            m ≥ 0.
 
     Returns:
         The band: σ²_tj = y_tj W (WᵀRᵀRW + 1/s²)⁻¹ Wᵀ y_tjᵀ, with W the geometric coordinates.
     """
     p = base.count
-    known = np.eye(p) / PRIOR_STD
-    if root is not None:
-        known = np.vstack([root @ base.geometric, known])
-    triangle = np.asarray(np.linalg.qr(known, mode="r"))
+    known = np.vstack([root @ base.geometric, np.eye(p) / PRIOR_STD])
     rows = (Y @ base.geometric).reshape(-1, p)
-    white = np.linalg.solve(triangle.T, rows.T)
+    white = np.linalg.solve(triangle(known).T, rows.T)
     return TorqueBand(np.sqrt(np.sum(white**2, axis=0)).reshape(Y.shape[:2]))
 
 

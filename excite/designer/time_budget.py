@@ -332,9 +332,7 @@ def plan_for_budget(
         clearance=clearance,
         start_pose=start,
     )
-    if start is not None:
-        ramps.check_start_pose(setup.constraints(limits.reduced()), start)
-    pilot = _try_candidate(setup, limits, setup.problem.options, start, speed)
+    pilot = _try_candidate(setup, setup.problem.options, speed)
     if isinstance(pilot, ExciteError):
         raise pilot
     ramp_time = 1.2 * (speed * pilot.robot_time - repeats * trial_period) + RAMP_TIME_RESERVE
@@ -349,7 +347,7 @@ def plan_for_budget(
         request.with_motion(short, t, k, r) for t, r in motions for k in request.harmonics_to_try(t)
     ]
     results = joblib.Parallel(n_jobs=options.jobs)(
-        joblib.delayed(_try_candidate)(setup, limits, trial, start, speed) for trial in trials
+        joblib.delayed(_try_candidate)(setup, trial, speed) for trial in trials
     )
     fitting = tuple(
         c for c in results if isinstance(c, BudgetCandidate) and c.robot_time <= budget + 1e-9
@@ -439,11 +437,7 @@ def _repeats(largest: int) -> Iterator[int]:
 
 
 def _try_candidate(
-    setup: DesignSetup,
-    limits: Limits,
-    options: DesignOptions,
-    start: FloatArray | None,
-    speed: float,
+    setup: DesignSetup, options: DesignOptions, speed: float
 ) -> BudgetCandidate | ExciteError:
     """Optimise a candidate briefly and plan its ramps; errors are returned as values."""
     begin_time = time.perf_counter()
@@ -454,19 +448,11 @@ def _try_candidate(
         else p.earlier_root * np.sqrt(_recorded_samples(p.options) / _recorded_samples(options))
     )
     varied = dataclasses.replace(
-        setup, problem=problem.rebuild_problem(p, limits, options, earlier_root)
+        setup, problem=problem.rebuild_problem(p, setup.limits, options, earlier_root)
     )
     try:
         motion = optimize.solve(varied).motion
-        usable = ramps.with_derived_limits(limits, motion).reduced()
-        complete = ramps.plan_rest_to_rest(
-            varied.constraints(usable),
-            motion,
-            options.periods,
-            options.rate,
-            start,
-            options.samples,
-        )
+        complete = varied.complete(motion)
     except ExciteError as error:
         return error
     value = _criterion_per_sample(varied.problem, motion)

@@ -42,7 +42,7 @@ def history_section(attempts: Sequence[Attempt]) -> Section:
     It counts iterations, not seconds: a report is the same from run to run.
     """
     values, best = np.array([a.objective for a in attempts]), attempts[0]
-    iterations = plural(len(best.values), "iteration")
+    iterations = plural(len(best.history.time) - 1, "iteration")
     if len(attempts) == 1:
         answer = (
             f"The only start converged after {iterations}; a single start tells nothing about "

@@ -81,7 +81,7 @@ def support_design_page(
 
 def _picture(design: SupportDesign, number: int, samples: Sequence[SupportSamples]) -> SolePicture:
     """Return a sole with the centre of pressure of all motions."""
-    foot, sole = design.stance.feet[number], design.soles[number]
+    foot, sole = design.stance.feet[number], design.options.soles[number]
     paths = []
     for part in samples:
         wrench = part.wrenches[:, number]

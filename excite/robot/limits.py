@@ -306,12 +306,10 @@ def resolve_with_assumptions(robot: Robot, file: Path | None = None) -> Limits:
         UnusableInput: The file cannot be read, names an unknown joint or contradicts itself.
     """
     table, *_ = stated_limits(robot, file)
-    mass = sum(body.mass for body in robot.model.inertias)
-    weight = float(np.linalg.norm(robot.model.gravity.linear)) * mass
     assumed: dict[str, Any] = {
         "position": (-math.pi, math.pi),
         "velocity": ASSUMED_VELOCITY,
-        "torque": ASSUMED_LEVER * weight or 1.0,
+        "torque": ASSUMED_LEVER * robot.weight or 1.0,
     }
     for fault in missing_limits(robot, table):
         table[fault.joint][fault.quantity] = (assumed[fault.quantity], ASSUMED)

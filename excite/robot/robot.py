@@ -103,6 +103,16 @@ class Robot:
         """Number of moving joints."""
         return len(self.joints)
 
+    @property
+    def mass(self) -> float:
+        """Mass of all bodies, the base link included [kg]."""
+        return float(sum(inertia.mass for inertia in self.model.inertias))
+
+    @property
+    def weight(self) -> float:
+        """Weight of all bodies, the base link included [N]."""
+        return self.mass * float(np.linalg.norm(self.model.gravity.linear))
+
     def with_exact_placements(self) -> Robot:
         """The robot whose rounded right angles are exact, for what depends on its structure."""
         return dataclasses.replace(self, model=self.structure)

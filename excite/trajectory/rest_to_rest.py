@@ -393,6 +393,8 @@ class Motion:
         """
         if not 0.0 < speed <= 1.0:
             raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
+        if speed == 1.0:
+            return self
         parts = [
             MotionSegment(
                 s.kind,

@@ -297,7 +297,7 @@ def draw_history(attempts: Sequence[Attempt]) -> str:
     """Draw the objective of all starts against iterations, and their final values."""
 
     several = len(attempts) > 1
-    final = max(max(a.stage) for a in attempts)
+    final = max(max(a.history.stage) for a in attempts)
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
@@ -311,8 +311,10 @@ def draw_history(attempts: Sequence[Attempt]) -> str:
         )
         for attempt in reversed(attempts):
             best = attempt is attempts[0]
-            last = np.array(attempt.stage) == final
-            value, worst = (np.array(row)[last] for row in (attempt.values, attempt.worst))
+            last = np.array(attempt.history.stage) == final
+            value, worst = (
+                np.array(row)[last] for row in (attempt.history.objective, attempt.history.worst)
+            )
             iteration = np.flatnonzero(last)
             inside = worst <= 1.0 + 1e-3
             color = BLUE if best else GREY

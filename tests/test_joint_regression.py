@@ -73,6 +73,34 @@ def test_constrained_solution_satisfies_the_optimality_conditions(seed):
 
 
 @given(seed=st.integers(0, 1000))
+def test_parameters_of_the_base_model_can_be_constrained_as_well(seed):
+    """Friction of the base model cannot be negative to make room for an effect."""
+    rng = np.random.default_rng(seed)
+    base, extra = rng.normal(size=(60, 2, 3)), rng.normal(size=(60, 2, 4))
+    torque = rng.normal(size=(60, 2))
+    nonnegative = np.array([True, False, True])
+    regression = JointRegression.of_base(
+        torque,
+        np.ones((60, 2), bool),
+        base,
+        (np.zeros(3), 0.1 * np.eye(3)),
+        np.array([0.5, 2.0]),
+        0.7,
+        nonnegative,
+    )
+    regression.add(columns_on_all_joints(extra, np.ones(4, bool), np.full(4, 3.0)))
+    solution = regression.solution
+    x, active = solution.coefficients, solution.active
+    columns = np.concatenate([base, extra], axis=2)
+    gradient = -np.einsum("njk,nj->k", columns, regression.residual() * regression.weights)
+    gradient += np.array([0.1] * 3 + [1.0 / 9.0] * 4) * x
+    bounded = np.append(nonnegative, np.ones(4, bool))
+    assert (x[bounded] >= 0.0).all() and active[~bounded].all()
+    np.testing.assert_allclose(gradient[active], 0.0, atol=1e-5)
+    assert (gradient[~active] >= -1e-5).all()
+
+
+@given(seed=st.integers(0, 1000))
 def test_coefficients_of_either_sign_stay_free_next_to_constrained_ones(seed):
     """An effect with both kinds: only those that cannot be negative may be held at zero."""
     rng = np.random.default_rng(seed)

@@ -41,15 +41,17 @@ def base_estimate(joint: JointModel) -> Estimate:
     half = vectors[:, known] / np.sqrt(values[known]) / size[:, None]
     inward = (vectors[:, known] * np.sqrt(values[known])).T * size
     theta = half @ (half.T @ score)
-    along = np.vstack([half, follow @ half])
+    others = np.flatnonzero(regression.solution.active[p:]) + p
+    along = np.zeros((len(regression.nonnegative), half.shape[1]))
+    along[:p], along[others] = half, follow @ half
     white = np.sqrt(regression.weights)
     residual = np.where(regression.moving, regression.residual(), 0.0)
     leverage, scores = _rows(regression, along)
     spectrum, spread = noise_spectrum(
         _equations(joint), residual * white, leverage, np.diag(1.0 / white), scores
     )
-    others = np.flatnonzero(regression.solution.active)[p:]
-    spread += along[p:].T @ regression.prior_matrix[np.ix_(others, others)] @ along[p:]
+    prior = regression.prior_matrix[np.ix_(others, others)]
+    spread += along[others].T @ prior @ along[others]
     covariance = half @ spread @ half.T
     hidden = np.any(np.abs(vectors[:, ~known]) > 1e-6, axis=1)
     covariance[hidden, hidden] = np.inf
@@ -71,22 +73,21 @@ def _rows(regression: JointRegression, along: FloatArray) -> tuple[FloatArray, F
 
     Args:
         regression: The regression.
-        along: Directions of the active coefficients, shape (a, r).
+        along: Directions of the coefficients, shape (K, r).
 
     Returns:
         Shapes (N, n, k), k the most coefficients of a joint, and (N, n, r).
     """
     joints = range(regression.n)
     columns, places = zip(*(regression.active_columns(j) for j in joints), strict=True)
-    inverse = regression.solution.solve(np.eye(len(along)))
+    inverse = regression.solution.solve(np.eye(int(regression.solution.active.sum())))
     leverage = np.zeros((*regression.torque.shape, max(map(len, places))))
-    scores = np.zeros((*regression.torque.shape, along.shape[1]))
     for j, weight in enumerate(np.sqrt(regression.weights).tolist()):
         values, vectors = np.linalg.eigh(inverse[np.ix_(places[j], places[j])])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         leverage[:, j, : len(places[j])] = weight * columns[j] @ root
-        scores[:, j] = weight * columns[j] @ along[places[j]]
-    return leverage, scores
+    scores = np.stack([regression.torque_along(x) for x in along.T], axis=2)
+    return leverage, scores * np.sqrt(regression.weights)[:, None]
 
 
 def _equations(joint: JointModel) -> TorqueEquations:

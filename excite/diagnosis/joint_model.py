@@ -34,6 +34,7 @@ from ..effects.form_error import RELATIVE_STD, with_form_error
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.consistency import ConsistentEstimate
+from ..identification.dissipation import friction_powers
 from ..identification.identification import Identification
 from . import recording_chain, ripple_search, session_changes
 from .columns import Columns
@@ -336,16 +337,17 @@ def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, Floa
 
     Args:
         fitted: A joint model.
-        places: Places of the coefficients, shape (k,); all of the base model are active.
+        places: Places of the coefficients, which have either sign, shape (k,).
 
     Returns:
         After elimination of all others, shape (k, k), and the prior's, shape (k,).
     """
-    unit = np.zeros((int(np.count_nonzero(fitted.solution.active)), len(places)))
-    unit[places, range(len(places))] = 1.0
+    active = fitted.solution.active
+    unit, rows = np.zeros((int(active.sum()), len(places))), (np.cumsum(active) - 1)[places]
+    unit[rows, range(len(places))] = 1.0
     prior = np.diag(fitted.regression.prior_matrix)[places]
     values, vectors = np.linalg.eigh(
-        np.linalg.inv(fitted.solution.solve(unit)[places]) - np.diag(prior)
+        np.linalg.inv(fitted.solution.solve(unit)[rows]) - np.diag(prior)
     )
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T), prior
 
@@ -421,12 +423,14 @@ def base_model(
     if weights is None:
         residual = np.concatenate([motion.residual for motion in motions])
         weights = rms(residual, moving), independent_share(residual, moving)
+    prior = _base_prior(identified, motions, free, change_scale)
     regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
         _base_columns(motions, level, free, modelled or [None] * len(motions), chain),
-        _base_prior(identified, motions, free, change_scale),
+        prior,
         *weights,
+        _dissipated(identified, free, len(prior[0])),
     )
     return JointModel(tuple(motions), (), regression, chain, level, psi, free, known, change_scale)
 
@@ -554,6 +558,31 @@ def _base_prior(
     places = np.arange(p, len(mean))
     out[places, places] = 1.0 / others**2
     return mean, out
+
+
+def _dissipated(identified: Identification, free: IntArray, count: int) -> BoolArray:
+    """Tell which coefficients of the base model are frictions, which cannot be negative.
+
+    The model that is saved has none below zero: an effect must not have its evidence by one. Where
+    friction of the base model alone feeds in power, as of a motor that another one drives, it
+    stands for something else.
+
+    Args:
+        identified: The base model.
+        free: Base parameters that are refit, the first coefficients, shape (p,).
+        count: Number of coefficients.
+    """
+    model, out = identified.model, np.zeros(count, bool)
+    if identified.options.trusted:
+        return out  # the others have no prior, without which zero has no evidence
+    kinds = [kind for kind in ("viscous", "coulomb") if kind in model.parameters.drive]
+    powers = friction_powers(model, identified.equations, identified.data, kinds)
+    places = [model.parameters.block(kind).start + j for kind in kinds for j in powers]
+    dissipates = [powers[j][0] > 0.0 for _ in kinds for j in powers]
+    alone = np.count_nonzero(model.base.matrix, axis=1) == 1
+    frictions = np.array(places, int)[dissipates]
+    out[: len(free)] = (alone & np.isin(model.base.independent, frictions))[free]
+    return out
 
 
 def _coulomb_columns(identified: Identification) -> IntArray:

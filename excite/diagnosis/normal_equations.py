@@ -68,9 +68,10 @@ class Solution:
 
 @dataclass(frozen=True)
 class Elimination:
-    """Normal equations of the coefficients of all effects, those of the base model eliminated.
+    """Normal equations of all other coefficients, those of the base model eliminated.
 
-    Which effects are left out changes nothing here, so that one elimination serves all refits.
+    The latter have either sign. Which effects are left out changes nothing here, so that one
+    elimination serves all refits.
 
     With the Cholesky factor L of the base model's information, and W = L⁻¹ [A_bo, b_b], the others
     have the information A_oo − WᵀW.
@@ -78,7 +79,8 @@ class Elimination:
     Attributes:
         scale: Units of all coefficients, in which A has a unit diagonal, shape (K,).
         base: Eliminated coefficients, shape (f,).
-        bounded: The others that cannot be negative, which follow the base model, shape (m,).
+        others: The others, shape (m,).
+        bounded: Those of the others that cannot be negative, shape (m,).
         factor: L, shape (f, f).
         half: W, shape (f, m + 1).
         schur: Information of the others, shape (m, m).
@@ -87,6 +89,7 @@ class Elimination:
 
     scale: FloatArray
     base: IntArray
+    others: IntArray
     bounded: BoolArray
     factor: FloatArray
     half: FloatArray
@@ -94,25 +97,28 @@ class Elimination:
     target: FloatArray
 
     @classmethod
-    def of(cls, system: System, base: IntArray, bounded: BoolArray) -> Elimination:
+    def of(
+        cls, system: System, base: IntArray, kept: BoolArray, nonnegative: BoolArray
+    ) -> Elimination:
         """Eliminate the coefficients of the base model by a Schur complement.
 
         Args:
             system: The normal equations.
             base: Coefficients that are eliminated, shape (f,).
-            bounded: The last coefficients that cannot be negative, shape (m,).
+            kept: Coefficients that are kept, shape (K,).
+            nonnegative: Coefficients that cannot be negative, shape (K,).
         """
+        others = np.flatnonzero(kept)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(system.matrix), 1e-300))
         a, b = system.matrix * scale[:, None] * scale, system.score * scale
-        first = len(scale) - len(bounded)
         factor = _cholesky(a[np.ix_(base, base)], RIDGE)
-        right = np.column_stack([a[base, first:], b[base]])
+        right = np.column_stack([a[np.ix_(base, others)], b[base]])
         half = _half_solved(factor, right)
         product = half.T @ half
-        schur = a[first:, first:] - product[:-1, :-1]
-        schur[np.diag_indices(len(bounded))] += RIDGE
-        target = b[first:] - product[:-1, -1]
-        return cls(scale, base, bounded, factor, half, schur, target)
+        schur = a[np.ix_(others, others)] - product[:-1, :-1]
+        schur[np.diag_indices(len(others))] += RIDGE
+        target = b[others] - product[:-1, -1]
+        return cls(scale, base, others, nonnegative[others], factor, half, schur, target)
 
     def minimum(self, system: System, used: BoolArray, likely: BoolArray) -> Solution:
         """Return the minimum over the used coefficients.
@@ -123,7 +129,7 @@ class Elimination:
             likely: Coefficients that are probably active, by a similar problem, shape (K,).
         """
         x, active = np.zeros(len(used)), used.copy()
-        others = slice(len(used) - len(self.bounded), None)
+        others = self.others
         x[others], active[others], log_determinant = _bounded_minimum(
             self.schur, self.target, used[others], self.bounded, likely[others]
         )

@@ -106,7 +106,8 @@ def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
 def log_evidence(regression: JointRegression, solution: Solution) -> float:
     """Return the log evidence of a solution, up to a constant of the regression."""
     active = solution.active.copy()
-    active[: regression.base_count] = False
+    # what has either sign in the base model is there in every model
+    active[: regression.base_count] &= regression.nonnegative[: regression.base_count]
     precision = np.diag(regression.prior_matrix)[active]
     halves = float(np.log(2.0) * np.count_nonzero(active & regression.nonnegative))
     return (

@@ -103,6 +103,7 @@ class JointRegression:
         prior: tuple[FloatArray, FloatArray],
         sigma: FloatArray,
         independent_share: float,
+        nonnegative: BoolArray | None = None,
     ) -> JointRegression:
         """Return the regression on the base model alone.
 
@@ -113,13 +114,15 @@ class JointRegression:
             prior: Mean, shape (p,), and information matrix, shape (p, p), of its parameters.
             sigma: RMS residual of each joint, shape (n,) [N m].
             independent_share: Share of independent rows.
+            nonnegative: Parameters that cannot be negative, shape (p,); none if None.
         """
         p = base.shape[2]
         mean, information = prior
         out = cls(torque, moving, p, sigma, independent_share)
         out.prior_matrix, out._prior_score = information.copy(), information @ mean
         out._prior_power = float(mean @ information @ mean)
-        out.nonnegative, out._likely = np.zeros(p, bool), np.ones(p, bool)
+        out.nonnegative = np.zeros(p, bool) if nonnegative is None else nonnegative
+        out._likely = np.ones(p, bool)
         for j in range(torque.shape[1]):
             used = np.flatnonzero(np.abs(base[:, j]).max(axis=0) > 0.0)
             x = base[:, j, used] * moving[:, j, None]
@@ -330,9 +333,10 @@ class JointRegression:
         return self._solutions[key]
 
     def _elimination_of(self, system: System, used: BoolArray) -> Elimination:
-        """Normal equations from which the used coefficients of the base model are eliminated."""
-        base = np.flatnonzero(used[: self.base_count])
-        return Elimination.of(system, base, self.nonnegative[self.base_count :])
+        """Normal equations without the used coefficients of the base model of either sign."""
+        free = ~self.nonnegative
+        free[self.base_count :] = False
+        return Elimination.of(system, np.flatnonzero(used & free), ~free, self.nonnegative)
 
     def data_information(self, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return what the data say of the first coefficients after elimination of all others.
@@ -350,9 +354,7 @@ class JointRegression:
         prior = self.prior_matrix.copy()
         prior[:count, :count] = 0.0
         system = self._system_of([self._whole()], (prior, np.zeros(len(prior))))
-        active = np.flatnonzero(self.solution.active)
-        others = active[active >= count]
-        assert len(active) - len(others) == count  # the base model has no sign constraints
+        others = np.flatnonzero(self.solution.active[count:]) + count
         scale = 1.0 / np.sqrt(np.diag(system.matrix)[others])
         block = system.matrix[np.ix_(others, others)] * scale[:, None] * scale
         cross = scale[:, None] * np.column_stack(

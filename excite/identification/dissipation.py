@@ -46,7 +46,7 @@ def require_dissipation(
         UnusableInput: It is clearly negative at half of the joints or more, and the sign of one of
             them is not doubted yet. At fewer joints, a warning.
     """
-    powers = _friction_powers(model, equations, data)
+    powers = friction_powers(model, equations, data, ("viscous", "coulomb", "offset"))
     negative = [
         j for j, (power, deviation) in powers.items() if power < -CLEARLY_NEGATIVE * deviation
     ]
@@ -74,13 +74,20 @@ def require_dissipation(
     warnings.warn(f"{text}; check the sign of its torque", ExciteWarning, stacklevel=3)
 
 
-def _friction_powers(
-    model: IdentificationModel, equations: TorqueEquations, data: Estimate
+def friction_powers(
+    model: IdentificationModel, equations: TorqueEquations, data: Estimate, kinds: Sequence[str]
 ) -> dict[int, tuple[float, float]]:
-    """Mean power of friction and its standard error of each joint [W]."""
+    """Return the mean power of friction and its standard error of each joint that has some [W].
+
+    Args:
+        model: The model.
+        equations: The equations that it is fitted to.
+        data: Base parameters estimated from the data alone.
+        kinds: Actuator parameters that count: "viscous", "coulomb", "offset".
+    """
     parameters, out = model.parameters, dict[int, tuple[float, float]]()
     weights: dict[int, FloatArray] = {}
-    for kind in ("viscous", "coulomb", "offset"):
+    for kind in kinds:
         if kind not in parameters.drive:
             continue
         block = parameters.block(kind)

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import loaded, text_of
 from diagnosis_cases import motions
 from scipy import integrate, linalg
 
@@ -99,6 +100,16 @@ def test_reaction_equals_the_force_on_a_fixed_base(arm, base_motion):
         np.testing.assert_allclose(
             dynamics.reaction[row], torque(arm, motion, row, (np.zeros(6),) * 3)[:6], atol=1e-9
         )
+
+
+def test_a_link_may_have_the_name_of_a_joint():
+    plain = text_of("two_link")
+    named, other = (loaded(plain.replace('name="joint_2"', f'name="{x}"')) for x in ("link_2", "b"))
+    motion = Samples(*(np.random.default_rng(seed).normal(size=(4, 2)) for seed in range(3)))
+    np.testing.assert_allclose(
+        floating_base_dynamics(named, named.model, motion).reaction,
+        floating_base_dynamics(other, other.model, motion).reaction,
+    )
 
 
 def test_coupled_oscillators_agree_with_an_integrator():

@@ -281,7 +281,7 @@ def base_of(robot: Robot) -> tuple[Parameters, base_parameters.Base]:
         return standard, base_parameters.find(robot, standard, limits)
 
 
-@pytest.mark.parametrize("decimals", [4, 5, 6, 8])
+@pytest.mark.parametrize("decimals", [2, 3, 4, 5, 6, 8])
 @pytest.mark.parametrize("name", BUILTIN)
 def test_base_parameters_do_not_depend_on_rounded_angles(name, decimals):
     exact, rounded = (
@@ -326,6 +326,15 @@ def test_angles_far_from_right_are_not_changed():
     assert exact_placement.exact_angles([0.7854, 1.57075, 0.3]) == [np.pi / 4, np.pi / 2, 0.3]
     assert exact_placement.exact_angles([1.571, 0.002, 0.0]) == [1.571, 0.002, 0.0]
     assert exact_placement.exact_lengths([9e-7, -2e-6, 0.1]) == [0.0, -2e-6, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("number", "is_right"),
+    [("1.57", True), ("1.571", True), ("1.5700", False), ("1.56", False), ("1.6", False)],
+)
+def test_an_angle_is_rounded_by_half_of_its_last_digit_at_most(number, is_right):
+    text = text_of("two_link").replace('xyz="0.5 0 0" rpy="0 0 0"', f'rpy="{number} 0 0"')
+    assert (loaded(text).rounded == ("joint_2",)) == is_right
 
 
 def test_at_a_right_pitch_the_difference_of_yaw_and_roll_is_exact():

@@ -64,7 +64,6 @@ def test_a_hidden_effect_is_the_only_finding(name):
     known_failures(
         HIDDEN,
         {
-            "asymmetric_viscous": "positive 0.926, true 0.857; negative 0.224, true 0.157",
             "stribeck": "velocity 0.096, true 0.12",
             "stiffening_spring": "stiffness 14.4, true 13.5",
             "elasticity": "base compliance is found instead",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import recordings_of
+from diagnosis_cases import diagnose, recordings_of
 from hypothesis import given
 from hypothesis import strategies as st
 from synthetic_recordings import true_parameters, write_recording
@@ -222,3 +222,12 @@ def test_rounded_positions_are_no_effect(tmp_path):
         warnings.simplefilter("ignore")
         result = excite.diagnose("two_link", files[:2], files[2:], with_report=False)
     assert not result.findings and result.document()["verdict"] == "no-mismatch"
+
+
+def test_rounded_torque_is_no_effect():
+    rounded = [
+        dataclasses.replace(r, tau=np.round(r.torque)) for r in recordings_of(None, (2, 8, 5))
+    ]
+    result = diagnose(rounded)
+    assert result.verdict == "no-mismatch"
+    np.testing.assert_allclose(result.residual, result.noise.floor, rtol=0.3)

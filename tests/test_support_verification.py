@@ -92,6 +92,13 @@ def test_base_joints_move_the_robot_like_its_free_flyer(walker):
         assert data.oMf[world.model.getFrameId(frame)].isApprox(moved, 1e-12)
 
 
+def test_a_link_in_the_world_may_have_the_name_of_a_joint(tmp_path):
+    path = tmp_path / "walker.urdf"
+    path.write_text(walker_urdf().replace("left_sole_joint", "left_sole"))
+    world = robot_in_world(floating_base.load(path))
+    assert world.model.frames[world.frame("left_sole")].type == pin.FrameType.BODY
+
+
 def test_the_gradients_of_clearances_are_exact(walker, table):
     chosen = options("right_sole")
     usable = table.reduced()

@@ -214,6 +214,7 @@ def diagnose(
     progress("base model of the recordings without the effects")
     savable, not_saved = _savable(model, rare, in_model)
     final = final_model.fit(identified, savable, not_saved, train, progress)
+    effects = estimates.on_base(effects, model, evidence, final.motions[0].fitted_robot)
     progress("held-out recordings")
     document = final.document(train)
     held_out = _held_out_errors(final, document, validate, halves[1])

@@ -14,7 +14,7 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME, delay
 from ..effects.effect import CandidateModel, Key
-from ..effects.recorded_motion import position_range
+from ..effects.recorded_motion import FittedRobot, position_range
 from ..effects.spring import CURVE_WAVES
 from . import joint_model, posterior, probability, recording_chain
 from .columns import Columns
@@ -162,6 +162,29 @@ def estimate_effects(
         names += _same_by_definition(model, estimate)
         out.append(replace(estimate, equivalents=tuple(dict.fromkeys(names))))
     return [*out, *_clock_delay(posterior_of)]
+
+
+def on_base(
+    effects: Sequence[EffectEstimate],
+    model: JointModel,
+    evidence: Sequence[EffectEvidence],
+    base: FittedRobot,
+) -> list[EffectEstimate]:
+    """Return estimates whose parameters are those on top of another base model.
+
+    Args:
+        effects: The estimates.
+        model: The joint model.
+        evidence: Evidence of all effects.
+        base: The base model.
+    """
+    posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
+    return [
+        replace(effect, parameters=posterior_of.parameters(effect.evidence.effects, base))
+        if effect.parameters and any(shape.parameters_on_base for shape in effect.models)
+        else effect
+        for effect in effects
+    ]
 
 
 def small_effects(small: Sequence[EffectEvidence]) -> list[EffectEstimate]:
@@ -326,7 +349,7 @@ class _Posterior:
             severity_interval=_interval(
                 severity, float(np.hypot(self.relative_std(effects), form))
             ),
-            parameters=self.parameters(effects),
+            parameters=self.parameters(effects, self.model.motions[0].fitted_robot),
         )
 
     def draws(self, places: IntArray) -> FloatArray:
@@ -356,7 +379,9 @@ class _Posterior:
         variance = float(along @ self.covariance(places, places) @ along)
         return float(np.sqrt(max(variance, 0.0)) / max(float(c @ along), 1e-300))
 
-    def parameters(self, effects: Sequence[int]) -> dict[str, tuple[float, float]]:
+    def parameters(
+        self, effects: Sequence[int], base: FittedRobot
+    ) -> dict[str, tuple[float, float]]:
         """Return the parameters of the largest model of an effect, with standard deviations."""
         draws = self.draws(self.places(effects))
         sizes = {e: self.relative_size(e) for e in effects if len(self.places([e]))}
@@ -366,7 +391,7 @@ class _Posterior:
         places = self.places([largest])
         columns = np.searchsorted(self.places(effects), places)
         c = self.solution.coefficients[part]
-        values = shape.parameters(c)
+        values = shape.reported(shape.plain(c), base)
         cloud = []
         shift, log_std = self._nonlinear(shape, c, places)
         logs = log_std * np.random.default_rng(2).normal(size=len(draws))
@@ -377,7 +402,7 @@ class _Posterior:
             if shape.nonlinear is not None and log:
                 factor = float(np.exp(np.clip(log, -MAX_LOG_CHANGE, MAX_LOG_CHANGE)))
                 moved = shape.nonlinear.model(shape.nonlinear.value * factor)
-            cloud.append(moved.parameters(shape.plain(changed)))
+            cloud.append(moved.reported(shape.plain(changed), base))
         form = EFFECTS_BY_NAME[shape.effect].form_std
         out = {}
         for key, value in values.items():

@@ -11,26 +11,29 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import special
 
 from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..identification import segments
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
-from ..recordings import Recording, periodicity, quantization
+from ..recordings import Recording, encoder_resolution, periodicity, quantization
 from ..recordings.missing_values import true_runs
 from ..recordings.padding import with_response
 
 Draw = Callable[[np.random.Generator], FloatArray]
-"""Draws the residual that encoder steps alone would leave, shape (N, n)."""
+"""Draws the residual that quantisation alone would leave, shape (N, n)."""
 Period = tuple[float, tuple[float, float]]
 """Period of a motion [s], and start and end of the window in which it repeats [s]."""
 DRAWS = 3
-"""Random draws of the encoders' quantisation errors."""
+"""Random draws of the quantisation errors."""
+NORMAL_QUANTILES = special.ndtri((np.arange(8) + 0.5) / 8)
+"""Noise of the torque over its standard deviation, for the mean of its quantisation error."""
 MIN_PERIODS = 1.2
 """Periods that a recording must contain to show its noise by repetition."""
 WINDOWS = 40
-"""Windows into which a difference of periods is divided."""
+"""Windows into which a difference of periods, or noise above the cutoff, is divided."""
 USUAL_QUANTILE = 0.6
 """Quantile of the windows' mean squares that stands for noise."""
 MAX_WINDOW_RATIO = 12.0
@@ -54,7 +57,7 @@ class NoiseEstimate:
         floor: RMS noise [N m], shape (n,).
         method: "periods" if it was found by repetition, else "differences", the contract's name of
             an estimate by the spectral density above the motion.
-        steps: RMS of the model torque's error by encoder quantisation, which repeats with the
+        steps: RMS of the residual by quantisation of positions and torque, which repeats with the
             motion [N m], shape (n,).
         periods: By recording that repeats: its period and window.
     """
@@ -86,8 +89,7 @@ def estimate_noise(
         residuals: Torque residual of each, shapes (N, n) [N m].
         recordings: The recordings.
     """
-    draws = quantization_residuals(model, motions)
-    rows = np.concatenate(draws) if draws else np.zeros((1, motions[0].n))
+    rows = np.concatenate(quantization_residuals(model, motions))
     steps = np.sqrt(np.mean(rows**2, axis=0))
     periods = {
         recording.source: period
@@ -249,23 +251,45 @@ def estimate_period(recording: Recording) -> Period | None:
 def quantization_residuals(
     model: IdentificationModel, motions: Sequence[RecordedMotion]
 ) -> tuple[FloatArray, ...]:
-    """Draw residuals of the base model by encoder quantisation alone.
+    """Draw residuals of the base model by quantisation of positions and torque alone.
 
-    The error of each reading is unknown, but not its distribution: smoothed positions are quantised
-    again, with random origins.
+    The error of each position is unknown, but not its distribution: smoothed positions are
+    quantised again, with random origins.
 
     Returns:
-        `DRAWS` residuals of shape (N, n) [N m]; none if all encoders are fine.
+        `DRAWS` residuals of shape (N, n) [N m].
     """
-    if not any(motion.segment.encoder.any() for motion in motions):
-        return ()
     rng = np.random.default_rng(0)
-    errors = [_quantization_error(model, motion) for motion in motions]
-    return tuple(np.concatenate([draw(rng) for draw in errors]) for _ in range(DRAWS))
+    errors = [(_position_error(model, motion), _torque_error(motion)) for motion in motions]
+    return tuple(
+        np.concatenate([draw(rng) + of_torque for draw, of_torque in errors]) for _ in range(DRAWS)
+    )
 
 
-def _quantization_error(model: IdentificationModel, motion: RecordedMotion) -> Draw:
-    """Function that draws the residual of a motion; the unquantised regressor is shared."""
+def _torque_error(motion: RecordedMotion) -> FloatArray:
+    """Residual of a motion by the quantisation of its torque, zero where no step shows, (N, n).
+
+    The torque of the model is rounded to multiples of the step. Noise smooths the steps: what
+    repeats with the motion is the mean error over the noise, which is seen above the cutoff.
+    """
+    torque, model = motion.segment.torque, motion.motor_torque
+    step = encoder_resolution.estimate_resolution(torque)
+    coarse = step > 0.0
+    unit = np.where(coarse, step, 1.0)
+    deviation = torque - model
+    rough = deviation - motion.band.transform(deviation).filter(Grid.RECORDED)
+    squares = [np.mean(part**2, axis=0) for part in np.array_split(rough, WINDOWS)]
+    usual = np.quantile(squares, USUAL_QUANTILE, axis=0)
+    noise = np.sqrt(np.maximum(usual - step**2 / 12.0, 0.0))
+    rounded = np.mean([np.round((model + z * noise) / unit) for z in NORMAL_QUANTILES], axis=0)
+    return motion.lowpass(np.where(coarse, rounded * unit - model, 0.0))
+
+
+def _position_error(model: IdentificationModel, motion: RecordedMotion) -> Draw:
+    """Function that draws the residual of a motion by quantised positions.
+
+    The unquantised regressor is shared.
+    """
     step = motion.steps
     coarse = step > 0.0
     if not coarse.any():

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from ..effects import EFFECTS, EFFECTS_BY_NAME
+from ..effects import EFFECTS
 from ..effects.effect import CandidateModel, Key
 from . import contact_search, posterior, probability, ripple_search
 from .candidate_fits import CandidateBatch, CandidateFit
-from .flexible_models import UNMODELLED, flexible_models
-from .joint_model import JointModel
+from .flexible_models import flexible_models
+from .joint_model import FRICTIONS, JointModel
 from .posterior import DENSE_NAMES
 
 MIN_CANDIDATE_EVIDENCE = 5.0
@@ -146,14 +147,15 @@ class CandidateColumns:
     """
 
     def __init__(self, model: JointModel, trusted: bool) -> None:
-        self._trusted = trusted
         shapes: list[CandidateModel] = []
+        absorbed: list[CandidateModel] = []
         for effect in EFFECTS:
             if effect.name not in DENSE_NAMES and (trusted or not effect.prior_only):
-                shapes += effect.candidates(model.motions)
+                (absorbed if effect.prior_only else shapes).extend(effect.candidates(model.motions))
         shapes += ripple_search.encoder_errors(model)
         shapes += flexible_models(model.motions, model.regression.sigma)
         self._shapes = CandidateShapes.of(model, shapes)
+        self._absorbed = CandidateShapes.of(model, absorbed)
         self._contacts = CandidateShapes.of(model, ())
 
     def seek_contacts(self, model: JointModel) -> None:
@@ -164,11 +166,11 @@ class CandidateColumns:
         """
         self._contacts = CandidateShapes.of(model, contact_search.contacts(model))
 
-    def _rankings(self, model: JointModel) -> dict[Key, Ranking]:
-        """Return the ranking of the shapes of every effect at every joint."""
+    def _rankings(self, model: JointModel, groups: Iterable[CandidateShapes]) -> dict[Key, Ranking]:
+        """Return the ranking of the shapes of every effect of some groups at every joint."""
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
-        for candidate in (*self._shapes.fitted(model), *self._contacts.fitted(model)):
+        for candidate in itertools.chain(*(group.fitted(model) for group in groups)):
             key = candidate.model.key
             counts[key] = counts.get(key, 0) + 1
             if candidate.is_plausible:
@@ -178,28 +180,35 @@ class CandidateColumns:
     def scored(self, model: JointModel) -> tuple[dict[Key, float], dict[Key, Ranking]]:
         """Return the evidence of every effect at every joint, and the ranking of its shapes.
 
-        Where the base model is trusted, load friction of several joints fits a part of what is
-        wrong with it. An effect that a refit would absorb therefore competes for the place of all
-        load friction as well; one that cannot be told from load friction is tried.
+        Where the base model is trusted, frictions fit a part of what is wrong with it: load
+        friction of several joints, or all frictions of one joint. An effect that a refit would
+        absorb therefore competes for the place of all load friction, and for that of all frictions
+        of its joint, as well; one that cannot be told from them is tried.
 
         Args:
             model: The joint model on top of which they are fitted.
         """
-        rankings = {key: r for key, r in self._rankings(model).items() if r.plausible}
+        groups = self._shapes, self._absorbed, self._contacts
+        rankings = {key: r for key, r in self._rankings(model, groups).items() if r.plausible}
         scores = {key: ranking.evidence for key, ranking in rankings.items()}
-        if not self._trusted:
-            return scores, rankings
-        kept = [i for i, shape in enumerate(model.models) if shape.effect != "load_friction"]
-        reduced = model.keeping(kept)
-        lost = posterior.log_bayes_factor(model, reduced)
-        for key, ranking in self._rankings(reduced).items():
-            if key[0] == UNMODELLED or not EFFECTS_BY_NAME[key[0]].prior_only:
+        for joint in (None, *range(model.n)) if self._absorbed.models else ():
+            kept = [
+                i
+                for i, shape in enumerate(model.models)
+                if shape.effect not in FRICTIONS
+                or (shape.effect != "load_friction" if joint is None else shape.joint != joint)
+            ]
+            if len(kept) == len(model.models):
                 continue
-            evidence = ranking.evidence - lost
-            if evidence > -TIE:
-                evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))
-            if evidence > scores.get(key, -np.inf):
-                scores[key], rankings[key] = evidence, ranking
+            reduced = model.keeping(kept)
+            # frictions that nothing needs are no merit of what would take their place
+            lost = max(posterior.log_bayes_factor(model, reduced), 0.0)
+            for key, ranking in self._rankings(reduced, (self._absorbed,)).items():
+                evidence = ranking.evidence - lost
+                if evidence > -TIE:
+                    evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))
+                if joint in (None, key[1]) and evidence > scores.get(key, -np.inf):
+                    scores[key], rankings[key] = evidence, ranking
         return scores, rankings
 
 

@@ -147,7 +147,7 @@ def repeated_share(products: FloatArray, square: float, steps: float) -> tuple[f
     Args:
         products: Products of the residuals of two periods, shape (m,).
         square: Mean square residual.
-        steps: RMS of the errors by encoder quantisation, which repeat as well.
+        steps: RMS of the errors by quantisation, which repeat as well.
     """
     count = min(ERROR_BLOCKS, len(products))
     blocks = np.array([part.mean() for part in np.array_split(products, count)])

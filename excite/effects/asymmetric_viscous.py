@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, is_between, single_joint_columns
 from .friction import max_speed
-from .recorded_motion import RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_EXCESS = 1.5
 """Largest half difference of both directions, over the friction of the base fit at full speed: the
@@ -23,12 +24,14 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     )
 
 
+def _parameters(joint: int, c: FloatArray, base: FittedRobot) -> dict[str, float]:
+    """Viscous friction in both directions, whose mean is that of the base model."""
+    viscous = float(base.actuator_parameter("viscous")[joint])
+    return {"positive": viscous + float(c[0]), "negative": viscous - float(c[0])}
+
+
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """One candidate a joint; it must dissipate energy in both directions, with all friction."""
-
-    def parameters(viscous: float) -> Callable[[FloatArray], dict[str, float]]:
-        return lambda c: {"positive": viscous + float(c[0]), "negative": viscous - float(c[0])}
-
     for j in range(motions[0].n):
         viscous, coulomb = (
             max(float(motions[0].fitted_robot.actuator_parameter(kind)[j]), 1e-9)
@@ -39,7 +42,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             "asymmetric_viscous",
             j,
             _columns,
-            parameters=parameters(viscous),
+            parameters_on_base=partial(_parameters, j),
             is_plausible=is_between(-limit, limit),
         )
 

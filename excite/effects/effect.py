@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .._types import FloatArray
-from .recorded_motion import RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion
 
 HARMONIC_KEYS = {2: "twice", 3: "thrice"}
 """Multiples of a spatial frequency that a candidate may fit jointly, by their key in its values."""
@@ -36,6 +36,8 @@ class CandidateModel:
         interval: Start and end of an effect that acts for some of the time [s].
         source: Recording in which `interval` lies.
         parameters: Converts coefficients, shape (k,), to the reported parameters by name.
+        parameters_on_base: The same of parameters that depend on the base model to which the effect
+            is added; None where `parameters` says it all.
         is_plausible: Tells whether coefficients, shape (k,), are physically possible: sign, range,
             dissipation.
         nonlinear: The nonlinear parameter to optimise; None if there is none.
@@ -59,6 +61,7 @@ class CandidateModel:
     interval: tuple[float, float] | None = None
     source: str = ""
     parameters: Callable[[FloatArray], dict[str, float]] = lambda c: {}
+    parameters_on_base: Callable[[FloatArray, FittedRobot], dict[str, float]] | None = None
     is_plausible: Callable[[FloatArray], bool] = lambda c: bool(np.isfinite(c).all())
     nonlinear: NonlinearParameter | None = None
     variants: Callable[[], Sequence[NonlinearParameter]] = tuple
@@ -85,6 +88,17 @@ class CandidateModel:
             c: Coefficients, shape (k,).
         """
         return c[: len(c) - self.form_columns]
+
+    def reported(self, c: FloatArray, base: FittedRobot) -> dict[str, float]:
+        """Return the reported parameters by name.
+
+        Args:
+            c: Coefficients without those of the discrepancy of its form, shape (k,).
+            base: The base model to which the effect is added.
+        """
+        if self.parameters_on_base is None:
+            return self.parameters(c)
+        return self.parameters_on_base(c, base)
 
     @property
     def key(self) -> Key:

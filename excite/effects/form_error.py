@@ -71,7 +71,6 @@ def with_form_error(
     return replace(
         model,
         torque_columns=columns,
-        parameters=lambda c: model.parameters(c[:k]),
         nonnegative=(*(model.nonnegative or (False,) * k), *(False,) * count),
         form_columns=count,
         exact=model,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -15,10 +16,9 @@ from .effect import (
     Effect,
     grid_candidates,
     is_between,
-    named_coefficients,
     single_joint_columns,
 )
-from .recorded_motion import RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_COLD_EXCESS = 3.0
 """Largest excess of the initial friction over its mean, over the mean: a cold joint, not one that
@@ -111,13 +111,28 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         yield from _by_temperature(motions, j)
 
 
-def _base_friction(motion: RecordedMotion, joint: int) -> tuple[float, float]:
-    """Coulomb and viscous friction of the base fit; the former is positive."""
+def _base_friction(base: FittedRobot, joint: int) -> tuple[float, float]:
+    """Coulomb and viscous friction of the base model; the former is positive."""
     coulomb, viscous = (
-        float(motion.fitted_robot.actuator_parameter(kind)[joint])
-        for kind in ("coulomb", "viscous")
+        float(base.actuator_parameter(kind)[joint]) for kind in ("coulomb", "viscous")
     )
     return max(coulomb, 1e-9), viscous
+
+
+def _share_of_friction(
+    motions: Sequence[RecordedMotion], joint: int
+) -> Callable[[Mapping[str, float], FittedRobot], float]:
+    """Return the function of the friction that changes, over that of a base model, at mean speed.
+
+    The friction that changes is stated in the values of a candidate.
+    """
+    speed = float(np.mean(np.abs(np.concatenate([m.samples.dq[:, joint] for m in motions]))))
+
+    def share(values: Mapping[str, float], base: FittedRobot) -> float:
+        coulomb, viscous = _base_friction(base, joint)
+        return (values["coulomb"] + values["viscous"] * speed) / (coulomb + viscous * speed)
+
+    return share
 
 
 def _common_origin(motions: Sequence[RecordedMotion]) -> list[float]:
@@ -144,11 +159,15 @@ def _by_time(
 ) -> Iterator[CandidateModel]:
     """Exponential changes with run time, and with the heat of the joint's friction losses."""
     length = max(float(_run_time(motion, origin)[-1]) for motion in motions)
-    coulomb, viscous = _base_friction(motions[0], j)
+    coulomb, viscous = _base_friction(motions[0].fitted_robot, j)
     losses = [_friction_losses(motion, j, coulomb, viscous) for motion in motions]
     power = float(np.mean(np.concatenate(losses)))
+    share = _share_of_friction(motions, j)
 
     def model(constant: float, by_losses: bool = False) -> CandidateModel:
+        def parameters(c: FloatArray, base: FittedRobot) -> dict[str, float]:
+            return {"change": float(c[0]) * share(values, base), "time_constant": constant}
+
         values = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous, **origin} | (
             {"power": power} if by_losses else {}
         )
@@ -157,7 +176,7 @@ def _by_time(
             j,
             _columns,
             values,
-            parameters=named_coefficients("change", time_constant=constant),
+            parameters_on_base=parameters,
             signature="friction changes as its own power heats the joint"
             if by_losses
             else "friction changes with run time",
@@ -188,26 +207,26 @@ def _by_temperature(motions: Sequence[RecordedMotion], j: int) -> Iterator[Candi
     span = float(np.ptp(temperatures))
     if not span > MIN_TEMPERATURE_RANGE:  # also where it is not a number
         return
-    coulomb, viscous = _base_friction(motions[0], j)
+    coulomb, viscous = _base_friction(motions[0].fitted_robot, j)
+    share_of_friction = _share_of_friction(motions, j)
     mean = float(temperatures.mean())
     below, above = mean - float(temperatures.min()), float(temperatures.max()) - mean
     # friction never becomes negative, nor a large multiple of its mean
     lower = -min(1.0 / above, MAX_COLD_EXCESS / below)
     upper = min(1.0 / below, MAX_COLD_EXCESS / above)
-    speeds = np.concatenate([motion.samples.dq[:, j] for motion in motions])
-    viscous_torque = float(np.mean(np.abs(speeds))) * viscous
 
-    def change(share: float) -> Callable[[FloatArray], dict[str, float]]:
-        return lambda c: {"change": float(c[0] * share * span / (1.0 - c[0] * share * below))}
+    def change(values: Mapping[str, float], c: FloatArray, base: FittedRobot) -> dict[str, float]:
+        per_degree = float(c[0]) * share_of_friction(values, base)
+        return {"change": per_degree * span / (1.0 - per_degree * below)}
 
     for changing_coulomb in (coulomb, 0.0):  # lubricant thins; dry friction may change or not
-        share = (changing_coulomb + viscous_torque) / (coulomb + viscous_torque)
+        values = {"reference": mean, "coulomb": changing_coulomb, "viscous": viscous}
         yield CandidateModel(
             "thermal_drift",
             j,
             _columns,
-            {"reference": mean, "coulomb": changing_coulomb, "viscous": viscous},
-            parameters=change(share),
+            values,
+            parameters_on_base=partial(change, values),
             is_plausible=is_between(lower, upper),
             signature="friction changes with temperature",
         )

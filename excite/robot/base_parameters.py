@@ -146,7 +146,7 @@ def _warn(robot: Robot, parameters: Parameters, rank: int) -> None:
     if robot.rounded:
         names = some(robot.rounded, NAMED_JOINTS)
         text = (
-            f"{robot.source}: the placement of {names} is rounded (as 1.5708 for "
+            f"{robot.source}: the placement of {names} is rounded (as 1.57 or 1.5708 for "
             "π/2); the base parameters are those of exact right angles"
         )
         warnings.warn(text, ExciteWarning, stacklevel=3)

@@ -377,9 +377,10 @@ def _reduced(
     frozen = [full.getJointId(name) for name in full.names[1:] if name not in kept]
     model = pin.buildReducedModel(full, frozen, reference) if frozen else full
     model.gravity.linear = np.asarray(gravity, float)
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY:
-            frame.name = links.get(frame.name, frame.name)
+    aliases = {link: alias for alias, link in links.items()}
+    for frame in model.frames:  # a joint's frame of the same name takes the alias
+        names = links if frame.type == pin.FrameType.BODY else aliases
+        frame.name = names.get(frame.name, frame.name)
     return model
 
 

@@ -470,11 +470,16 @@ def _placement(
     source: str, owner: str, element: ElementTree.Element
 ) -> tuple[list[float], list[float]]:
     """Position [m] and roll, pitch, yaw [rad] of an element's <origin>."""
-    origin = element.find("origin")
-    given = {} if origin is None else origin.attrib
-    xyz = numbers(source, f"{owner}, origin xyz", given.get("xyz", "0 0 0"), 3, ranges.LENGTH)
-    rpy = numbers(source, f"{owner}, origin rpy", given.get("rpy", "0 0 0"), 3, ranges.ANGLE)
+    stated = {name: _origin_attribute(element, name) for name in ("xyz", "rpy")}
+    xyz = numbers(source, f"{owner}, origin xyz", stated["xyz"], 3, ranges.LENGTH)
+    rpy = numbers(source, f"{owner}, origin rpy", stated["rpy"], 3, ranges.ANGLE)
     return xyz, rpy
+
+
+def _origin_attribute(element: ElementTree.Element, name: str) -> str:
+    """Three numbers of an element's <origin>, as they are printed."""
+    origin = element.find("origin")
+    return "0 0 0" if origin is None else origin.get(name, "0 0 0")
 
 
 def _origin(xyz: Sequence[float], rpy: Sequence[float]) -> str:
@@ -497,6 +502,7 @@ class JointPlacement:
         xyz: Position of its frame in the parent link's [m].
         rpy: Roll, pitch and yaw of its frame [rad].
         axis: Unit vector along which it moves, in its frame.
+        tolerances: Tolerances of the angles, see `exact_placement.angle_tolerance` [rad].
     """
 
     name: str
@@ -506,6 +512,7 @@ class JointPlacement:
     xyz: list[float]
     rpy: list[float]
     axis: list[float]
+    tolerances: list[float]
 
     def text(self, links: Mapping[str, str]) -> str:
         """The joint as an element of a URDF; a continuous one is revolute, so that nq = nv.
@@ -524,7 +531,8 @@ class JointPlacement:
 
     def exact(self) -> JointPlacement:
         """The joint with its placement exact; itself where nothing is rounded."""
-        xyz, rpy = exact_placement.exact_lengths(self.xyz), exact_placement.exact_angles(self.rpy)
+        xyz = exact_placement.exact_lengths(self.xyz)
+        rpy = exact_placement.exact_angles(self.rpy, self.tolerances)
         axis = exact_placement.exact_direction(self.axis)
         stated, exact = [*self.xyz, *self.rpy, *self.axis], [*xyz, *rpy, *axis]
         if not exact_placement.is_rounded(stated, exact):
@@ -549,7 +557,9 @@ def _placement_of(source: str, element: ElementTree.Element, links: set[str]) ->
         raise UnusableInput(f"{source}: {owner}: its axis is zero; give a direction in <axis xyz>")
     unit = [value / length for value in axis] if length else [1.0, 0.0, 0.0]
     xyz, rpy = _placement(source, owner, element)
-    return JointPlacement(name, kind, parent, child, xyz, rpy, unit)
+    printed = _origin_attribute(element, "rpy").split()
+    tolerances = [exact_placement.angle_tolerance(number) for number in printed]
+    return JointPlacement(name, kind, parent, child, xyz, rpy, unit, tolerances)
 
 
 def _inertia_of(source: str, element: ElementTree.Element) -> LinkInertia | None:

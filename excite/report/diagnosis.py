@@ -119,11 +119,7 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
     unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
     changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
     extrapolated = [b.joint for b in budgets if b.is_extrapolated]
-    above = [
-        b.joint
-        for b in budgets
-        if not (b.is_explained or b.is_changed or b.is_extrapolated or b.unknown)
-    ]
+    above = [b.joint for b in budgets if b.is_unforeseen]
     if unknown:
         places = joint_words(unknown, len(budgets))
         remains = f"torque at {places} repeats with the motion and no known effect explains it"
@@ -138,9 +134,10 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
             f"; friction is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
             "held-out motion is faster than the fitted recordings"
         )
-    if verdict == "partly-explained" and above:
+    if above:
         ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
-        text += f"; the error is still more than {ratio} at {joint_words(above, len(budgets))}"
+        places = joint_words(above, len(budgets))
+        text += f"; the error of the held-out motion is still more than {ratio} at {places}"
     return [
         Banner(f"{capitalized(verdict.replace('-', ' '))}: {text}.", tone),
         Banner(f"Use: {_use(budgets)}. Next: {_next_action(document, budgets)}.", ""),

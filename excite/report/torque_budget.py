@@ -132,6 +132,12 @@ class JointBudget:
         return self.changed > CHANGED_SHARE and not self.is_explained and not self.is_extrapolated
 
     @property
+    def is_unforeseen(self) -> bool:
+        """True if there is an error for which neither a change nor speed nor unknown torque
+        stands."""
+        return not (self.is_explained or self.is_changed or self.is_extrapolated or self.unknown)
+
+    @property
     def unchanged(self) -> float:
         """RMSE of the saved model without what changed between the recordings."""
         return float(self.after * (1.0 - self.changed) ** 0.5) if self.is_changed else self.after
@@ -206,6 +212,8 @@ class JointBudget:
     def _remaining(self) -> list[str]:
         """Causes of the remaining error."""
         texts = []
+        if self.is_unforeseen and self.is_improved:
+            texts.append("the cause of what remains is not known")
         if self.unknown and not self.is_explained:
             texts.append("torque that repeats and that no known effect explains remains")
             if self.small:

@@ -174,24 +174,13 @@ class _Search:
                 self._keep_small(scores)
             chosen = self._best(self._promising(scores, rankings, False), scores, rankings)
             if chosen is None:
-                # these last, next to effects that are too small to be named: they could stand for
-                # the sum of effects that are still to be found
-                named_alone = self.model, self._shapes
-                self._include_small_effects()
+                # these last: they could stand for the sum of effects that are still to be found
                 candidates.seek_contacts(self.model)
                 scores, rankings = candidates.scored(self.model)
                 chosen = self._best(self._promising(scores, rankings, True), scores, rankings)
-                if chosen is None:
-                    self.model, self._shapes = named_alone
-                    return
+            if chosen is None:
+                return
             self._add(chosen, scores)
-
-    def _include_small_effects(self) -> None:
-        """Include effects in the model that have evidence and predict, but are too small."""
-        small = [s for s in self.small_effects() if not s.spoils_prediction]
-        if small:
-            self._shapes = (*self._shapes, *(shape for s in small for shape in s.models))
-            self.model = self._fit(self._shapes)
 
     def _keep_small(self, scores: Mapping[Key, float]) -> None:
         """Drop small effects whose torque the effect that was added last explains.

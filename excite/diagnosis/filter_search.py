@@ -50,12 +50,12 @@ def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -
     if start.n == 1:
         return start  # the filter of a single joint cannot be told from its dynamics
     plain = search.refined(start)
-    found = search.best_filter(plain)
-    for model in (plain, found):
+    filtered = search.best_filter(plain)
+    for model in (plain, filtered):
         joint_model.reweight(model.regression)
-    evidence = _evidence(found, plain) - np.log(len(FILTERS) * len(CORNERS))
-    is_filter = found.chain.corner > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE
-    return found if is_filter else start
+    evidence = _evidence(filtered, plain) - np.log(len(FILTERS) * len(CORNERS))
+    is_filter = filtered.chain.corner > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE
+    return filtered if is_filter else start
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ class _Search:
             models = [self.with_filter(plain, low_pass) for low_pass in filters]
             return max(models, key=lambda model: _evidence(model, plain))
 
-        found = [best(of_kind) for of_kind in FILTERS]
-        stepped = [renewed_chain(model).filter for model in found]
-        found.append(best([low_pass for low_pass in stepped if low_pass]))
-        return self.refined(max(found, key=lambda model: _evidence(model, plain)))
+        models = [best(of_kind) for of_kind in FILTERS]
+        stepped = [renewed_chain(model).filter for model in models]
+        models.append(best([low_pass for low_pass in stepped if low_pass]))
+        return self.refined(max(models, key=lambda model: _evidence(model, plain)))
 
     def refined(self, model: JointModel) -> JointModel:
         """Return a model after a choice of its widths and steps of its recording chain."""

@@ -19,6 +19,7 @@ from diagnosis_cases import (
 )
 from scipy import signal
 
+from excite._types import FloatArray
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import delay
@@ -50,7 +51,7 @@ def test_filtered_torque_is_no_effect_and_hides_none(effect):
 @pytest.mark.parametrize("effect", [None, "stribeck", "torque_ripple", "load_friction"])
 def test_gain_of_the_filter_is_found(effect):
     result = stored(effect)
-    gain = result.final.chain.gain(FREQUENCIES, result.hertz)
+    gain = result.final.chain.gain(FREQUENCIES)
     expected = 1.0 / (1.0 + (FREQUENCIES / CORNER) ** 4)
     np.testing.assert_allclose(gain, expected, atol=0.05)
     assert abs(result.final.chain.delay) < 1e-3
@@ -59,6 +60,36 @@ def test_gain_of_the_filter_is_found(effect):
 @pytest.mark.parametrize("effect", [None, "stribeck", "torque_ripple", "load_friction"])
 def test_saved_model_predicts_filtered_torque(effect):
     assert (noise_ratios(stored(effect))[1] < 1.4).all()
+
+
+def one_pole(hertz: float) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients of a filter of one pole, as drives compute it."""
+    k = np.exp(-2.0 * np.pi * hertz / RATE)
+    return np.array([1.0 - k]), np.array([1.0, -k])
+
+
+DRIVES = {
+    "one pole, 8 Hz": one_pole(8.0),
+    "one pole, 12 Hz": one_pole(12.0),
+    "Butterworth, 15 Hz": signal.butter(2, 15.0 / (0.5 * RATE)),
+    "Butterworth, 30 Hz": signal.butter(2, 30.0 / (0.5 * RATE)),
+    "mean of 40 ms": (np.full(8, 0.125), np.ones(1)),
+}
+"""Filters of drives."""
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_filter_of_a_drive_is_no_effect(name):
+    recordings = []
+    for r in recordings_of(HIDDEN["stribeck"].torque):
+        tau = signal.lfilter(*DRIVES[name], r.torque - r.torque[0], axis=0) + r.torque[0]
+        recordings.append(dataclasses.replace(r, tau=tau))
+    result = diagnose(recordings)
+    expected = [("delay", None), ("stribeck", HIDDEN["stribeck"].joint)]
+    assert sorted(findings_of(result)) == expected
+    response = np.abs(signal.freqz(*DRIVES[name], FREQUENCIES, fs=RATE)[1])
+    np.testing.assert_allclose(result.final.chain.gain(FREQUENCIES), response, atol=0.08)
+    assert (noise_ratios(result)[1] < 1.4).all()
 
 
 def test_noise_after_a_filter_of_small_gain_is_not_amplified():
@@ -78,16 +109,21 @@ def test_noise_after_a_filter_of_small_gain_is_not_amplified():
 
 
 @pytest.mark.parametrize("hertz", [3.0, 9.0, 14.0])
-def test_wave_passes_the_filter_with_its_gain_and_phase(hertz):
-    motion, (a, p, b) = motions()[0], (-0.4, 0.7, -0.3)
-    angle, x = 2.0 * np.pi * hertz * motion.times, hertz / motion.band.hertz
+@pytest.mark.parametrize("poles", [1, 2, 3, 4])
+@pytest.mark.parametrize("passes", [1, 2])
+def test_wave_passes_the_filter_with_its_gain_and_phase(hertz, poles, passes):
+    motion, low_pass = motions()[0], delay.LowPass(poles, passes, CORNER)
+    angle = 2.0 * np.pi * hertz * motion.times
     torque = np.column_stack([np.sin(angle), 2.0 * np.cos(angle)])
-    passed = delay.filtered(motion, torque, np.array([a, p, b]), motion.band.hertz)
-    gain, phase = np.exp(a * x**2 + b * x**4), p * x**3
+    passed = low_pass.passed(motion, torque)
+    b, a = signal.butter(poles, 2.0 * np.pi * CORNER, analog=True)
+    response = signal.freqs(b, a, [2.0 * np.pi * hertz, 1e-3])[1]
+    phase = -np.angle(response[0]) + np.angle(response[1]) / 1e-3 * 2.0 * np.pi * hertz
+    gain, phase = np.abs(response[0]) ** passes, phase if passes == 1 else 0.0
     expected = gain * np.column_stack([np.sin(angle - phase), 2.0 * np.cos(angle - phase)])
     inside = slice(motion.band.margin, -motion.band.margin)
     np.testing.assert_allclose(passed[inside], expected[inside], atol=0.01)
-    restored = delay.filtered(motion, passed, -np.array([a, p, b]), motion.band.hertz)
+    restored = low_pass.passed(motion, passed, inverse=True)
     np.testing.assert_allclose(restored[inside], torque[inside], atol=0.02)
 
 
@@ -103,6 +139,6 @@ def test_filter_is_stated():
 @pytest.mark.parametrize("effect", [None, "hysteresis", "elasticity", "delay"])
 def test_unfiltered_torque_has_no_filter(effect):
     result = diagnosed(effect)
-    assert not result.final.chain.is_filtered
+    assert result.final.chain.filter is None
     content = document(result)
     assert content["recording_filter"] is None and filter_words(content) == ""

@@ -80,13 +80,7 @@ def diagnosed_filtered(effect: str | None) -> Diagnosis:
     )
 
 
-@pytest.mark.parametrize(
-    "effect",
-    known_failures(
-        [None, "stribeck"],
-        {None: "presliding is found, too", "stribeck": "torque that repeats is reported, too"},
-    ),
-)
+@pytest.mark.parametrize("effect", [None, "stribeck"])
 def test_filtered_torque_is_reported_as_a_delay_and_hides_no_effect(effect):
     result = diagnosed_filtered(effect)
     expected = {("delay", None), *([(effect, HIDDEN[effect].joint)] if effect else [])}
@@ -96,10 +90,7 @@ def test_filtered_torque_is_reported_as_a_delay_and_hides_no_effect(effect):
     assert abs(value - keep / (1.0 - keep) / RATE) < max(2.0 * std, 1e-3)  # of the discrete filter
 
 
-@pytest.mark.parametrize(
-    "effect",
-    known_failures([None, "stribeck"], {None: "1.66 noise floors", "stribeck": "2.7 noise floors"}),
-)
+@pytest.mark.parametrize("effect", [None, "stribeck"])
 def test_filtered_torque_is_predicted(effect):
     assert (noise_ratios(diagnosed_filtered(effect))[1] < 1.6).all()
 

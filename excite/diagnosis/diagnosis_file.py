@@ -292,10 +292,10 @@ def _p_value(estimate: EffectEstimate) -> float | None:
 def _recording_filter(diagnosis: Diagnosis) -> dict[str, list[float]] | None:
     """The gain by which torque is recorded, at the quarters of the band; None if it is 1."""
     chain, hertz = diagnosis.final.chain, diagnosis.hertz
-    if not chain.is_filtered:
+    if chain.filter is None:
         return None
     frequencies = hertz * np.linspace(0.25, 1.0, 4)
-    return {"hertz": frequencies.tolist(), "gain": chain.gain(frequencies, hertz).tolist()}
+    return {"hertz": frequencies.tolist(), "gain": chain.gain(frequencies).tolist()}
 
 
 def _budget(diagnosis: Diagnosis) -> dict[str, dict[str, dict[str, float]]]:

@@ -305,7 +305,7 @@ class _Posterior:
         self.active = np.flatnonzero(solution.active)
         p = regression.base_count
         weighted = solution.information - regression.prior_matrix
-        base = np.delete(np.arange(p), [model.delay_place, *model.filter_places])
+        base = np.delete(np.arange(p), [model.delay_place, model.filter_place])
         self._base = base
         self._weighted = weighted
         a = weighted[np.ix_(base, base)] + 1e-9 * np.diag(np.diag(weighted)[base] + 1e-300)

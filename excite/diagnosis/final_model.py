@@ -56,12 +56,10 @@ class FinalModel:
     @property
     def _recording(self) -> tuple[FittedEffect, ...]:
         """The recording chain: its filter and its delay, as far as it has them."""
-        filtered = FittedEffect(
-            delay.filtered_recording(self.motions[0].band.hertz), np.array(self.chain.filter)
-        )
         late = FittedEffect(delay.clock_delay(), np.array([self.chain.delay]))
+        passed = self.chain.filter
         return (
-            *((filtered,) if self.chain.is_filtered else ()),
+            *((FittedEffect(delay.filtered_recording(passed), np.ones(1)),) if passed else ()),
             *((late,) if abs(self.chain.delay) >= recording_chain.MIN_DELAY else ()),
         )
 
@@ -120,7 +118,7 @@ def fit(
     ]
     base_model = model.regression.keeping(())
     # the saved model has the widths and the chain of the motions, and no further change of them
-    base_model.fix_at_zero(range(len(model.free), model.filter_places.stop))
+    base_model.fix_at_zero(range(len(model.free), model.filter_place + 1))
     first = _with_effects(base_model, model, model.motions, shapes)
     # the effects that were left out explain nothing of the residual
     joint_model.reweight(first, joint_model.transient_rows(shapes, model.motions))
@@ -136,7 +134,7 @@ def fit(
         progress,
     )
     several = len(session_changes.sources(model.motions)) > 1
-    if (shapes or several or model.chain.is_filtered) and not identified.options.trusted:
+    if (shapes or several or model.chain.filter) and not identified.options.trusted:
         # the same recordings, but effects and base model at once: where an effect can stand for a
         # part of the base model, the recordings without its torque cannot show that part, a change
         # between them would be fitted by other parameters, and the noise of torque whose filter is

@@ -51,14 +51,12 @@ MIN_FREEDOM = 0.1
 """Smallest share of rows that counts as degrees of freedom of the residual."""
 MIN_CHAIN_EVIDENCE = 5.0
 """Log Bayes factor from which the delay, or the filter, of the recording chain enters the model."""
-MAX_DELAY_PHASE = 0.3
-"""Phase of a step of the delay at the cutoff frequency up to which it is linear [rad]."""
 MIN_LEVEL_SHARE = 0.3
 """Least friction level of a joint, over the median of all joints."""
 MIN_TORQUE_SHARE = 0.1
 """Least friction level of a joint, over the standard deviation of its torque."""
-MAX_WIDTH_STEP = 0.7
-"""Largest change of the logarithm of a Coulomb width in a round."""
+MAX_LOG_STEP = 0.7
+"""Largest change of the logarithm of a Coulomb width, or of a corner frequency, in a round."""
 FRICTIONS = {
     "stribeck": stribeck,
     "nonlinear_viscous": nonlinear_viscous,
@@ -106,14 +104,14 @@ class JointModel:
         return len(self.free) + self.n
 
     @property
-    def filter_places(self) -> range:
-        """Places of the filter of the recording chain."""
-        return range(self.delay_place + 1, self.delay_place + recording_chain.COLUMNS)
+    def filter_place(self) -> int:
+        """Place of the corner frequency of the recording chain's filter."""
+        return self.delay_place + 1
 
     @property
     def session_places(self) -> slice:
         """Places of the changes between recordings, the last coefficients of the base model."""
-        return slice(self.filter_places.stop, self.regression.base_count)
+        return slice(self.filter_place + 1, self.regression.base_count)
 
     @property
     def form_places(self) -> list[int]:
@@ -204,18 +202,6 @@ def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
     ]
 
 
-def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:
-    """Return the frictions of all joints at the identified parameters, which start every fit.
-
-    Args:
-        identified: The base model.
-        motions: The motions to fit.
-    """
-    psi = initial_parameters(identified)
-    present = renewed(identified, motions, psi, identified.model.widths)
-    return base_model(identified, present, psi).with_effects(dense_models(present))
-
-
 def fit(
     identified: Identification,
     motions: Sequence[RecordedMotion],
@@ -228,22 +214,16 @@ def fit(
         identified: The base model.
         motions: The motions to fit.
         rare: Further effects.
-        start: What `first_round` returns.
+        start: What `filter_search.first_round` returns.
     """
-    widths, chain = identified.model.widths, RecordingChain()
+    widths, chain = start.motions[0].widths, start.chain
     waves: list[CandidateModel] = []
     fitted = start.with_effects(rare)
     for step in range(ROUNDS - 1):
-        delayed = _without_filter(fitted)
-        # what a delay leaves that is not yet found looks like a filter
-        is_filtered = _delay_phase(delayed) < MAX_DELAY_PHASE
-        fitted = fitted if is_filtered else delayed
         reweight(fitted.regression)
-        chain = _renewed_chain(fitted, is_filtered)
-        if is_filtered and not chain.is_filtered:
-            fitted = _without_filter(fitted)
+        chain = renewed_chain(fitted)
         width_steps = fitted.solution.coefficients[len(fitted.free) : fitted.delay_place]
-        widths = widths * np.exp(np.clip(width_steps, -MAX_WIDTH_STEP, MAX_WIDTH_STEP))
+        widths = widths * np.exp(np.clip(width_steps, -MAX_LOG_STEP, MAX_LOG_STEP))
         change_scale = _renewed_change_scale(fitted)
         psi = consistent_parameters(identified, fitted)
         if step == 0:
@@ -258,41 +238,24 @@ def fit(
         weights = fitted.regression.sigma, fitted.regression.independent_share
         fitted = base_model(identified, present, psi, chain, weights, modelled, change_scale)
         fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
-    if not chain.is_filtered:
-        fitted = _without_filter(fitted)
     reweight(fitted.regression)
     for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
         motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
     return fitted
 
 
-def _without_filter(fitted: JointModel) -> JointModel:
-    """Return a joint model whose recording chain has no filter, or none beyond the present one."""
-    out = replace(fitted, regression=fitted.regression.copy())
-    out.regression.fix_at_zero(fitted.filter_places)
-    return out
+def renewed_chain(fitted: JointModel) -> RecordingChain:
+    """Return the recording chain with the step of a fit; no delay without evidence.
 
-
-def _delay_phase(fitted: JointModel) -> float:
-    """Return the phase of the step of the delay at the cutoff frequency [rad]."""
-    seconds = float(fitted.solution.coefficients[fitted.delay_place])
-    return 2.0 * np.pi * fitted.motions[0].band.hertz * abs(seconds)
-
-
-def _renewed_chain(fitted: JointModel, is_filtered: bool) -> RecordingChain:
-    """Return the recording chain with the step of a fit; what has no evidence is left out."""
+    Args:
+        fitted: A joint model.
+    """
     x, chain = fitted.solution.coefficients, fitted.chain
     seconds = chain.delay + float(x[fitted.delay_place])
     if delay_evidence(fitted, seconds)[0] <= MIN_CHAIN_EVIDENCE:
         seconds = 0.0
-    if not is_filtered:
-        return RecordingChain(seconds)
-    places = np.array(fitted.filter_places)
-    information, prior = _information(fitted, places)
-    a, p, b = recording_chain.low_pass(np.array(chain.filter) + x[places], information)
-    if _evidence(information, prior, np.array([a, p, b])) <= MIN_CHAIN_EVIDENCE:
-        return RecordingChain(seconds)
-    return RecordingChain(seconds, (float(a), float(p), float(b)))
+    step = np.clip(x[fitted.filter_place], -MAX_LOG_STEP, MAX_LOG_STEP)
+    return chain.stepped(seconds, float(step))
 
 
 def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
@@ -370,9 +333,9 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
     Effects of measured torque are computed from it: measured noise would be correlated with itself.
     It has not passed the filter of the recording chain.
     """
-    regression, places = model.regression, list(model.filter_places)
+    regression, place = model.regression, model.filter_place
     of_filter = np.zeros(len(model.solution.coefficients))
-    of_filter[places] = model.solution.coefficients[places]
+    of_filter[place] = model.solution.coefficients[place]
     total = model.known + regression.torque - regression.residual()
     total = total - regression.torque_along(of_filter)
     parts = recorded_motion.split_by_motion(total, model.motions)
@@ -518,7 +481,7 @@ def _base_columns(
     modelled: Sequence[FloatArray | None],
     chain: RecordingChain,
 ) -> FloatArray:
-    """Columns of the base model, shape (N, n, p + n + 4 + s).
+    """Columns of the base model, shape (N, n, p + n + 2 + s).
 
     Γ, the change of Coulomb friction by its width, the recording chain, and the changes between
     recordings.
@@ -547,7 +510,7 @@ def _base_prior(
     others = np.concatenate(
         [
             np.ones(n),
-            recording_chain.prior_std(n, motions[0].band.hertz),
+            recording_chain.prior_std(),
             change_scale * session_changes.prior_std(motions),
         ]
     )

@@ -2,41 +2,37 @@
 
 Torque may be recorded later than the positions, on another clock, and both may have passed
 different low-pass filters: those of the drives, of the logger, of whoever stored the file. Relative
-to the torque that the recorded motion needs, this is one frequency response of all joints. Up to
-the cutoff frequency f_c its logarithm is a polynomial of x = f/f_c (the cumulants of its impulse
-response),
-
-    ln H(f) = −2πi f d + a x² − i p x³ + b x⁴,   a ≤ 0, a + 2b ≤ 0: the gain falls,
-
-with the delay d; p = 0 for a filter without phase. Without the filter, torque whose steps were
-smoothed would be taken for presliding hysteresis of every joint. The delay is removed from the
-recorded torque, and the model passes the filter: to divide by a small gain would amplify the noise.
+to the torque that the recorded motion needs, this is one frequency response of all joints: a delay
+and a Butterworth filter of one to four poles, passed forwards, or forwards and backwards (`delay`).
+Without the filter, torque whose steps were smoothed would be taken for presliding hysteresis of
+every joint. The delay, with that of the filter at low frequencies, is removed from the recorded
+torque, and the model passes the filter: to divide by a small gain would amplify the noise.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._types import FloatArray
-from ..effects import delay
+from ..effects.delay import LowPass
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.lowpass import Grid
 from ..recordings.padding import with_response
-from ..schemas.effects import FILTER_COEFFICIENTS
-from .regression import FIXED_STD
 
 DELAY_STD = 0.01
 """Prior standard deviation of the delay [s]."""
 MIN_DELAY = 1e-5
 """Delay below which there is none [s]."""
-FILTER_HERTZ = 20.0
-"""Frequency at which the prior standard deviation of the filter, by a, p or b, is a factor of e
-[Hz]: no one filters a robot's torque at much less."""
-COLUMNS = 1 + FILTER_COEFFICIENTS
-"""Columns of a recording chain: the delay, then the filter."""
+CORNER_STD = 1.0
+"""Prior standard deviation of the logarithm of the filter's corner frequency."""
+MIN_CORNER = 6.0
+"""Smallest corner frequency: no one filters a robot's torque at much less [Hz]."""
+COLUMNS = 2
+"""Columns of a recording chain: the delay, then the corner frequency of the filter."""
 
 
 @dataclass(frozen=True)
@@ -44,17 +40,24 @@ class RecordingChain:
     """Delay and filter of the recorded torque.
 
     Attributes:
-        delay: Time by which all torque is recorded late [s].
-        filter: Coefficients a, p and b.
+        delay: Time by which all torque is recorded late, at low frequencies [s].
+        filter: The filter; None without one.
     """
 
     delay: float = 0.0
-    filter: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    filter: LowPass | None = None
 
     @property
-    def is_filtered(self) -> bool:
-        """True if the torque has passed a filter."""
-        return any(self.filter)
+    def corner(self) -> float:
+        """Corner frequency of the filter [Hz]; infinite without one."""
+        return np.inf if self.filter is None else self.filter.hertz
+
+    def stepped(self, seconds: float, log_corner: float) -> RecordingChain:
+        """Return the chain with another delay [s] and a step of the log corner frequency."""
+        if self.filter is None:
+            return RecordingChain(seconds)
+        corner = max(self.filter.hertz * float(np.exp(log_corner)), MIN_CORNER)
+        return RecordingChain(seconds, self.filter.with_corner(corner))
 
     def without_delay(self, motion: RecordedMotion) -> FloatArray:
         """Return the recorded torque of a motion without the delay, shape (M, n) [N m].
@@ -74,9 +77,7 @@ class RecordingChain:
             motion: The motion.
             torque: Torque that has passed the filter, shape (M, n) [N m].
         """
-        if not self.is_filtered:
-            return torque
-        return delay.filtered(motion, torque, -np.array(self.filter), motion.band.hertz)
+        return torque if self.filter is None else self.filter.passed(motion, torque, inverse=True)
 
     def passed(self, motion: RecordedMotion, rows: FloatArray) -> FloatArray:
         """Return columns at the rows of a motion after the filter, shape (N, …).
@@ -85,34 +86,34 @@ class RecordingChain:
             motion: The motion.
             rows: Low-passed columns, shape (N, …).
         """
-        if not self.is_filtered:
-            return rows
-        rate = motion.band.rate_of(Grid.KEPT)
+        return rows if self.filter is None else _with_response(motion, rows, self.filter.response)
 
-        def response(frequency: FloatArray) -> NDArray[np.complex128]:
-            return delay.filter_response(
-                np.array(self.filter), frequency * rate / motion.band.hertz
-            )
+    def gain(self, frequencies: FloatArray) -> FloatArray:
+        """Return the gain at frequencies [Hz], shape (k,)."""
+        return (
+            np.ones(len(frequencies))
+            if self.filter is None
+            else np.abs(self.filter.response(frequencies))
+        )
 
-        return with_response(rows, response, motion.band.periodic)
 
-    def gain(self, frequencies: FloatArray, hertz: float) -> FloatArray:
-        """Return the gain at frequencies up to the cutoff frequency, shape (k,).
-
-        Args:
-            frequencies: The frequencies [Hz], shape (k,).
-            hertz: The cutoff frequency [Hz].
-        """
-        return np.abs(delay.filter_response(np.array(self.filter), frequencies / hertz))
+def _with_response(
+    motion: RecordedMotion,
+    rows: FloatArray,
+    response: Callable[[FloatArray], NDArray[np.complex128]],
+) -> FloatArray:
+    """Columns at the rows of a motion after a filter, a function of frequencies [Hz]."""
+    rate = motion.band.rate_of(Grid.KEPT)
+    return with_response(rows, lambda x: response(x * rate), motion.band.periodic)
 
 
 def columns(
     motion: RecordedMotion, modelled: FloatArray | None, chain: RecordingChain
 ) -> FloatArray:
-    """Return the change of the torque by the delay, per second, and by a, p and b, (N, n, 4).
+    """Return the change of the torque by the delay, per second, and by the filter, (N, n, 2).
 
-    The slope is that of the recorded torque, whose noise is uncorrelated with its own slope; it is
-    correlated with even derivatives, so that the filter's columns are those of modelled torque.
+    The slope is that of the recorded torque, whose noise is uncorrelated with its own slope; the
+    filter's is that of modelled torque, by the logarithm of the corner frequency.
 
     Args:
         motion: The motion, with the torque from which a delay was removed.
@@ -120,39 +121,12 @@ def columns(
         chain: The present recording chain.
     """
     slope = -motion.band.filter(motion.segment.torque, Grid.KEPT, 1)[motion.kept]
-    torque = motion.motor_torque if modelled is None else modelled
-    of_filter = delay.filter_columns(motion, torque, motion.band.hertz)
-    return np.concatenate([slope[:, :, None], chain.passed(motion, of_filter)], axis=2)
+    if chain.filter is None:
+        return np.stack([slope, np.zeros_like(slope)], axis=2)
+    torque = motion.lowpass(motion.motor_torque if modelled is None else modelled)
+    return np.stack([slope, _with_response(motion, torque, chain.filter.slope)], axis=2)
 
 
-def prior_std(joints: int, hertz: float) -> FloatArray:
-    """Return the prior standard deviations of the columns, shape (4,).
-
-    The filter of a single joint cannot be told from the dynamics of the joint, and is none.
-
-    Args:
-        joints: Number of joints.
-        hertz: Cutoff frequency [Hz].
-    """
-    of_filter = (hertz / FILTER_HERTZ) ** np.arange(2.0, 5.0)
-    if joints == 1:
-        of_filter = np.full(len(of_filter), FIXED_STD)
-    return np.array([DELAY_STD, *of_filter])
-
-
-def low_pass(coefficients: FloatArray, information: FloatArray) -> FloatArray:
-    """Return the most probable coefficients of a low-pass filter, shape (3,).
-
-    Args:
-        coefficients: Coefficients of either sign, shape (3,).
-        information: Their information, shape (3, 3).
-    """
-    from scipy.optimize import lsq_linear  # slow to import
-
-    root = np.linalg.cholesky(information + 1e-12 * np.diag(np.diag(information) + 1e-300)).T
-    of_slopes = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.5, 0.0, 0.5]])  # a, p, a + 2b
-    bounds = (-np.inf, [0.0, np.inf, 0.0])
-    slopes = lsq_linear(root @ of_slopes, root @ coefficients, bounds).x
-    if slopes[0] + slopes[2] > -1e-6:  # on both bounds, but for rounding
-        return np.zeros(FILTER_COEFFICIENTS)
-    return np.asarray(of_slopes @ slopes)
+def prior_std() -> FloatArray:
+    """Return the prior standard deviations of the columns, shape (2,)."""
+    return np.array([DELAY_STD, CORNER_STD])

@@ -17,7 +17,7 @@ from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
-from . import cross_validation, joint_model, posterior, probability
+from . import cross_validation, filter_search, joint_model, posterior, probability
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
 from .posterior import EffectEvidence
@@ -154,7 +154,7 @@ class _Search:
         progress: Callable[[str], None],
     ) -> None:
         self._identified, self._motions, self._progress = identified, motions, progress
-        self._start = joint_model.first_round(identified, motions)
+        self._start = filter_search.first_round(identified, motions)
         self.model = self._fit(())
         self.effects: list[RareEffect] = []
         self._shapes: tuple[CandidateModel, ...] = ()

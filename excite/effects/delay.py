@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,8 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     joints = slice(None) if model.joint is None else [model.joint]
     torque = motion.motor_torque
     if is_recording_filter(model.values):
-        return filter_columns(motion, torque, model.values["hertz"])
+        change = _filter_of(model.values).passed(motion, torque) - torque
+        return motion.lowpass(change)[:, :, None]
     if not seconds:
         torque = motion.measured_torque if model.values["measured"] else torque
         spectrum = motion.band.transform(torque[:, joints])
@@ -70,60 +72,82 @@ def clock_delay() -> CandidateModel:
     )
 
 
-def filtered_recording(hertz: float) -> CandidateModel:
+@dataclass(frozen=True)
+class LowPass:
+    """Butterworth low-pass filter whose delay at low frequencies is not part of it.
+
+    Attributes:
+        poles: Number of poles.
+        passes: 1; 2 for a filter that is passed forwards and backwards, which has no phase.
+        hertz: Corner frequency [Hz].
+    """
+
+    poles: int
+    passes: int
+    hertz: float
+
+    def response(self, frequencies: FloatArray) -> NDArray[np.complex128]:
+        """Return the frequency response, shape (k,).
+
+        Args:
+            frequencies: The frequencies [Hz], shape (k,).
+        """
+        s = 1j * frequencies / self.hertz
+        angles = 0.5 * np.pi * (1.0 + (2.0 * np.arange(self.poles) + 1.0) / self.poles)
+        poles = np.exp(1j * angles)
+        once = np.prod([pole / (pole - s) for pole in poles], axis=0)
+        if self.passes == 2:
+            return np.abs(once) ** 2 + 0j
+        return np.asarray(once * np.exp(-s * np.sum(1.0 / poles).real))
+
+    def slope(self, frequencies: FloatArray) -> NDArray[np.complex128]:
+        """Return the derivative of the response by the logarithm of the corner frequency.
+
+        Args:
+            frequencies: The frequencies [Hz], shape (k,).
+        """
+        step = 1e-4
+        above, below = (
+            self.with_corner(self.hertz * np.exp(x)).response(frequencies) for x in (step, -step)
+        )
+        return np.asarray((above - below) / (2.0 * step))
+
+    def with_corner(self, hertz: float) -> LowPass:
+        """Return the filter with another corner frequency [Hz]."""
+        return replace(self, hertz=hertz)
+
+    def passed(
+        self, motion: RecordedMotion, torque: FloatArray, inverse: bool = False
+    ) -> FloatArray:
+        """Return torque filtered below the cutoff frequency of a motion, the rest as it is.
+
+        Args:
+            motion: The recorded motion.
+            torque: The torque at every sample, shape (M, n) [N m].
+            inverse: Undo the filter.
+        """
+
+        def change(frequencies: FloatArray) -> NDArray[np.complex128]:
+            return self.response(frequencies) ** (-1 if inverse else 1) - 1.0
+
+        return torque + motion.band.transform(torque).filter(Grid.RECORDED, response=change)
+
+
+def filtered_recording(filter_: LowPass) -> CandidateModel:
     """Return the filter that all recorded torque has passed, over that of the positions.
 
-    Its coefficients are those of `filter_response`.
+    Its coefficient is 1.
 
     Args:
-        hertz: Cutoff frequency of the coefficients [Hz].
+        filter_: The filter.
     """
-    return CandidateModel("delay", None, _columns, {"measured": 1.0, "hertz": hertz})
+    values = {"measured": 1.0, **{k: float(v) for k, v in asdict(filter_).items()}}
+    return CandidateModel("delay", None, _columns, values)
 
 
-def filter_response(coefficients: FloatArray, x: FloatArray) -> NDArray[np.complex128]:
-    """Return exp(a x² − i p x³ + b x⁴), shape (k,).
-
-    Args:
-        coefficients: a, p and b.
-        x: Frequencies over the cutoff frequency, shape (k,); the response at 1 holds beyond it.
-    """
-    a, p, b = coefficients
-    x = np.minimum(x, 1.0)
-    return np.asarray(np.exp(a * x**2 - 1j * p * x**3 + b * x**4))
-
-
-def filter_columns(motion: RecordedMotion, torque: FloatArray, hertz: float) -> FloatArray:
-    """Return the change of torque per unit of a, p and b, shape (N, n, 3).
-
-    Args:
-        motion: The recorded motion.
-        torque: The torque at every sample, shape (M, n) [N m].
-        hertz: Cutoff frequency of the coefficients [Hz].
-    """
-    spectrum, unit = motion.band.transform(torque), 2.0 * np.pi * hertz
-    second, third, fourth = (
-        spectrum.filter(motion.grid, order)[motion.kept] / unit**order for order in (2, 3, 4)
-    )
-    return np.stack([-second, third, fourth], axis=2)
-
-
-def filtered(
-    motion: RecordedMotion, torque: FloatArray, coefficients: FloatArray, hertz: float
-) -> FloatArray:
-    """Return torque filtered below the cutoff frequency of a motion, the rest as it is.
-
-    Args:
-        motion: The recorded motion.
-        torque: The torque at every sample, shape (M, n) [N m].
-        coefficients: a, p and b.
-        hertz: Their cutoff frequency [Hz].
-    """
-
-    def change(frequency: FloatArray) -> NDArray[np.complex128]:
-        return filter_response(coefficients, frequency / hertz) - 1.0
-
-    return torque + motion.band.transform(torque).filter(Grid.RECORDED, response=change)
+def _filter_of(values: Mapping[str, float]) -> LowPass:
+    """Return the filter of a candidate model with some values."""
+    return LowPass(int(values["poles"]), int(values["passes"]), values["hertz"])
 
 
 def _predicted_torque(
@@ -131,7 +155,7 @@ def _predicted_torque(
 ) -> FloatArray:
     """Change of the produced torque by a delay or a filter, shape (M, n)."""
     if is_recording_filter(model.values):
-        return filtered(motion, produced, c, model.values["hertz"]) - produced
+        return float(c[0]) * (_filter_of(model.values).passed(motion, produced) - produced)
     joints, out = slice(None) if model.joint is None else [model.joint], np.zeros_like(produced)
     out[:, joints] = _delayed(motion, produced[:, joints], float(c[0])) - produced[:, joints]
     return out

@@ -46,7 +46,11 @@ def with_response(
         The filtered signals. Shape (N, …).
     """
     reach = 0 if periodic else min(RESPONSE_PADDING, len(x) - 1)
-    padded = pad_by_reflection(x.reshape(len(x), -1), reach, reach)
-    factor = response(np.asarray(np.fft.rfftfreq(len(padded))))
-    passed = np.fft.irfft(np.fft.rfft(padded, axis=0) * factor[:, None], len(padded), axis=0)
-    return np.asarray(passed[reach : reach + len(x)]).reshape(x.shape)
+    columns = x.reshape(len(x), -1)
+    nonzero = np.flatnonzero(columns.any(axis=0))  # most of a regressor is zero by structure
+    padded = pad_by_reflection(columns[:, nonzero], reach, reach).T
+    factor = response(np.asarray(np.fft.rfftfreq(padded.shape[1])))
+    out = np.zeros(columns.shape)
+    passed = np.fft.irfft(np.fft.rfft(padded) * factor, padded.shape[1])
+    out[:, nonzero] = passed[:, reach : reach + len(x)].T
+    return out.reshape(x.shape)

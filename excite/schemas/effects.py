@@ -34,7 +34,7 @@ VISCOUS = Range(0.0, ranges.VISCOUS_FRICTION.upper, "N m s/rad or N s/m")
 STIFFNESS = Range(1e-6, 1e12, "N m/rad or N/m")
 DAMPING_RATIO = Range(1e-6, 10.0, "1")
 WAVE_MULTIPLES = {"twice": FLAG, "thrice": FLAG}
-INTEGERS = ("waves", "knots", "elements", "way", "form", "link", "count")
+INTEGERS = ("waves", "knots", "elements", "way", "form", "link", "count", "poles", "passes")
 """Values that are integers."""
 AXES_OF_WAYS = (2, 2, 1, 1, 1)
 """Number of coordinates of each mode in which a base can move."""
@@ -78,8 +78,6 @@ HYSTERESIS_ELEMENTS = 16
 """Maxwell-slip elements of presliding hysteresis."""
 UNEQUAL_ELEMENTS = 2
 """Maxwell-slip elements whose branches may be unequal."""
-FILTER_COEFFICIENTS = 3
-"""Coefficients a, p and b of the frequency response of a filter of the recorded torque [1]."""
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "torque_offset": (EffectForm(),),
     "torque_gain": (EffectForm(),),
@@ -157,8 +155,12 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "delay": (
         EffectForm({"measured": SWITCH}, joint=None),
         EffectForm(
-            {"measured": SWITCH, "hertz": FREQUENCY},
-            coefficients=lambda values: FILTER_COEFFICIENTS,
+            {
+                "measured": SWITCH,
+                "hertz": FREQUENCY,
+                "poles": Range(1.0, 4.0, "1"),
+                "passes": Range(1.0, 2.0, "1"),
+            },
             joint=False,
         ),
         EffectForm({"seconds": Range(1e-9, 10.0, "s")}, {"lagging": FLAG}),

@@ -1,0 +1,123 @@
+"""Search for the filter that recorded torque has passed, before any other effect is fitted.
+
+Presliding hysteresis explains smoothed steps of friction nearly as well as a filter does, joint by
+joint: once it is fitted, it leaves nothing for a step towards a filter. Filters of all kinds and
+corner frequencies are therefore compared, each with the frictions of every joint. It is one filter
+of all joints, so that they contradict what an effect of one joint asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._types import FloatArray
+from ..effects.delay import LowPass
+from ..effects.recorded_motion import RecordedMotion
+from ..identification.identification import Identification
+from . import joint_model
+from .joint_model import MIN_CHAIN_EVIDENCE, JointModel, renewed_chain
+from .recording_chain import MIN_CORNER, RecordingChain
+
+CORNERS = MIN_CORNER * 2.0 ** np.arange(4)
+"""Corner frequencies that are compared; a step of Gauss-Newton leads to those between [Hz]."""
+FILTERS = tuple(
+    tuple(LowPass(poles, passes, hertz) for hertz in CORNERS.tolist())
+    for passes in (1, 2)
+    for poles in (1, 2, 3, 4)
+)
+"""Filters that are compared: of every kind, those of all corner frequencies."""
+WIDTHS = 1e-4 * 3.0 ** np.arange(5)
+"""Widths of Coulomb friction that are compared [rad/s]: those that were identified from smoothed
+torque are too large."""
+STEPS = 3
+"""Gauss-Newton steps of the recording chain."""
+
+
+def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:
+    """Return the frictions of all joints at the identified parameters, which start every fit.
+
+    They have a filter of the recording if the motions show one.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+    """
+    search = _Search(identified, motions, joint_model.initial_parameters(identified))
+    start = search.fitted(RecordingChain(), identified.model.widths)
+    if start.n == 1:
+        return start  # the filter of a single joint cannot be told from its dynamics
+    plain = search.refined(start)
+    filtered = search.best_filter(plain)
+    for model in (plain, filtered):
+        joint_model.reweight(model.regression)
+    evidence = _evidence(filtered, plain) - np.log(len(FILTERS) * len(CORNERS))
+    is_filter = filtered.chain.corner > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE
+    return filtered if is_filter else start
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Fits of frictions with several recording chains, at one state of the base model."""
+
+    identified: Identification
+    motions: Sequence[RecordedMotion]
+    psi: FloatArray
+
+    def fitted(self, chain: RecordingChain, widths: FloatArray) -> JointModel:
+        """Return the frictions with a recording chain and widths of Coulomb friction."""
+        moved = [m.with_torque(chain.without_delay(m)) if chain.delay else m for m in self.motions]
+        present = joint_model.renewed(self.identified, moved, self.psi, widths)
+        return self._fitted(present, chain)
+
+    def with_filter(self, model: JointModel, low_pass: LowPass) -> JointModel:
+        """Return a model with another filter."""
+        return self._fitted(model.motions, RecordingChain(model.chain.delay, low_pass))
+
+    def _fitted(self, motions: Sequence[RecordedMotion], chain: RecordingChain) -> JointModel:
+        """Frictions along motions from whose torque the delay was removed."""
+        model = joint_model.base_model(self.identified, motions, self.psi, chain)
+        return model.with_effects(joint_model.dense_models(motions))
+
+    def best_filter(self, plain: JointModel) -> JointModel:
+        """Return the frictions with the filter of most evidence.
+
+        Args:
+            plain: Those without a filter.
+        """
+
+        def best(filters: Sequence[LowPass]) -> JointModel:
+            models = [self.with_filter(plain, low_pass) for low_pass in filters]
+            return max(models, key=lambda model: _evidence(model, plain))
+
+        models = [best(of_kind) for of_kind in FILTERS]
+        stepped = [renewed_chain(model).filter for model in models]
+        models.append(best([low_pass for low_pass in stepped if low_pass]))
+        return self.refined(max(models, key=lambda model: _evidence(model, plain)))
+
+    def refined(self, model: JointModel) -> JointModel:
+        """Return a model after a choice of its widths and steps of its recording chain."""
+        chain = renewed_chain(model)
+        candidates = np.array(
+            [np.full(model.n, width) for width in WIDTHS] + [model.motions[0].widths]
+        )
+        gains = [_gain(self.fitted(chain, widths), model) for widths in candidates]
+        widths = candidates[np.argmax(gains, axis=0), range(model.n)]
+        for _ in range(STEPS):
+            model = self.fitted(chain, widths)
+            chain = renewed_chain(model)
+        return model
+
+
+def _gain(model: JointModel, plain: JointModel) -> FloatArray:
+    """Log likelihood ratio of two models at each joint, shape (n,)."""
+    new, old = (np.maximum(m.regression.residual_rms(m.solution), 1e-300) for m in (model, plain))
+    rows = plain.regression.independent_share * plain.regression.moving.sum(axis=0)
+    return np.asarray(rows * np.log(old / new))
+
+
+def _evidence(model: JointModel, plain: JointModel) -> float:
+    """Log likelihood ratio of two models."""
+    return float(_gain(model, plain).sum())

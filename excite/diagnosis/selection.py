@@ -248,9 +248,10 @@ class _Search:
             scores: Their evidence, to which the optimisation of their shapes is added.
             rankings: Their shapes.
         """
-        keys = [key for key in keys if self._tries(key) < MAX_REJECTIONS][:OPTIMISED_CANDIDATES]
+        keys = [key for key in keys if self._tries(key) < MAX_REJECTIONS]
+        first, others = keys[:OPTIMISED_CANDIDATES], keys[OPTIMISED_CANDIDATES:]
         # a shape between two grid points may explain more than another effect's best grid point
-        shapes = {key: tuned(self.model, rankings[key]) for key in keys}
+        shapes = {key: tuned(self.model, rankings[key]) for key in first}
         for key, candidate in shapes.items():
             scores[key] += max(candidate.evidence - rankings[key].best.evidence, 0.0)
         best: _Addition | None = None
@@ -270,7 +271,8 @@ class _Search:
                 factor = addition.evidence.log_bayes_factor - np.log(rankings[key].count)
                 if factor > highest:
                     best, highest = addition, factor
-        return best
+        # contacts that are tried in vain are no reason to leave out a flexible model, nor the reverse
+        return self._best(others, scores, rankings) if best is None and others else best
 
     def _tries(self, key: Key) -> int:
         """Return how many of a candidate's kind, its last resort or none, were tried in vain."""

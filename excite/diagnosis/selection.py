@@ -271,7 +271,7 @@ class _Search:
                 factor = addition.evidence.log_bayes_factor - np.log(rankings[key].count)
                 if factor > highest:
                     best, highest = addition, factor
-        # contacts that are tried in vain are no reason to leave out a flexible model, nor the reverse
+        # contacts that are tried in vain are no reason to leave out a flexible model
         return self._best(others, scores, rankings) if best is None and others else best
 
     def _tries(self, key: Key) -> int:

@@ -112,9 +112,11 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
         axes.plot(ends, (place, place), color=INK, linewidth=0.8, marker="|", markersize=3.0)
     if budget.is_improved:
         bar(max(1.0 - at, 0.0), left=at, color=_OTHERS_COLOR)
+    drawn = [remaining, 1.0]
     if floor <= _END:
         axes.plot([floor, floor], [y - 0.42, y + 0.42], color=RED, linewidth=1.4)
-    axes.text(max(remaining, 1.0) + 0.02, y, budget.error, va="center", fontsize=_FONT_SIZE)
+        drawn.append(floor)
+    axes.text(max(drawn) + 0.02, y, budget.error, va="center", fontsize=_FONT_SIZE)
 
 
 def _budget_legend(figure: Any, colors: Mapping[str, str], budgets: Sequence[JointBudget]) -> None:

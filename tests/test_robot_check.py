@@ -145,7 +145,7 @@ def test_rounded_angles_and_mimics_are_told(tmp_path, capsys):
     path = written(tmp_path, text_of("ur10e").replace("1.570796326795", "1.5708"))
     assert main(["check", str(path), "--lock", "wrist_3_joint=0.5"]) == 0
     page = capsys.readouterr().out
-    assert "is rounded (as 1.5708 for π/2)" in page
+    assert "is rounded (as 1.57 or 1.5708 for π/2)" in page
     assert "locked 'wrist_3_joint' at 0.5" in page
 
 

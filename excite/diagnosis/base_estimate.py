@@ -15,6 +15,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.estimators import ZERO_COLUMN_RATIO, Estimate, Method
+from ..identification.lowpass import Grid
 from ..identification.noise_spectrum import noise_spectrum
 from ..identification.regression import TorqueEquations
 from ..robot.samples import Samples
@@ -107,5 +108,5 @@ def _equations(joint: JointModel) -> TorqueEquations:
         (0,) * len(motions),
         (None,) * len(motions),
         motions[0].band.hertz,
-        float(1.0 / np.median(np.diff(motions[0].time))),
+        motions[0].band.rate_of(Grid.KEPT),
     )

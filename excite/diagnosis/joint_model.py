@@ -540,10 +540,9 @@ def _dissipated(identified: Identification, free: IntArray, count: int) -> BoolA
         return out  # the others have no prior, without which zero has no evidence
     kinds = [kind for kind in ("viscous", "coulomb") if kind in model.parameters.drive]
     powers = friction_powers(model, identified.equations, identified.data, kinds)
-    places = [model.parameters.block(kind).start + j for kind in kinds for j in powers]
-    dissipates = [powers[j][0] > 0.0 for _ in kinds for j in powers]
+    dissipating = [j for j, (power, _) in powers.items() if power > 0.0]
+    frictions = [model.parameters.block(kind).start + j for kind in kinds for j in dissipating]
     alone = np.count_nonzero(model.base.matrix, axis=1) == 1
-    frictions = np.array(places, int)[dissipates]
     out[: len(free)] = (alone & np.isin(model.base.independent, frictions))[free]
     return out
 

@@ -31,8 +31,6 @@ CORNER_STD = 1.0
 """Prior standard deviation of the logarithm of the filter's corner frequency."""
 MIN_CORNER = 6.0
 """Smallest corner frequency: no one filters a robot's torque at much less [Hz]."""
-COLUMNS = 2
-"""Columns of a recording chain: the delay, then the corner frequency of the filter."""
 
 
 @dataclass(frozen=True)

@@ -89,14 +89,17 @@ def test_held_out_torque_is_predicted_almost_to_the_noise(case):
     assert (before > 5.0).any() and (after < 1.25).all()
 
 
-def test_three_in_four_true_parameters_are_within_two_standard_deviations(case):
+def test_four_in_five_true_parameters_are_within_two_standard_deviations(case, request):
+    if case.is_dense:
+        reason = "10 of 13: the delay is at 2.1 standard deviations"
+        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
     distances = [
         abs(value - case.truth[finding.effect, finding.joint][key]) / std
         for finding in case.result.findings
         for key, (value, std) in finding.parameters.items()
         if key in case.truth.get((finding.effect, finding.joint), {})
     ]
-    assert len(distances) >= 8 and np.mean(np.array(distances) < 2.0) >= 0.75
+    assert len(distances) >= 8 and np.mean(np.array(distances) < 2.0) >= 0.8
 
 
 def test_rigid_body_parameters_are_within_their_intervals_next_to_the_effects(case):

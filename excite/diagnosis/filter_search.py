@@ -9,12 +9,14 @@ of all joints, so that they contradict what an effect of one joint asks for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from .._types import FloatArray
 from ..effects.delay import LowPass
+from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import joint_model
@@ -70,16 +72,8 @@ class _Search:
         """Return the frictions with a recording chain and widths of Coulomb friction."""
         moved = [m.with_torque(chain.without_delay(m)) if chain.delay else m for m in self.motions]
         present = joint_model.renewed(self.identified, moved, self.psi, widths)
-        return self._fitted(present, chain)
-
-    def with_filter(self, model: JointModel, low_pass: LowPass) -> JointModel:
-        """Return a model with another filter."""
-        return self._fitted(model.motions, RecordingChain(model.chain.delay, low_pass))
-
-    def _fitted(self, motions: Sequence[RecordedMotion], chain: RecordingChain) -> JointModel:
-        """Frictions along motions from whose torque the delay was removed."""
-        model = joint_model.base_model(self.identified, motions, self.psi, chain)
-        return model.with_effects(joint_model.dense_models(motions))
+        model = joint_model.base_model(self.identified, present, self.psi, chain)
+        return model.with_effects(joint_model.dense_models(present))
 
     def best_filter(self, plain: JointModel) -> JointModel:
         """Return the frictions with the filter of most evidence.
@@ -87,10 +81,15 @@ class _Search:
         Args:
             plain: Those without a filter.
         """
+        frictions = [_computed_once(model) for model in plain.models]
+
+        def with_filter(low_pass: LowPass) -> JointModel:
+            chain = RecordingChain(plain.chain.delay, low_pass)
+            model = joint_model.base_model(self.identified, plain.motions, self.psi, chain)
+            return model.with_effects(frictions)
 
         def best(filters: Sequence[LowPass]) -> JointModel:
-            models = [self.with_filter(plain, low_pass) for low_pass in filters]
-            return max(models, key=lambda model: _evidence(model, plain))
+            return max(map(with_filter, filters), key=lambda model: _evidence(model, plain))
 
         models = [best(of_kind) for of_kind in FILTERS]
         stepped = [renewed_chain(model).filter for model in models]
@@ -109,6 +108,12 @@ class _Search:
             model = self.fitted(chain, widths)
             chain = renewed_chain(model)
         return model
+
+
+def _computed_once(model: CandidateModel) -> CandidateModel:
+    """Return a model that remembers its columns along each motion."""
+    columns = cache(model.columns)
+    return replace(model, torque_columns=lambda motion, _: columns(motion))
 
 
 def _gain(model: JointModel, plain: JointModel) -> FloatArray:

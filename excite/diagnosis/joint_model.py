@@ -167,14 +167,13 @@ def model_columns(
         level: Friction level of each joint, shape (n,) [N m].
         chain: How torque is recorded.
     """
-    parts = [model.columns(motion) for motion in motions]
-    acting = np.any([part.any(axis=(0, 2)) for part in parts], axis=0)
-    values = {
-        j: np.concatenate(
-            [chain.passed(motion, part[:, j]) for motion, part in zip(motions, parts, strict=True)]
-        )
-        for j in np.flatnonzero(acting).tolist()
-    }
+    parts = [model.columns(motion).swapaxes(0, 1) for motion in motions]
+    acting = np.flatnonzero(np.any([[x.any() for x in part] for part in parts], axis=0))
+    passed = [
+        chain.passed(motion, part[acting].swapaxes(0, 1))
+        for motion, part in zip(motions, parts, strict=True)
+    ]
+    values = dict(zip(acting.tolist(), np.concatenate(passed).swapaxes(0, 1), strict=True))
     largest = max((float(np.abs(x).max()) for x in values.values()), default=0.0)
     if not 1e-9 < largest < np.inf:
         return None
@@ -185,7 +184,7 @@ def model_columns(
         prior = np.full(k, float(np.max(level) if model.joint is None else level[model.joint]))
         if not any(model.nonnegative):
             # coefficients in units of their own: a column of unit RMS has the friction level
-            rows = sum(len(part) for part in parts)
+            rows = sum(map(len, motions))
             size = np.sqrt(sum(np.sum(x**2, axis=0) for x in values.values()) / rows)
             prior /= np.maximum(size, 1e-3 * size.max())
     prior[: len(model.prior_shares)] *= model.prior_shares

@@ -233,7 +233,7 @@ def shifted(x: FloatArray, by: float) -> FloatArray:
     """
     if by < 1e-6:
         return x
-    return with_response(x, lambda frequency: np.exp(2j * np.pi * frequency * by))
+    return with_response(x, lambda count: np.exp(2j * np.pi * by * np.fft.rfftfreq(count)))
 
 
 def estimate_period(recording: Recording) -> Period | None:

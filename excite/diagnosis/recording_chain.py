@@ -11,8 +11,8 @@ torque, and the model passes the filter: to divide by a small gain would amplify
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,7 @@ class RecordingChain:
             motion: The motion.
             rows: Low-passed columns, shape (N, …).
         """
-        return rows if self.filter is None else _with_response(motion, rows, self.filter.response)
+        return rows if self.filter is None else _passed(motion, rows, self.filter)
 
     def gain(self, frequencies: FloatArray) -> FloatArray:
         """Return the gain at frequencies [Hz], shape (k,)."""
@@ -95,14 +95,21 @@ class RecordingChain:
         )
 
 
-def _with_response(
-    motion: RecordedMotion,
-    rows: FloatArray,
-    response: Callable[[FloatArray], NDArray[np.complex128]],
+def _passed(
+    motion: RecordedMotion, rows: FloatArray, low_pass: LowPass, slope: bool = False
 ) -> FloatArray:
-    """Columns at the rows of a motion after a filter, a function of frequencies [Hz]."""
+    """Columns at the rows of a motion after a filter, or their derivative by its log corner."""
     rate = motion.band.rate_of(Grid.KEPT)
-    return with_response(rows, lambda x: response(x * rate), motion.band.periodic)
+    return with_response(
+        rows, lambda count: _response(low_pass, slope, count, rate), motion.band.periodic
+    )
+
+
+@lru_cache(64)
+def _response(low_pass: LowPass, slope: bool, count: int, rate: float) -> NDArray[np.complex128]:
+    """Frequency response of a filter at the frequencies of `count` rows, or its slope."""
+    frequencies = np.asarray(np.fft.rfftfreq(count)) * rate
+    return low_pass.slope(frequencies) if slope else low_pass.response(frequencies)
 
 
 def columns(
@@ -118,11 +125,11 @@ def columns(
         modelled: Torque of a fit, shape (M, n) [N m]; of the base model if None.
         chain: The present recording chain.
     """
-    slope = -motion.band.filter(motion.segment.torque, Grid.KEPT, 1)[motion.kept]
+    slope = -motion.torque_slope
     if chain.filter is None:
         return np.stack([slope, np.zeros_like(slope)], axis=2)
     torque = motion.lowpass(motion.motor_torque if modelled is None else modelled)
-    return np.stack([slope, _with_response(motion, torque, chain.filter.slope)], axis=2)
+    return np.stack([slope, _passed(motion, torque, chain.filter, slope=True)], axis=2)
 
 
 def prior_std() -> FloatArray:

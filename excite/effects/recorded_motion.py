@@ -80,7 +80,7 @@ class memoized_for_all_fits(memoized[T]):
         return motion.for_all_fits(self.compute.__name__, lambda: self.compute(motion))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordedMotion:
     """A segment of a recording, low-passed, with the fitted base model.
 
@@ -178,6 +178,11 @@ class RecordedMotion:
     def residual(self) -> FloatArray:
         """Measured torque minus the base model's [N m], shape (N, n)."""
         return self.torque - self.gamma @ self.theta
+
+    @memoized
+    def torque_slope(self) -> FloatArray:
+        """Time derivative of the measured torque [N m/s], shape (N, n)."""
+        return self.band.filter(self.segment.torque, Grid.KEPT, 1)[self.kept]
 
     @memoized
     def torque_spline(self) -> CubicSpline:

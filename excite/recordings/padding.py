@@ -32,14 +32,14 @@ def pad_by_reflection(x: FloatArray, before: int, after: int) -> FloatArray:
 
 def with_response(
     x: FloatArray,
-    response: Callable[[FloatArray], NDArray[np.complex128]],
+    response: Callable[[int], NDArray[np.complex128]],
     periodic: bool = False,
 ) -> FloatArray:
     """Return signals that have passed a filter.
 
     Args:
         x: Evenly sampled signals. Shape (N, …).
-        response: Frequency response over the frequencies [1/row].
+        response: Frequency response at the frequencies of `rfftfreq`, by the number of rows.
         periodic: Whether the signals repeat; otherwise their ends are continued by reflection.
 
     Returns:
@@ -49,8 +49,7 @@ def with_response(
     columns = x.reshape(len(x), -1)
     nonzero = np.flatnonzero(columns.any(axis=0))  # most of a regressor is zero by structure
     padded = pad_by_reflection(columns[:, nonzero], reach, reach).T
-    factor = response(np.asarray(np.fft.rfftfreq(padded.shape[1])))
     out = np.zeros(columns.shape)
-    passed = np.fft.irfft(np.fft.rfft(padded) * factor, padded.shape[1])
+    passed = np.fft.irfft(np.fft.rfft(padded) * response(padded.shape[1]), padded.shape[1])
     out[:, nonzero] = passed[:, reach : reach + len(x)].T
     return out.reshape(x.shape)

@@ -47,8 +47,8 @@ def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -
         identified: The base model.
         motions: The motions to fit.
     """
-    search = _Search(identified, motions, joint_model.initial_parameters(identified))
-    start = search.fitted(RecordingChain(), identified.model.widths)
+    start = without_filter(identified, motions)
+    search = _Search(identified, motions, start.psi)
     if start.n == 1:
         return start  # the filter of a single joint cannot be told from its dynamics
     plain = search.refined(start)
@@ -58,6 +58,17 @@ def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -
     evidence = _evidence(filtered, plain) - np.log(len(FILTERS) * len(CORNERS))
     is_filter = filtered.chain.corner > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE
     return filtered if is_filter else start
+
+
+def without_filter(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:
+    """Return the frictions of all joints at the identified parameters, without a filter.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+    """
+    search = _Search(identified, motions, joint_model.initial_parameters(identified))
+    return search.fitted(RecordingChain(), identified.model.widths)
 
 
 @dataclass(frozen=True)

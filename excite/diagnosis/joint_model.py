@@ -14,8 +14,8 @@ at once. All of it is fitted jointly with the base model, before anything is jud
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import special
@@ -29,7 +29,7 @@ from ..effects import (
     recorded_motion,
     stribeck,
 )
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.form_error import RELATIVE_STD, with_form_error
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
@@ -81,6 +81,7 @@ class JointModel:
         free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
         known: Torque of the others, which is not part of the regression, shape (N, n) [N m].
         change_scale: Factor of the prior standard deviation of the changes between recordings.
+        error_evidence: By effect and joint: log Bayes factor by errors of the positions alone.
     """
 
     motions: tuple[RecordedMotion, ...]
@@ -92,6 +93,7 @@ class JointModel:
     free: IntArray
     known: FloatArray
     change_scale: float = 1.0
+    error_evidence: Mapping[Key, float] = field(default_factory=dict)
 
     @property
     def n(self) -> int:

@@ -16,11 +16,12 @@ from scipy import special
 from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..identification import segments
-from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
+from ..identification.lowpass import Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
-from ..recordings import Recording, encoder_resolution, periodicity, quantization
+from ..recordings import Recording, encoder_resolution, periodicity
 from ..recordings.missing_values import true_runs
 from ..recordings.padding import with_response
+from . import position_errors
 
 Draw = Callable[[np.random.Generator], FloatArray]
 """Draws the residual that quantisation alone would leave, shape (N, n)."""
@@ -290,27 +291,13 @@ def _position_error(model: IdentificationModel, motion: RecordedMotion) -> Draw:
 
     The unquantised regressor is shared.
     """
-    step = motion.steps
-    coarse = step > 0.0
-    if not coarse.any():
+    if not motion.steps.any():
         return lambda rng: np.zeros((len(motion), motion.n))
-    segment = motion.segment
-    smooth = np.where(
-        segment.smoothed,
-        segment.q,
-        motion.band.transform(segment.q).filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
-    )
+    smooth = position_errors.smooth_positions(motion)
     exact = filtered_regressor(model, smooth, motion.band)[0]
 
     def draw(rng: np.random.Generator) -> FloatArray:
-        positions, origin = smooth.copy(), rng.uniform(size=motion.n) * step
-        positions[:, coarse] = (
-            np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]
-        ) - origin[coarse]
-        for j in np.flatnonzero(segment.smoothed):
-            positions[:, j] = quantization.smoothest_line(
-                positions[:, j], float(step[j]), 1.0 / segment.rate
-            )
+        positions = position_errors.quantized_positions(motion, smooth, rng)
         quantized = filtered_regressor(model, positions, motion.band)[0]
         return np.asarray((exact - quantized)[motion.kept] @ motion.theta)
 

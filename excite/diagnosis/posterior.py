@@ -52,6 +52,7 @@ class EffectEvidence:
         is_in_model: Whether it is in the model that was selected.
         spoils_prediction: Whether it is not, because rows to which it is not fitted are predicted
             worse with it.
+        by_errors: Log Bayes factor that errors of the positions alone give it.
     """
 
     effects: tuple[int, ...]
@@ -62,6 +63,7 @@ class EffectEvidence:
     size: float
     is_in_model: bool = True
     spoils_prediction: bool = False
+    by_errors: float = 0.0
 
     @property
     def key(self) -> Key:
@@ -350,4 +352,7 @@ def evidence_of(
     if any(shape.interval is not None for shape in shapes):
         gain, size = _gain_of_transient(model, shapes, reduced, current)
         factor += gain - (reduced.objective - current.objective)
-    return EffectEvidence(members, shapes, len(places), factor, severity, size)
+    by_errors = model.error_evidence.get(shapes[0].key, 0.0)
+    if factor > 0.0:
+        factor /= 1.0 + 2.0 * by_errors  # they add to the variance of the coefficients
+    return EffectEvidence(members, shapes, len(places), factor, severity, size, by_errors=by_errors)

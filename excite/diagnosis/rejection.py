@@ -19,6 +19,8 @@ NEXT_TO_UNKNOWN = "next to unknown torque, of which it may be a part"
 """Reason: torque that no effect explains is larger."""
 SPOILS_PREDICTION = "spoils the prediction of recordings it is not fitted to"
 """Reason: cross-validation."""
+ERRORS_OF_POSITIONS = "noise or steps of the recorded positions look like it"
+"""Reason: next to such errors there is hardly evidence for the effect."""
 WEAK_EVIDENCE = "weak evidence"
 """Reason: noise may well look like it."""
 WEAK_FRICTION = "weak evidence: other friction curves look like it"
@@ -38,9 +40,12 @@ def reason(estimate: EffectEstimate) -> str:
     if estimate.probability >= MIN_PROBABILITY:
         return EXPLAINED_AS_WELL
     probable = estimate.probable
+    weak = WEAK_FRICTION if estimate.effect in FRICTIONS else WEAK_EVIDENCE
+    if estimate.evidence.by_errors > estimate.evidence.log_bayes_factor:
+        weak = ERRORS_OF_POSITIONS
     factors = {
         TOO_SMALL: probable.size,
-        WEAK_FRICTION if estimate.effect in FRICTIONS else WEAK_EVIDENCE: probable.evidence,
+        weak: probable.evidence,
         EXPLAINED_AS_WELL: probable.share,
         NEXT_TO_UNKNOWN: probable.known,
     }

@@ -20,6 +20,7 @@ from ..identification.identification import Identification
 from . import cross_validation, filter_search, joint_model, posterior, probability
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
+from .position_errors import PositionErrors
 from .posterior import EffectEvidence
 from .rare_candidates import (
     EQUIVALENT_SHARE,
@@ -155,7 +156,12 @@ class _Search:
     ) -> None:
         self._identified, self._motions, self._progress = identified, motions, progress
         self._start = filter_search.first_round(identified, motions)
+        has_filter = self._start.chain.filter is not None
+        self._position_errors = PositionErrors(identified, motions, has_filter)
+        self._error_evidence: dict[Key, float] = {}
         self.model = self._fit(())
+        self._error_evidence |= self._position_errors.evidence((), self.model)
+        self.model = replace(self.model, error_evidence=dict(self._error_evidence))
         self.effects: list[RareEffect] = []
         self._shapes: tuple[CandidateModel, ...] = ()
         self._rejected: set[Key] = set()
@@ -192,7 +198,7 @@ class _Search:
             self._small = {key: small for key, small in self._small.items() if key in kept}
 
     def small_effects(self) -> tuple[EffectEvidence, ...]:
-        """Return effects that are too small; of those of a joint the ones with most evidence."""
+        """Return effects that are not added; of those of a joint the ones with most evidence."""
         added = posterior.effect_groups(self.model)
         factors = {
             key: small.log_bayes_factor for key, small in self._small.items() if key not in added
@@ -220,7 +226,8 @@ class _Search:
                 self.effects = [*(self.effects[i] for i in kept), unnamed]
 
     def _fit(self, shapes: Sequence[CandidateModel]) -> JointModel:
-        return joint_model.fit(self._identified, self._motions, shapes, self._start)
+        model = joint_model.fit(self._identified, self._motions, shapes, self._start)
+        return replace(model, error_evidence=dict(self._error_evidence))
 
     def _promising(
         self, scores: Mapping[Key, float], rankings: Mapping[Key, Ranking], last_resorts: bool
@@ -332,11 +339,28 @@ class _Search:
             before is None or cross_validation.gain(extended, replaced, before, ()) > -TIE
         )
         if is_large and is_predictive:
-            return _Addition(shape, extended, evidence)
+            return self._beyond_position_errors(_Addition(shape, extended, evidence))
         if not is_large and key[0] not in LAST_RESORTS:
             self._small[key] = replace(
                 evidence, effects=(), is_in_model=False, spoils_prediction=not is_predictive
             )
+        return None
+
+    def _beyond_position_errors(self, addition: _Addition) -> _Addition | None:
+        """Return an addition without evidence by errors of the positions; None if none remains."""
+        key, model = addition.shape.key, addition.joint
+        shapes = [m.exact or m for m in model.models if m.key == key]
+        by_errors = self._position_errors.evidence(shapes, model).get(key, 0.0)
+        if not by_errors:
+            return addition
+        self._error_evidence[key] = by_errors
+        self._progress(f"errors of the positions alone: log Bayes factor {by_errors:.1f}")
+        model = replace(model, error_evidence=dict(self._error_evidence))
+        evidence, _ = posterior.judge(model, key)
+        if evidence.is_needed:
+            return replace(addition, joint=model, evidence=evidence)
+        if key[0] not in LAST_RESORTS:
+            self._small[key] = replace(evidence, effects=(), is_in_model=False)
         return None
 
     def _add(self, chosen: _Addition, scores: Mapping[Key, float]) -> None:

@@ -1,0 +1,174 @@
+"""Evidence that errors of the recorded positions give effects of a robot that has none.
+
+An error of a position enters the model's torque, and with it the residual, and the columns of each
+effect that depends on the motion. Both are correlated, which no weight of the rows tells: Stribeck
+friction and the torque of a base on springs fit what noise of the positions and coarse encoders
+leave. The recorded motions are therefore disturbed once more, by noise of the density that is seen
+above the cutoff frequency and by quantisation, with the torque of the base model along the
+positions before, and what an effect explains of them is no evidence for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from .._types import FloatArray
+from ..effects import recorded_motion
+from ..effects.effect import CandidateModel, Key
+from ..effects.recorded_motion import RecordedMotion
+from ..identification.identification import Identification
+from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
+from ..recordings import quantization
+from . import filter_search, joint_model, posterior
+from .joint_model import JointModel
+
+NOISE_WINDOW = 2.0
+"""Length of the windows of the positions' spectrum [s]."""
+CORRECTIONS = 5
+"""Corrections of the torque by its residual, each of which leaves a quarter of it."""
+
+
+def smooth_positions(motion: RecordedMotion) -> FloatArray:
+    """Return the positions of a motion without their quantisation, shape (M, n).
+
+    Args:
+        motion: The recorded motion.
+    """
+    segment = motion.segment
+    low_passed = motion.band.transform(segment.q).filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO)
+    return np.where(segment.smoothed, segment.q, low_passed)
+
+
+def position_noise(motion: RecordedMotion) -> FloatArray:
+    """Return the standard deviation of white noise of the positions, with quantisation, shape (n,).
+
+    It has the median density above the cutoff frequency, where no motion is expected.
+
+    Args:
+        motion: The recorded motion.
+    """
+    from scipy import signal  # slow to import
+
+    segment, length = motion.segment, int(NOISE_WINDOW * motion.segment.rate)
+    frequency, density = signal.welch(  # differences: less leaks from the motion
+        np.diff(segment.q, axis=0), segment.rate, nperseg=min(len(segment) - 1, length), axis=0
+    )
+    above = frequency > MOTION_BANDWIDTH_RATIO * motion.band.hertz
+    if not above.any():
+        return np.zeros(motion.n)
+    slope = 2.0 * np.sin(np.pi * frequency[above] / segment.rate)
+    level = np.median(density[above] / slope[:, None] ** 2, axis=0)
+    return np.asarray(np.sqrt(0.5 * segment.rate * level))
+
+
+def quantized_positions(
+    motion: RecordedMotion, smooth: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return positions as the encoders of a motion would have recorded them, shape (M, n).
+
+    Those of coarse encoders are smoothed as the recorded ones were.
+
+    Args:
+        motion: The recorded motion.
+        smooth: Positions, shape (M, n).
+        rng: Draws the origins of the encoders.
+    """
+    step, segment = motion.steps, motion.segment
+    coarse, positions = step > 0.0, smooth.copy()
+    origin = rng.uniform(size=motion.n) * step
+    positions[:, coarse] = (
+        np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse] - origin[coarse]
+    )
+    for j in np.flatnonzero(segment.smoothed):
+        positions[:, j] = quantization.smoothest_line(
+            positions[:, j], float(step[j]), 1.0 / segment.rate
+        )
+    return positions
+
+
+@dataclass(frozen=True)
+class PositionErrors:
+    """Motions of a robot without effects whose positions have further errors.
+
+    Attributes:
+        identified: The base model.
+        motions: The recorded motions.
+        has_filter: Whether they show a filter of the torque, which may stand for the errors.
+    """
+
+    identified: Identification
+    motions: Sequence[RecordedMotion]
+    has_filter: bool
+
+    def evidence(self, shapes: Sequence[CandidateModel], model: JointModel) -> dict[Key, float]:
+        """Return the log Bayes factors that the errors give effects, of those that have any.
+
+        Args:
+            shapes: Models of rare effects; frictions and ripple are judged with them.
+            model: A joint model whose weights the rows have.
+        """
+        weights = model.regression.sigma, model.regression.independent_share
+        if self._largest_evidence(*weights) < 1.0:
+            return {}
+        fitted = joint_model.fit(self.identified, self._disturbed, shapes, self._start)
+        fitted.regression.reweighted(*weights)
+        factors = {
+            key: posterior.evidence_of(fitted, members).log_bayes_factor
+            for key, members in posterior.effect_groups(fitted).items()
+        }
+        return {key: factor for key, factor in factors.items() if factor > 0.0}
+
+    def _largest_evidence(self, sigma: FloatArray, independent_share: float) -> float:
+        """Log likelihood ratio if an effect explained the residual by the errors throughout."""
+        residual = np.concatenate([np.where(m.moving, m.residual, 0.0) for m in self._disturbed])
+        return 0.5 * independent_share * float(np.sum((residual / sigma) ** 2))
+
+    @cached_property
+    def _disturbed(self) -> list[RecordedMotion]:
+        """The motions with further errors of the positions, and torque without any."""
+        model, psi = self.identified.model, joint_model.initial_parameters(self.identified)
+        robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
+        theta, hertz = model.base.matrix @ psi, self.motions[0].band.hertz
+        rng = np.random.default_rng(0)
+
+        def motions(positions: Sequence[FloatArray]) -> list[RecordedMotion]:
+            segments = [
+                replace(motion.segment, q=q)
+                for motion, q in zip(self.motions, positions, strict=True)
+            ]
+            return recorded_motion.recorded_motions(model, robot, theta, segments, hertz)
+
+        smooth = [smooth_positions(motion) for motion in self.motions]
+        noisy = [
+            quantized_positions(motion, q + _further_noise(motion, rng), rng)
+            for motion, q in zip(self.motions, smooth, strict=True)
+        ]
+        return [
+            motion.with_torque(_modelled_torque(exact))
+            for motion, exact in zip(motions(noisy), motions(smooth), strict=True)
+        ]
+
+    @cached_property
+    def _start(self) -> JointModel:
+        """Frictions and recording chain of the motions with errors."""
+        first_round = filter_search.first_round if self.has_filter else filter_search.without_filter
+        return first_round(self.identified, self._disturbed)
+
+
+def _further_noise(motion: RecordedMotion, rng: np.random.Generator) -> FloatArray:
+    """Noise of the positions of a motion beyond their quantisation, shape (M, n)."""
+    variance = position_noise(motion) ** 2 - motion.segment.encoder**2
+    std = np.sqrt(np.where(motion.segment.smoothed, 0.0, np.maximum(variance, 0.0)))
+    return np.asarray(std * rng.standard_normal(motion.segment.q.shape))
+
+
+def _modelled_torque(motion: RecordedMotion) -> FloatArray:
+    """Torque at every sample of which the base model leaves no residual, shape (M, n)."""
+    torque = motion.motor_torque
+    for _ in range(CORRECTIONS):
+        torque = torque - motion.at_samples(motion.with_torque(torque).residual)
+    return torque

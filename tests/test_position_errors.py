@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
-from diagnosis_cases import HIDDEN, diagnose, diagnosed, findings_of, motions, recordings_of
+from diagnosis_cases import (
+    HIDDEN,
+    diagnose,
+    diagnosed,
+    findings_of,
+    known_failures,
+    motions,
+    recordings_of,
+)
 
 from excite._types import FloatArray
 from excite.diagnosis import position_errors, rejection
+from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.position_errors import PositionErrors
 from excite.recordings import Recording
 
@@ -32,10 +42,35 @@ def recorded(kind: str, effect: str | None = None, seed: int = 0) -> list[Record
     return [dataclasses.replace(r, q=disturbed(r.q)) for r in recordings]
 
 
-@pytest.mark.parametrize("kind", [*NOISE, *STEPS])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_errors_of_positions_are_no_effect(kind, seed):
-    assert findings_of(diagnose(recorded(kind, seed=seed))) == []
+CASES = [(kind, seed) for kind in (*NOISE, *STEPS) for seed in (0, 1)]
+"""Errors of the positions, and the seed of the random numbers."""
+
+
+@cache
+def without_effects(kind: str, seed: int) -> Diagnosis:
+    """Return the diagnosis of a robot without effects."""
+    return diagnose(recorded(kind, seed=seed))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_errors_of_positions_are_no_effect(case):
+    assert findings_of(without_effects(*case)) == []
+
+
+@pytest.mark.parametrize(
+    "case",
+    known_failures(
+        CASES,
+        {
+            (
+                "noise of 1e-4 rad",
+                0,
+            ): "the filter that stands for the noise leaves torque that recurs"
+        },
+    ),
+)
+def test_errors_of_positions_are_no_unknown_torque(case):
+    assert without_effects(*case).unmodelled == ()
 
 
 def test_noise_of_positions_is_found():
@@ -53,7 +88,7 @@ def test_positions_without_noise_have_none():
 
 def test_exact_positions_are_no_evidence():
     result = diagnosed("stribeck")
-    errors = PositionErrors(result.identified, result.model.motions, has_filter=False)
+    errors = PositionErrors(result.identified, result.model.motions)
     assert errors.evidence((), result.model) == {}
 
 

@@ -47,6 +47,7 @@ from .flexible_models import UNMODELLED
 from .gear_encoders import GearEstimate
 from .joint_model import JointModel
 from .noise import NoiseEstimate
+from .position_errors import PositionErrors
 from .regression import rms
 from .selection import RareEffect
 from .session_changes import SessionChange
@@ -200,14 +201,16 @@ def diagnose(
         if not motions:
             raise segments.too_short(group[0].source, 2.0 * settling_time(hertz), hertz)
     progress("fitting all frictions jointly, then rare effects")
-    model, rare, small = selection.find_rare_effects(identified, halves[0], progress)
+    errors = PositionErrors(identified, halves[0])
+    model, rare, small = selection.find_rare_effects(identified, halves[0], errors, progress)
     progress("evidence of each effect")
     evidence = cross_validation.select(model)
     residual = model.regression.residual(model.regression.without(posterior.left_out(evidence)))
     residual = np.where(model.regression.moving, residual, 0.0)
     parts = recorded_motion.split_by_motion(residual, model.motions)
     estimate = noise.estimate_noise(identified.model, model.motions, parts, train)
-    remaining = unmodelled.find(model, evidence, estimate, residual)
+    by_errors = errors.residual(model) if estimate.periods else np.zeros_like(residual)
+    remaining = unmodelled.find(model, evidence, estimate, residual, by_errors)
     in_model = estimates.estimate_effects(model, rare, evidence)
     considered = [*in_model, *estimates.small_effects(small)]
     effects = estimates.with_unmodelled(considered, model, remaining)

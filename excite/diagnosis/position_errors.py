@@ -97,12 +97,10 @@ class PositionErrors:
     Attributes:
         identified: The base model.
         motions: The recorded motions.
-        has_filter: Whether they show a filter of the torque, which may stand for the errors.
     """
 
     identified: Identification
     motions: Sequence[RecordedMotion]
-    has_filter: bool
 
     def evidence(self, shapes: Sequence[CandidateModel], model: JointModel) -> dict[Key, float]:
         """Return the log Bayes factors that the errors give effects, of those that have any.
@@ -111,21 +109,38 @@ class PositionErrors:
             shapes: Models of rare effects; frictions and ripple are judged with them.
             model: A joint model whose weights the rows have.
         """
-        weights = model.regression.sigma, model.regression.independent_share
-        if self._largest_evidence(*weights) < 1.0:
+        if not self._matter(model):
             return {}
-        fitted = joint_model.fit(self.identified, self._disturbed, shapes, self._start)
-        fitted.regression.reweighted(*weights)
+        fitted = self._fitted(shapes, model)
+        fitted.regression.reweighted(model.regression.sigma, model.regression.independent_share)
         factors = {
             key: posterior.evidence_of(fitted, members).log_bayes_factor
             for key, members in posterior.effect_groups(fitted).items()
         }
         return {key: factor for key, factor in factors.items() if factor > 0.0}
 
-    def _largest_evidence(self, sigma: FloatArray, independent_share: float) -> float:
-        """Log likelihood ratio if an effect explained the residual by the errors throughout."""
+    def residual(self, model: JointModel) -> FloatArray:
+        """Return the residual that the errors leave of the frictions, shape (N, n) [N m].
+
+        Args:
+            model: A joint model whose weights the rows have.
+        """
+        if not self._matter(model):
+            return np.zeros_like(model.regression.torque)
+        regression = self._fitted((), model).regression
+        return np.where(regression.moving, regression.residual(), 0.0)
+
+    def _fitted(self, shapes: Sequence[CandidateModel], model: JointModel) -> JointModel:
+        """Frictions and some effects of the motions with errors; a filter if the model has one."""
+        start = self._start_with_filter if model.chain.filter else self._start
+        return joint_model.fit(self.identified, self._disturbed, shapes, start)
+
+    def _matter(self, model: JointModel) -> bool:
+        """Tell whether the errors would be evidence for an effect that explained all they leave."""
+        regression = model.regression
         residual = np.concatenate([np.where(m.moving, m.residual, 0.0) for m in self._disturbed])
-        return 0.5 * independent_share * float(np.sum((residual / sigma) ** 2))
+        squares = float(np.sum((residual / regression.sigma) ** 2))
+        return 0.5 * regression.independent_share * squares > 1.0
 
     @cached_property
     def _disturbed(self) -> list[RecordedMotion]:
@@ -154,9 +169,13 @@ class PositionErrors:
 
     @cached_property
     def _start(self) -> JointModel:
-        """Frictions and recording chain of the motions with errors."""
-        first_round = filter_search.first_round if self.has_filter else filter_search.without_filter
-        return first_round(self.identified, self._disturbed)
+        """Frictions of the motions with errors."""
+        return filter_search.without_filter(self.identified, self._disturbed)
+
+    @cached_property
+    def _start_with_filter(self) -> JointModel:
+        """The same with the filter that stands for the errors, if one does."""
+        return filter_search.first_round(self.identified, self._disturbed)
 
 
 def _further_noise(motion: RecordedMotion, rng: np.random.Generator) -> FloatArray:

@@ -105,6 +105,7 @@ class RareEffect:
 def find_rare_effects(
     identified: Identification,
     motions: Sequence[RecordedMotion],
+    position_errors: PositionErrors,
     progress: Callable[[str], None],
 ) -> tuple[JointModel, tuple[RareEffect, ...], tuple[EffectEvidence, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
@@ -113,12 +114,13 @@ def find_rare_effects(
         identified: The base model. Of a trusted prior, effects that a refit absorbs can be found
             as well.
         motions: The motions to fit.
+        position_errors: Errors of their positions.
         progress: Called with a line of text for each candidate.
 
     Returns:
         The joint model, its rare effects, and the evidence of those that are too small to be added.
     """
-    search = _Search(identified, motions, progress)
+    search = _Search(identified, motions, position_errors, progress)
     search.add_effects(CandidateColumns(search.model, bool(identified.options.trusted)))
     search.put_flexible_models()
     return search.model, tuple(search.effects), search.small_effects()
@@ -145,6 +147,7 @@ class _Search:
     Args:
         identified: The base model.
         motions: The motions to fit.
+        position_errors: Errors of their positions.
         progress: Called with a line of text for each candidate.
     """
 
@@ -152,12 +155,12 @@ class _Search:
         self,
         identified: Identification,
         motions: Sequence[RecordedMotion],
+        position_errors: PositionErrors,
         progress: Callable[[str], None],
     ) -> None:
         self._identified, self._motions, self._progress = identified, motions, progress
+        self._position_errors = position_errors
         self._start = filter_search.first_round(identified, motions)
-        has_filter = self._start.chain.filter is not None
-        self._position_errors = PositionErrors(identified, motions, has_filter)
         self._error_evidence: dict[Key, float] = {}
         self.model = self._fit(())
         self._error_evidence |= self._position_errors.evidence((), self.model)

@@ -92,6 +92,7 @@ def find(
     evidence: Sequence[EffectEvidence],
     estimate: NoiseEstimate,
     residual: FloatArray,
+    by_errors: FloatArray,
 ) -> list[UnmodelledTorque]:
     """Find torque that no effect of a joint model explains.
 
@@ -100,11 +101,14 @@ def find(
         evidence: Evidence of all effects.
         estimate: The noise of its residual.
         residual: That residual, zero at standstill, shape (N, n) [N m].
+        by_errors: Residual that errors of the positions alone leave, shape (N, n) [N m].
     """
     rows = motion_rows(model.motions)
     regression = model.regression
     solution = regression.without(posterior.left_out(evidence))
-    products = noise.products_of_periods(estimate.periods, model.motions, residual)
+    products, expected = (
+        noise.products_of_periods(estimate.periods, model.motions, x) for x in (residual, by_errors)
+    )
     present = posterior.probabilities(model.n, evidence)
     out = []
     for entry in evidence:
@@ -132,7 +136,8 @@ def find(
     named = {entry.joint for entry in out}
     for j in (j for j in range(model.n) if j not in named and len(products)):
         square = float(np.mean(residual[regression.moving[:, j], j] ** 2))
-        share, sure = repeated_share(products[:, j], square, float(estimate.steps[j]))
+        known = max(float(estimate.steps[j]) ** 2, float(expected[:, j].mean()))
+        share, sure = repeated_share(products[:, j], square, known)
         size = float(np.sqrt(max(share, 0.0) * square))
         chance = float(special.expit(0.5 * max(sure, 0.0) ** 2 + LOG_ODDS))
         if chance >= 0.5 and size > MIN_SIZE * estimate.floor[j]:
@@ -141,17 +146,17 @@ def find(
     return sorted(out, key=lambda entry: entry.joint)
 
 
-def repeated_share(products: FloatArray, square: float, steps: float) -> tuple[float, float]:
+def repeated_share(products: FloatArray, square: float, known: float) -> tuple[float, float]:
     """Return the share of a residual's power that repeats, and that share over its standard error.
 
     Args:
         products: Products of the residuals of two periods, shape (m,).
         square: Mean square residual.
-        steps: RMS of the errors by quantisation, which repeat as well.
+        known: Mean square of errors of positions and torque that repeat as well.
     """
     count = min(ERROR_BLOCKS, len(products))
     blocks = np.array([part.mean() for part in np.array_split(products, count)])
-    power = float(blocks.mean()) - steps**2
+    power = float(blocks.mean()) - known
     std = max(float(blocks.std() / np.sqrt(count)), 1e-300)
     return power / max(square, 1e-300), power / std
 

@@ -3,12 +3,10 @@
 Folds are the training recordings, or the thirds of a single one. Models are compared by the
 likelihood of their errors, with a variance E_rj / N_rj of its own for each joint and recording,
 
-    Σ_j Σ_r (N_rj ln E_rj + ln det C_rj / ρ) / Σ_r N_rj,   E_rj = eᵀ C_rj⁻¹ e,
+    Σ_j Σ_r N_rj ln E_rj / Σ_r N_rj,
 
-of N_rj errors e. Their covariance C_rj grows by what the other recordings do not determine, which
-is no error of the model; within a single recording, each of whose thirds has to be predicted, it
-is 1. Fitted to a slow recording, any model predicts a fast one badly: in a sum over all, the joint
-and the recording that it predicts worst would decide alone.
+E_rj is the sum of N_rj squared errors. Fitted to a slow recording, any model predicts a fast one
+badly: in a sum over all, the joint and the recording that it predicts worst would decide alone.
 """
 
 from __future__ import annotations
@@ -118,27 +116,19 @@ def _spoiling_group(
 
 
 def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
-    """Log likelihood of rows to which variants are not fitted, negative, per half row.
+    """Mean logarithms of squared errors on rows to which variants are not fitted, (variants, n).
 
-    A variant is a set of effects that are left out. The thirds of a single recording are summed
-    before.
-
-    Returns:
-        Shape (variants, n).
+    A variant is a set of effects that are left out. Errors of the thirds of a single recording are
+    summed before.
     """
     regression, parts = model.regression, _folds(model)
     unused = np.zeros(len(regression.nonnegative), bool)
     unused[model.session_places] = True
     unused[model.form_places] = True  # the saved model has none
-    several = len(session_changes.sources(model.motions)) > 1
-    errors, growth = regression.cross_validated(
-        parts, variants, unused, model.session_places, are_uncertain=several
-    )
+    errors = regression.cross_validated(parts, variants, unused, model.session_places)
     rows = np.array([regression.moving[part].sum(axis=0) for part in parts], float)
-    if not several:
-        errors, growth, rows = (x.sum(axis=0, keepdims=True) for x in (errors, growth, rows))
-    rows = np.maximum(rows, 1.0)
-    weights = rows / rows.sum(axis=0)
+    if len(session_changes.sources(model.motions)) == 1:
+        errors, rows = (x.sum(axis=0, keepdims=True) for x in (errors, rows))
+    weights = rows / np.maximum(rows.sum(axis=0), 1.0)
     logs = np.log(np.maximum(errors, 1e-300))
-    logs += growth / (regression.independent_share * rows)[:, None]
     return np.asarray(np.einsum("rj,rvj->vj", weights, logs))

@@ -65,13 +65,6 @@ class Solution:
         factor, scale = self._factor
         return scale[:, None] * _solved(factor, scale[:, None] * x)
 
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of all coefficients, zero of those that are not active, shape (K, K)."""
-        out, on = np.zeros(self.information.shape), np.flatnonzero(self.active)
-        out[np.ix_(on, on)] = self.solve(np.eye(len(on)))
-        return out
-
 
 @dataclass(frozen=True)
 class Elimination:

@@ -372,13 +372,8 @@ class JointRegression:
         variants: Sequence[Collection[int]],
         unused: BoolArray,
         per_fold: slice,
-        are_uncertain: bool,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return how rows are predicted that the coefficients were not fitted to.
-
-        Errors e = τ − X c of a fold have the covariance C σ²/ρ, with C = 1 + X Σ Xᵀ ρ/σ² and the
-        covariance Σ of the coefficients, given the other folds: what these do not determine is no
-        error of the model.
+    ) -> FloatArray:
+        """Return squared errors on rows that the coefficients were not fitted to.
 
         Args:
             folds: Rows of each fold, shape (N,).
@@ -386,40 +381,30 @@ class JointRegression:
             unused: Coefficients that say nothing about other rows, shape (K,).
             per_fold: Those of them that differ from fold to fold, which are fitted to the errors
                 of each, with their prior.
-            are_uncertain: Whether the covariance counts; otherwise C is 1.
 
         Returns:
-            eᵀ C⁻¹ e [(N m)²] and ln det C, by fold, variant and joint, shapes (folds, variants, n).
+            Sum over the rows of each fold [(N m)²], shape (folds, variants, n).
         """
         used = np.tile(~unused, (len(variants), 1))
         for mask, left_out in zip(used, variants, strict=True):
             for e in left_out:
                 mask[self.slices[e]] = False
-        squares = np.zeros((len(folds), len(variants), self.n))
-        determinants = np.zeros_like(squares)
+        out = np.zeros((len(folds), len(variants), self.n))
         measured = np.where(self.moving, self.torque, 0.0)
         parts = [self._products(fold, measured) for fold in folds]
-        for f, held_out in enumerate(parts):
+        for errors, held_out in zip(out, parts, strict=True):
             # a sum over the other folds: a difference would leave the rounding errors of the whole
             system = self._system_of([part for part in parts if part is not held_out])
             elimination = self._elimination_of(system, ~unused)
             reduced = [self._with_fitted(j, p, per_fold) for j, p in enumerate(held_out)]
             for v, mask in enumerate(used):
-                solution = elimination.minimum(system, mask, self.solution.active)
-                covariance = solution.covariance if are_uncertain else None
+                c = elimination.minimum(system, mask, self.solution.active).coefficients
                 for j, (gram, (matrix, score, power)) in enumerate(
                     zip(self._grams, reduced, strict=True)
                 ):
-                    x = solution.coefficients[gram.places]
-                    left = score - matrix @ x
-                    square = power - float(x @ (score + left))
-                    if covariance is not None:
-                        spread = self.weights[j] * covariance[np.ix_(gram.places, gram.places)]
-                        growth = np.eye(len(x)) + spread @ matrix
-                        square -= float(left @ np.linalg.solve(growth, spread @ left))
-                        determinants[f, v, j] = np.linalg.slogdet(growth)[1]
-                    squares[f, v, j] = max(square, 0.0)
-        return squares, determinants
+                    x = c[gram.places]
+                    errors[v, j] = max(power - float(x @ (2.0 * score - matrix @ x)), 0.0)
+        return out
 
     def residual(self, solution: Solution | None = None) -> FloatArray:
         """Return the torque residual, shape (N, n) [N m]; rows at standstill have the torque."""

@@ -21,6 +21,7 @@ from ..errors import UnusableInput
 from ..identification import identification, segments
 from ..identification.identification import Identification
 from ..identification.lowpass import settling_time
+from ..identification.segments import RecordingSegment
 from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
@@ -187,21 +188,18 @@ def diagnose(
     pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     segments.require_sampled([*pieces[0], *pieces[1]], hertz)
-    settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
-    identified = identification.identify(robot, parameters, base, train, (), settings, progress)
-    psi = joint_model.initial_parameters(identified)
-    fitted_robot = recorded_motion.fitted_robot(robot, parameters, psi)
-    halves = [
-        recorded_motion.recorded_motions(
-            identified.model, fitted_robot, base.matrix @ psi, group, hertz
-        )
-        for group in pieces
-    ]
-    for group, motions in zip((train, validate), halves, strict=True):
-        if not motions:
-            raise segments.too_short(group[0].source, 2.0 * settling_time(hertz), hertz)
+    lowest = options.band or bandwidth.lowest_hertz(pieces[0], pieces[1])
+    while True:
+        settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
+        identified = identification.identify(robot, parameters, base, train, (), settings, progress)
+        halves = [_motions(identified, group, hertz) for group in pieces]
+        errors = PositionErrors(identified, halves[0])
+        lower = hertz / bandwidth.STEP
+        if lower < lowest or errors.share < bandwidth.MAX_ERROR_SHARE:
+            break
+        progress(f"errors of the positions prevail below {hertz:.3g} Hz: band of {lower:.3g} Hz")
+        hertz = lower
     progress("fitting all frictions jointly, then rare effects")
-    errors = PositionErrors(identified, halves[0])
     model, rare, small = selection.find_rare_effects(identified, halves[0], errors, progress)
     progress("evidence of each effect")
     evidence = cross_validation.select(model)
@@ -236,6 +234,18 @@ def diagnose(
         tuple(_changes(final, held_out)),
         gear_encoders.gears(halves, (train, validate)),
     )
+
+
+def _motions(
+    identified: Identification, pieces: Sequence[RecordingSegment], hertz: float
+) -> list[RecordedMotion]:
+    """Motions of some segments below a cutoff frequency, with the identified base model."""
+    psi, model = joint_model.initial_parameters(identified), identified.model
+    robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
+    motions = recorded_motion.recorded_motions(model, robot, model.base.matrix @ psi, pieces, hertz)
+    if not motions:
+        raise segments.too_short(pieces[0].source, 2.0 * settling_time(hertz), hertz)
+    return motions
 
 
 def _savable(

@@ -38,7 +38,9 @@ STEPS = 3
 """Gauss-Newton steps of the recording chain."""
 
 
-def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:
+def first_round(
+    identified: Identification, motions: Sequence[RecordedMotion], like: LowPass | None = None
+) -> JointModel:
     """Return the frictions of all joints at the identified parameters, which start every fit.
 
     They have a filter of the recording if the motions show one.
@@ -46,16 +48,20 @@ def first_round(identified: Identification, motions: Sequence[RecordedMotion]) -
     Args:
         identified: The base model.
         motions: The motions to fit.
+        like: A filter to whose kind the search is confined; filters of all kinds if None.
     """
+    filters = [
+        of_kind for of_kind in FILTERS if like is None or like == of_kind[0].with_corner(like.hertz)
+    ]
     start = without_filter(identified, motions)
     search = _Search(identified, motions, start.psi)
     if start.n == 1:
         return start  # the filter of a single joint cannot be told from its dynamics
     plain = search.refined(start)
-    filtered = search.best_filter(plain)
+    filtered = search.best_filter(plain, filters)
     for model in (plain, filtered):
         joint_model.reweight(model.regression)
-    evidence = _evidence(filtered, plain) - np.log(len(FILTERS) * len(CORNERS))
+    evidence = _evidence(filtered, plain) - np.log(len(filters) * len(CORNERS))
     is_filter = filtered.chain.corner > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE
     return filtered if is_filter else start
 
@@ -86,11 +92,12 @@ class _Search:
         model = joint_model.base_model(self.identified, present, self.psi, chain)
         return model.with_effects(joint_model.dense_models(present))
 
-    def best_filter(self, plain: JointModel) -> JointModel:
+    def best_filter(self, plain: JointModel, filters: Sequence[Sequence[LowPass]]) -> JointModel:
         """Return the frictions with the filter of most evidence.
 
         Args:
             plain: Those without a filter.
+            filters: The filters of each kind.
         """
         frictions = [_computed_once(model) for model in plain.models]
 
@@ -99,10 +106,10 @@ class _Search:
             model = joint_model.base_model(self.identified, plain.motions, self.psi, chain)
             return model.with_effects(frictions)
 
-        def best(filters: Sequence[LowPass]) -> JointModel:
-            return max(map(with_filter, filters), key=lambda model: _evidence(model, plain))
+        def best(of_kind: Sequence[LowPass]) -> JointModel:
+            return max(map(with_filter, of_kind), key=lambda model: _evidence(model, plain))
 
-        models = [best(of_kind) for of_kind in FILTERS]
+        models = [best(of_kind) for of_kind in filters]
         stepped = [renewed_chain(model).filter for model in models]
         models.append(best([low_pass for low_pass in stepped if low_pass]))
         return self.refined(max(models, key=lambda model: _evidence(model, plain)))

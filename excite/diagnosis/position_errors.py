@@ -11,13 +11,14 @@ positions before, and what an effect explains of them is no evidence for it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from .._types import FloatArray
 from ..effects import recorded_motion
+from ..effects.delay import LowPass
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
@@ -101,6 +102,19 @@ class PositionErrors:
 
     identified: Identification
     motions: Sequence[RecordedMotion]
+    _starts: dict[LowPass | None, JointModel] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """Share of the base model's mean square residual that they explain, mean of the joints."""
+        moving = np.concatenate([motion.moving for motion in self.motions])
+        ours, all_ = (
+            np.mean(
+                np.where(moving, np.concatenate([m.residual for m in motions]), 0.0) ** 2, axis=0
+            )
+            for motions in (self._disturbed, self.motions)
+        )
+        return float(np.mean(np.minimum(ours / np.maximum(all_, 1e-300), 1.0)))
 
     def evidence(self, shapes: Sequence[CandidateModel], model: JointModel) -> dict[Key, float]:
         """Return the log Bayes factors that the errors give effects, of those that have any.
@@ -132,8 +146,15 @@ class PositionErrors:
 
     def _fitted(self, shapes: Sequence[CandidateModel], model: JointModel) -> JointModel:
         """Frictions and some effects of the motions with errors; a filter if the model has one."""
-        start = self._start_with_filter if model.chain.filter else self._start
-        return joint_model.fit(self.identified, self._disturbed, shapes, start)
+        low_pass = model.chain.filter
+        kind = None if low_pass is None else low_pass.with_corner(1.0)
+        if kind not in self._starts:
+            self._starts[kind] = (
+                filter_search.without_filter(self.identified, self._disturbed)
+                if low_pass is None
+                else filter_search.first_round(self.identified, self._disturbed, low_pass)
+            )
+        return joint_model.fit(self.identified, self._disturbed, shapes, self._starts[kind])
 
     def _matter(self, model: JointModel) -> bool:
         """Tell whether the errors would be evidence for an effect that explained all they leave."""
@@ -166,16 +187,6 @@ class PositionErrors:
             motion.with_torque(_modelled_torque(exact))
             for motion, exact in zip(motions(noisy), motions(smooth), strict=True)
         ]
-
-    @cached_property
-    def _start(self) -> JointModel:
-        """Frictions of the motions with errors."""
-        return filter_search.without_filter(self.identified, self._disturbed)
-
-    @cached_property
-    def _start_with_filter(self) -> JointModel:
-        """The same with the filter that stands for the errors, if one does."""
-        return filter_search.first_round(self.identified, self._disturbed)
 
 
 def _further_noise(motion: RecordedMotion, rng: np.random.Generator) -> FloatArray:

@@ -84,19 +84,5 @@ def test_exact_positions_are_no_evidence():
 
 
 def test_reason_is_stated():
-    considered = diagnose(recorded("14 bits", seed=2), band=20.0).considered
+    considered = diagnose(recorded("14 bits", seed=2)).considered
     assert rejection.ERRORS_OF_POSITIONS in [rejection.reason(e) for e in considered]
-
-
-def test_band_is_lowered_where_errors_of_positions_prevail():
-    exact, noisy = diagnosed(None), without_effects("noise of 1e-4 rad")
-    assert noisy.hertz < 0.6 * exact.hertz
-    given = diagnose(recorded("noise of 1e-4 rad"), band=exact.hertz)
-    assert given.hertz == exact.hertz
-    rmse = [result.held_out.rmse_after for result in (noisy, given)]
-    assert (rmse[0] < 0.6 * rmse[1]).all()
-
-
-def test_effect_is_found_below_the_errors():
-    result = diagnose(recorded("noise of 1e-4 rad", "stribeck"))
-    assert findings_of(result) == [("stribeck", HIDDEN["stribeck"].joint)]

@@ -32,11 +32,6 @@ CUTOFF_MARGIN = 1.2
 MAX_RATE_SHARE = 0.4
 """Largest cutoff, or bandwidth of the motion, over the sample rate."""
 
-STEP = 2.0**0.5
-"""Ratio of cutoff frequencies that are tried while errors of the positions prevail."""
-MAX_ERROR_SHARE = 0.5
-"""Share of the residual by errors of the positions, mean over the joints, at which they prevail."""
-
 
 def chosen_hertz(
     train: Sequence[RecordingSegment], validate: Sequence[RecordingSegment], robot: Robot
@@ -53,17 +48,6 @@ def chosen_hertz(
     usable = max(segments.usable_from_hertz(group) for group in (train, validate))
     slowest = min(segment.rate for segment in (*train, *validate))
     return min(_needed_hertz(longest), max(carried, usable), MAX_RATE_SHARE * slowest)
-
-
-def lowest_hertz(train: Sequence[RecordingSegment], validate: Sequence[RecordingSegment]) -> float:
-    """Return the cutoff frequency that segments need even if errors of the positions prevail [Hz].
-
-    Args:
-        train: Segments of the training recordings.
-        validate: Segments of the held-out recordings, of which only the length counts.
-    """
-    usable = max(segments.usable_from_hertz(group) for group in (train, validate))
-    return max(MOTION_MULTIPLE * segments.motion_bandwidth(max(train, key=len)), usable)
 
 
 def _needed_hertz(longest: RecordingSegment) -> float:

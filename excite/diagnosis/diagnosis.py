@@ -188,17 +188,10 @@ def diagnose(
     pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     segments.require_sampled([*pieces[0], *pieces[1]], hertz)
-    lowest = options.band or bandwidth.lowest_hertz(pieces[0], pieces[1])
-    while True:
-        settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
-        identified = identification.identify(robot, parameters, base, train, (), settings, progress)
-        halves = [_motions(identified, group, hertz) for group in pieces]
-        errors = PositionErrors(identified, halves[0])
-        lower = hertz / bandwidth.STEP
-        if lower < lowest or errors.share < bandwidth.MAX_ERROR_SHARE:
-            break
-        progress(f"errors of the positions prevail below {hertz:.3g} Hz: band of {lower:.3g} Hz")
-        hertz = lower
+    settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
+    identified = identification.identify(robot, parameters, base, train, (), settings, progress)
+    halves = [_motions(identified, group, hertz) for group in pieces]
+    errors = PositionErrors(identified, halves[0])
     progress("fitting all frictions jointly, then rare effects")
     model, rare, small = selection.find_rare_effects(identified, halves[0], errors, progress)
     progress("evidence of each effect")

@@ -104,18 +104,6 @@ class PositionErrors:
     motions: Sequence[RecordedMotion]
     _starts: dict[LowPass | None, JointModel] = field(default_factory=dict)
 
-    @property
-    def share(self) -> float:
-        """Share of the base model's mean square residual that they explain, mean of the joints."""
-        moving = np.concatenate([motion.moving for motion in self.motions])
-        ours, all_ = (
-            np.mean(
-                np.where(moving, np.concatenate([m.residual for m in motions]), 0.0) ** 2, axis=0
-            )
-            for motions in (self._disturbed, self.motions)
-        )
-        return float(np.mean(np.minimum(ours / np.maximum(all_, 1e-300), 1.0)))
-
     def evidence(self, shapes: Sequence[CandidateModel], model: JointModel) -> dict[Key, float]:
         """Return the log Bayes factors that the errors give effects, of those that have any.
 

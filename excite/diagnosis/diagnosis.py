@@ -232,10 +232,8 @@ def diagnose(
 def _motions(
     identified: Identification, pieces: Sequence[RecordingSegment], hertz: float
 ) -> list[RecordedMotion]:
-    """Motions of some segments below a cutoff frequency, with the identified base model."""
-    psi, model = joint_model.initial_parameters(identified), identified.model
-    robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
-    motions = recorded_motion.recorded_motions(model, robot, model.base.matrix @ psi, pieces, hertz)
+    """Motions of some segments; an error if all are too short for the cutoff frequency."""
+    motions = joint_model.identified_motions(identified, pieces, hertz)
     if not motions:
         raise segments.too_short(pieces[0].source, 2.0 * settling_time(hertz), hertz)
     return motions

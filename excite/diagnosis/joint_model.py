@@ -36,6 +36,7 @@ from ..identification import consistency
 from ..identification.consistency import ConsistentEstimate
 from ..identification.dissipation import friction_powers
 from ..identification.identification import Identification
+from ..identification.segments import RecordingSegment
 from . import recording_chain, ripple_search, session_changes
 from .columns import Columns
 from .flexible_models import UNMODELLED
@@ -473,6 +474,22 @@ def initial_parameters(identified: Identification) -> FloatArray:
     for place, value in identified.options.trusted.items():
         psi[place] = value
     return psi
+
+
+def identified_motions(
+    identified: Identification, segments: Sequence[RecordingSegment], hertz: float
+) -> list[RecordedMotion]:
+    """Return the motions of segments that are long enough, with the identified base model.
+
+    Args:
+        identified: The base model.
+        segments: Segments of the recordings.
+        hertz: Cutoff frequency [Hz].
+    """
+    psi, model = initial_parameters(identified), identified.model
+    robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
+    theta = model.base.matrix @ psi
+    return recorded_motion.recorded_motions(model, robot, theta, segments, hertz)
 
 
 def _base_columns(

@@ -17,7 +17,6 @@ from functools import cached_property
 import numpy as np
 
 from .._types import FloatArray
-from ..effects import recorded_motion
 from ..effects.delay import LowPass
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
@@ -154,17 +153,14 @@ class PositionErrors:
     @cached_property
     def _disturbed(self) -> list[RecordedMotion]:
         """The motions with further errors of the positions, and torque without any."""
-        model, psi = self.identified.model, joint_model.initial_parameters(self.identified)
-        robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
-        theta, hertz = model.base.matrix @ psi, self.motions[0].band.hertz
-        rng = np.random.default_rng(0)
+        hertz, rng = self.motions[0].band.hertz, np.random.default_rng(0)
 
         def motions(positions: Sequence[FloatArray]) -> list[RecordedMotion]:
             segments = [
                 replace(motion.segment, q=q)
                 for motion, q in zip(self.motions, positions, strict=True)
             ]
-            return recorded_motion.recorded_motions(model, robot, theta, segments, hertz)
+            return joint_model.identified_motions(self.identified, segments, hertz)
 
         smooth = [smooth_positions(motion) for motion in self.motions]
         noisy = [

@@ -118,7 +118,8 @@ def find_rare_effects(
         progress: Called with a line of text for each candidate.
 
     Returns:
-        The joint model, its rare effects, and the evidence of those that are too small to be added.
+        The joint model, its rare effects, and the evidence of some that are not added: those that
+        are too small, or that errors of the positions look like.
     """
     search = _Search(identified, motions, position_errors, progress)
     search.add_effects(CandidateColumns(search.model, bool(identified.options.trusted)))

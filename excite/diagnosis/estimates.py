@@ -159,6 +159,8 @@ def estimate_effects(
             share, others = rare_effect.share(in_model)
             estimate = replace(estimate, probable=replace(estimate.probable, share=share))
             names += others
+        if entry.is_in_model:
+            names += _displaced(model, entry, evidence)
         names += _same_by_definition(model, estimate)
         out.append(replace(estimate, equivalents=tuple(dict.fromkeys(names))))
     return [*out, *_clock_delay(posterior_of)]
@@ -260,6 +262,24 @@ def _by_other_joints(effect: EffectEstimate, effects: Sequence[EffectEstimate], 
         e.log_bayes_factor for e in effects if e.effect == effect.effect and e.joint != effect.joint
     ]
     return posterior.shared_probabilities(n, [0.0, *others])[0]
+
+
+def _displaced(
+    model: JointModel, present: EffectEvidence, evidence: Sequence[EffectEvidence]
+) -> list[str]:
+    """Names of rare effects that the model had, and would need if it had not an effect."""
+    left_out, joints = posterior.left_out(evidence), model.regression.joints_of
+    acting = {j for e in present.effects for j in joints(e)}
+    return [
+        gone.name
+        for gone in evidence
+        if gone.name not in (*DENSE_NAMES, UNMODELLED, present.name)
+        and not gone.is_in_model
+        and acting & {j for e in gone.effects for j in joints(e)}
+        and posterior.evidence_of(
+            model, gone.effects, (left_out | set(present.effects)) - set(gone.effects)
+        ).is_needed
+    ]
 
 
 def _interval(severity: float, relative: float) -> tuple[float, float]:

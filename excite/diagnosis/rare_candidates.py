@@ -183,7 +183,7 @@ class CandidateColumns:
         Where the base model is trusted, frictions fit a part of what is wrong with it: load
         friction of several joints, or all frictions of one joint. An effect that a refit would
         absorb therefore competes for the place of all load friction, and for that of all frictions
-        of its joint, as well; one that cannot be told from them is tried.
+        of its joint, as well; one that has evidence there and cannot be told from them is tried.
 
         Args:
             model: The joint model on top of which they are fitted.
@@ -205,7 +205,7 @@ class CandidateColumns:
             lost = max(posterior.log_bayes_factor(model, reduced), 0.0)
             for key, ranking in self._rankings(reduced, (self._absorbed,)).items():
                 evidence = ranking.evidence - lost
-                if evidence > -TIE:
+                if evidence > -TIE and ranking.evidence > MIN_CANDIDATE_EVIDENCE:
                     evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))
                 if joint in (None, key[1]) and evidence > scores.get(key, -np.inf):
                     scores[key], rankings[key] = evidence, ranking

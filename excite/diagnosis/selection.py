@@ -8,6 +8,7 @@ hides itself.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -44,7 +45,8 @@ LAST_RESORTS = (UNMODELLED, "contact")
 """Explanations that are tried when no other is left: a flexible model fits what remains, and the
 time of a contact is chosen where most remains."""
 MAX_REJECTIONS = 3
-"""Candidates of the catalogue, contacts and flexible models that are tried in vain, of each."""
+"""Candidates that are tried in vain before the next effect enters: of the catalogue at each joint,
+until one enters there, of contacts and of flexible models on the whole robot."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,8 @@ class _Search:
         self.model = replace(self.model, error_evidence=dict(self._error_evidence))
         self.effects: list[RareEffect] = []
         self._shapes: tuple[CandidateModel, ...] = ()
-        self._rejected: set[Key] = set()
+        self._rejected: dict[Key, float] = {}  # with the evidence by which they were tried
+        self._in_vain: Counter[Key] = Counter()
         self._small: dict[Key, EffectEvidence] = {}
 
     def add_effects(self, candidates: CandidateColumns) -> None:
@@ -242,8 +245,7 @@ class _Search:
             key
             for key, evidence in scores.items()
             if (key[0] in LAST_RESORTS) is last_resorts
-            and key not in self._rejected
-            and evidence > MIN_CANDIDATE_EVIDENCE
+            and evidence > max(MIN_CANDIDATE_EVIDENCE, self._rejected.get(key, -np.inf) + TIE)
             and added.count(key) < MAX_MODELS.get(key[0], 1)
             and not any(_is_same_body(rankings[key].best.model, shape) for shape in self._shapes)
         ]
@@ -259,7 +261,7 @@ class _Search:
             scores: Their evidence, to which the optimisation of their shapes is added.
             rankings: Their shapes.
         """
-        keys = [key for key in keys if self._tries(key) < MAX_REJECTIONS]
+        keys = [key for key in keys if self._in_vain[_place(key)] < MAX_REJECTIONS]
         first, others = keys[:OPTIMISED_CANDIDATES], keys[OPTIMISED_CANDIDATES:]
         # a shape between two grid points may explain more than another effect's best grid point
         shapes = {key: tuned(self.model, rankings[key]) for key in first}
@@ -268,7 +270,7 @@ class _Search:
         best: _Addition | None = None
         highest = -np.inf
         for key in sorted(shapes, key=lambda key: -scores[key]):
-            if self._tries(key) >= MAX_REJECTIONS:
+            if self._in_vain[_place(key)] >= MAX_REJECTIONS:
                 continue
             if best is not None and scores[key] < scores[best.shape.key] - TIE:
                 break
@@ -277,21 +279,14 @@ class _Search:
                 if addition is None and form.best.evidence > rankings[key].best.evidence - TIE:
                     addition = self._tried(tuned(self.model, form).model, form)
             if addition is None:
-                self._rejected.add(key)
+                self._rejected[key] = scores[key]
+                self._in_vain[_place(key)] += 1
             else:
                 factor = addition.evidence.log_bayes_factor - np.log(rankings[key].count)
                 if factor > highest:
                     best, highest = addition, factor
         # contacts that are tried in vain are no reason to leave out a flexible model
         return self._best(others, scores, rankings) if best is None and others else best
-
-    def _tries(self, key: Key) -> int:
-        """Return how many of a candidate's kind, its last resort or none, were tried in vain."""
-
-        def kind(k: Key) -> str:
-            return k[0] if k[0] in LAST_RESORTS else ""
-
-        return sum(kind(k) == kind(key) for k in self._rejected)
 
     def _tried(self, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
         """Add an effect to the joint model; None if it is to be left out again.
@@ -370,6 +365,11 @@ class _Search:
     def _add(self, chosen: _Addition, scores: Mapping[Key, float]) -> None:
         """Add an effect, and note what else might be in its place."""
         self.model, self._shapes = chosen.joint, (*self._shapes, chosen.shape)
+        members = posterior.effect_groups(self.model)[chosen.shape.key]
+        joints = {j for member in members for j in self.model.regression.joints_of(member)}
+        for place in self._in_vain:
+            if place[0] in LAST_RESORTS or place[1] is None or place[1] in joints:
+                self._in_vain[place] = 0
         chosen_key = chosen.shape.key
         is_last_resort = chosen_key[0] in LAST_RESORTS
         others = {
@@ -419,6 +419,11 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
         improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
         needed += TIE - improbability * (count - 1)
     return best if best is not None and best.log_bayes_factor > needed else None
+
+
+def _place(key: Key) -> Key:
+    """Return what limits the trials of a candidate: its kind of last resort, or its joint."""
+    return (key[0], None) if key[0] in LAST_RESORTS else ("", key[1])
 
 
 def _is_same_body(first: CandidateModel, second: CandidateModel) -> bool:

@@ -28,10 +28,11 @@ from scipy.interpolate import make_interp_spline
 
 from excite import recordings
 from excite._types import FloatArray
-from excite.diagnosis import diagnosis
+from excite.diagnosis import diagnosis, model_check
 from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.effects import EFFECTS_BY_NAME
 from excite.errors import UnusableInput
+from excite.identification.prior import TrustedPrior
 from excite.recordings import Recording
 from excite.robot import base_parameters, inertial_parameters, limits
 from excite.robot import robot as robots
@@ -99,16 +100,16 @@ class Subject:
         self,
         train: Sequence[Recording],
         validate: Sequence[Recording],
-        trusted: Mapping[int, float],
+        prior: TrustedPrior,
     ) -> Diagnosis:
         """Diagnose recordings.
 
         Args:
             train: Recordings to fit.
             validate: Held-out recordings.
-            trusted: Values of a trusted prior; none if empty.
+            prior: What is known.
         """
-        options = DiagnosisOptions(trusted=trusted)
+        options = DiagnosisOptions(prior=prior)
         return diagnosis.diagnose(self.robot, self.parameters, self.base, train, validate, options)
 
 
@@ -121,7 +122,7 @@ class Machine:
         subject: The robot.
         train: Recordings to fit.
         validate: Held-out recordings.
-        trusted: Parameters of the saved model, as a trusted prior.
+        saved: The saved model, as a trusted prior.
         findings: Effect and joint of all findings, without and with the prior.
         residual: RMS that the diagnosis leaves without and with the prior, shapes (n,) [N m].
     """
@@ -130,7 +131,7 @@ class Machine:
     subject: Subject
     train: Sequence[Recording]
     validate: Sequence[Recording]
-    trusted: Mapping[int, float]
+    saved: TrustedPrior
     findings: Mapping[bool, set[tuple[str, str | None]]]
     residual: Mapping[bool, FloatArray]
 
@@ -157,16 +158,16 @@ def load(folder: Path, data: DataSet) -> Machine:
         ]
         for names in (data.train, data.validate)
     )
-    without_prior = subject.diagnose(train, validate, {})
-    # an identification without the frictions of the diagnosis would leave them to every finding
-    trusted = dict(enumerate(without_prior.final.identified.psi.tolist()))
-    results = {False: without_prior, True: subject.diagnose(train, validate, trusted)}
+    without_prior = subject.diagnose(train, validate, TrustedPrior())
+    model = model_check.read_back(without_prior.document)
+    saved = TrustedPrior(dict(enumerate(model.psi.tolist())), model)
+    results = {False: without_prior, True: subject.diagnose(train, validate, saved)}
     return Machine(
         urdf,
         subject,
         train,
         validate,
-        trusted,
+        saved,
         {key: findings(result) for key, result in results.items()},
         {key: result.residual for key, result in results.items()},
     )
@@ -297,7 +298,8 @@ def main() -> None:
             if not SEVERITY_RANGE[0] <= severity <= SEVERITY_RANGE[1]:
                 continue
             start = time.process_time()
-            result = machine.subject.diagnose(train, validate, machine.trusted if trusted else {})
+            prior = machine.saved if trusted else TrustedPrior()
+            result = machine.subject.diagnose(train, validate, prior)
             seconds = time.process_time() - start
             right = is_named(result, name, joint)
             new = sorted(

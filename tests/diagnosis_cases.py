@@ -28,6 +28,7 @@ from excite.diagnosis import diagnosis
 from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.effects.recorded_motion import RecordedMotion
 from excite.identification.identified_model import IdentifiedModel
+from excite.identification.prior import TrustedPrior
 from excite.recordings import Recording
 
 NOISE = 0.1
@@ -43,7 +44,7 @@ SUBJECT = two_link_model()
 PSI = perturbed_parameters(SUBJECT.parameters, np.random.default_rng(4))
 """Its standard parameters, shape (P,)."""
 COULOMB, VISCOUS = (PSI[SUBJECT.parameters.block(kind)] for kind in ("coulomb", "viscous"))
-TRUSTED = dict(enumerate(PSI.tolist()))
+TRUSTED = TrustedPrior(dict(enumerate(PSI.tolist())))
 """All its parameters as a trusted prior."""
 Effect = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 """Torque of an effect [N m], shape (N, 2), from t, q, dq and the torque without it."""

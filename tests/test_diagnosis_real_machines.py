@@ -36,16 +36,14 @@ def diagnose_machine(
         [recordings.read(folder / f"{file}.csv", machine, table) for file in files]
         for files in (train, (held_out,))
     )
-    trusted = (
-        prior_module.read_trusted_parameters(folder / prior, machine, standard) if prior else {}
-    )
+    known = prior_module.read_prior(folder / prior if prior else None, machine, standard)
     return diagnosis.diagnose(
         machine,
         standard,
         base_parameters.find(machine, standard, table),
         training,
         validation,
-        DiagnosisOptions(trusted=trusted),
+        DiagnosisOptions(prior=known),
     )
 
 
@@ -99,12 +97,7 @@ def test_kuka_has_a_counterbalance_spring_that_may_be_the_payload():
 @pytest.mark.parametrize(
     ("name", "train", "held_out", "prior", "urdf"),
     [
-        pytest.param(
-            *("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
-            marks=pytest.mark.xfail(
-                strict=True, reason="0.76: the prior lacks payload and counterbalance"
-            ),
-        ),
+        ("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
         ("kuka_kr300", ("traj_A",), "traj_B", "prior.json", None),
         (
             *("xl330", ("kp200_sin_time_square", "kp400_up_and_down"), "kp400_sin_sin"),

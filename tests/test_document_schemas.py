@@ -665,8 +665,8 @@ def test_a_mutated_prior_is_read_or_refused(two_link, table, tmp_path_factory, t
     path = tmp_path_factory.getbasetemp() / "p.json"
 
     def use(path: Path) -> None:
-        known = prior.read_trusted_parameters(path, two_link, standard)
-        assert np.isfinite(list(known.values())).all()
+        known = prior.read_prior(path, two_link, standard)
+        assert np.isfinite(list(known.parameters.values())).all()
 
     tried(text, path, use)
 

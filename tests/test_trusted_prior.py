@@ -28,6 +28,7 @@ import excite
 from excite._types import FloatArray
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME
+from excite.identification import prior
 from excite.recordings import Recording
 from excite.robot import dynamics
 from excite.robot.samples import Samples
@@ -49,38 +50,63 @@ def changed(places: dict[int, float]) -> list[Recording]:
 
 
 def test_nothing_is_found_where_the_prior_is_right():
-    result = diagnose(recordings_of(None), trusted=TRUSTED)
+    result = diagnose(recordings_of(None), prior=TRUSTED)
     assert result.verdict == "no-mismatch" and not findings_of(result)
 
 
 def test_an_offset_is_found_that_a_refit_absorbs():
     recordings = changed({SUBJECT.parameters.block("offset").start + 1: 1.0})
     assert not findings_of(diagnose(recordings))
-    result = diagnose(recordings, trusted=TRUSTED)
+    result = diagnose(recordings, prior=TRUSTED)
     assert findings_of(result) == [("torque_offset", 1)]
     assert parameters(result, "torque_offset", 1)["offset"][0] == pytest.approx(1.0, rel=0.05)
 
 
 def test_a_rotor_inertia_is_found_that_a_refit_absorbs():
     recordings = changed({SUBJECT.parameters.block("rotor_inertia").start: 0.2})
-    result = diagnose(recordings, trusted=TRUSTED)
+    result = diagnose(recordings, prior=TRUSTED)
     assert findings_of(result) == [("rotor_inertia", 0)]
     assert parameters(result, "rotor_inertia", 0)["inertia"][0] == pytest.approx(0.2, rel=0.05)
 
 
 def test_a_torque_gain_is_found():
     recordings = recordings_of(lambda t, q, dq, tau: at_joint(1, -0.08 * tau[:, 1]))
-    result = diagnose(recordings, trusted=TRUSTED)
+    result = diagnose(recordings, prior=TRUSTED)
     assert findings_of(result) == [("torque_gain", 1)]
     assert parameters(result, "torque_gain", 1)["gain"][0] == pytest.approx(1.0 / 0.92, rel=0.01)
 
 
 def test_a_payload_is_found_and_trusted_parameters_are_kept():
     load = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])  # mass and first moments of the last link
-    result = diagnose(changed(dict(zip(range(10, 14), load, strict=True))), trusted=TRUSTED)
+    result = diagnose(changed(dict(zip(range(10, 14), load, strict=True))), prior=TRUSTED)
     assert findings_of(result) == [("payload", 1)]
     assert parameters(result, "payload", 1)["mass"][0] == pytest.approx(0.4, rel=0.1)
     np.testing.assert_allclose(result.final.motions[0].theta, SUBJECT.base.matrix @ PSI, atol=1e-12)
+
+
+def test_effects_of_the_prior_are_no_findings(tmp_path):
+    """A robot with Stribeck friction, diagnosed once; then it takes a payload."""
+
+    def friction(t, q, dq, tau):
+        return at_joint(1, 3.0 * np.exp(-((dq[:, 1] / 0.1) ** 2)) * np.tanh(dq[:, 1] / 0.01))
+
+    first = diagnose(recordings_of(friction))
+    assert findings_of(first) == [("stribeck", 1)]
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(dict(first.document)))
+    known = prior.read_prior(path, SUBJECT.robot, SUBJECT.parameters)
+    seeds = (5, 6)
+    second = diagnose(recordings_of(friction, seeds), prior=known)
+    assert not findings_of(second)
+    change = np.zeros(len(PSI))
+    change[10:14] = 0.3 * np.array([1.0, 0.1, 0.0, 0.02])
+    loaded = [added_torque(r, parameter_torque(r, change)) for r in recordings_of(friction, seeds)]
+    third = diagnose(loaded, prior=known)
+    assert {name for name, _ in findings_of(third)} == {"payload"}
+    # the file holds both
+    saved = {entry["effect"] for entry in third.document["effects"]}
+    assert saved >= {"stribeck", "payload"}
+    assert (third.held_out.rmse_after < 1.2 * second.held_out.rmse_after).all()
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.004, -0.006), (-0.3, 0.2)])
@@ -95,7 +121,7 @@ def test_the_tilt_of_the_base_is_estimated_with_its_sign(roll, pitch):
             for m in (tilted, upright)
         ]
         recordings.append(added_torque(recording, np.subtract(*map(np.array, torque))))
-    result = diagnose(recordings, trusted=TRUSTED)
+    result = diagnose(recordings, prior=TRUSTED)
     assert findings_of(result) == [("gravity_tilt", None)] and (noise_ratios(result)[1] < 1.3).all()
     # a planar arm observes the tilt in its plane and the gravity component in that plane
     (finding,) = document(result)["findings"]

@@ -174,11 +174,9 @@ def diagnose(
     earlier = None if before is None else _earlier(Path(before), loaded)
     standard = inertial_parameters.standard_parameters(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
-    trusted = (
-        {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
-    )
+    known = prior_module.read_prior(prior, loaded, standard)
     recording_cost.require_diagnosable([*train, *held_out], report)
-    options = diagnosis.DiagnosisOptions(band, trusted)
+    options = diagnosis.DiagnosisOptions(band, known)
     setup = loaded, standard, base
     with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
         result = diagnosis.diagnose(*setup, train, held_out, options, report)

@@ -329,9 +329,7 @@ def identify(
     loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard_parameters(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
-    trusted = (
-        {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
-    )
+    trusted = prior_module.read_prior(prior, loaded, standard).parameters
     inertial_bounds = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
     chosen = dataclasses.replace(options, bounds=inertial_bounds, trusted=trusted, **choices)
     recording_cost.require_identifiable([*train, *held_out], report)

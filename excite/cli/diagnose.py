@@ -17,6 +17,7 @@ from ..report.torque_budget import (
     change_words,
     filter_words,
     joint_budgets,
+    known_words,
     parameter_words,
     probability_words,
     sorted_findings,
@@ -70,8 +71,8 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
     budgets = joint_budgets(document, robot)
     lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
-    if words := filter_words(document):
-        lines += ["", words]
+    for words in filter_words(document), known_words(document):
+        lines += ["", words] if words else []
     if document["findings"]:
         lines += [
             "",

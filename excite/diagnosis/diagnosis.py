@@ -9,7 +9,7 @@ at the end, by the saved model.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..errors import UnusableInput
 from ..identification import identification, segments
 from ..identification.identification import Identification
 from ..identification.lowpass import settling_time
+from ..identification.prior import TrustedPrior
 from ..identification.segments import RecordingSegment
 from ..recordings import Recording
 from ..robot.base_parameters import Base
@@ -32,6 +33,7 @@ from . import (
     cross_validation,
     estimates,
     final_model,
+    fitted_effects,
     gear_encoders,
     joint_model,
     model_check,
@@ -66,12 +68,11 @@ class DiagnosisOptions:
 
     Attributes:
         band: Cutoff frequency [Hz]; chosen from the data when None.
-        trusted: By index of a standard parameter: the value of a trusted prior. These parameters
-            are not refit.
+        prior: What is known: its parameters are not refit, and its effects are no findings.
     """
 
     band: float | None = None
-    trusted: Mapping[int, float] = field(default_factory=dict)
+    prior: TrustedPrior = field(default_factory=TrustedPrior)
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,7 @@ class Diagnosis:
         document: Content of the `model.json` by which the held-out errors are computed.
         changes: Changes of friction between recordings.
         gears: Gear parameters of joints with two encoders.
+        known: Effect and joint of the effects of the prior.
     """
 
     identified: Identification
@@ -130,6 +132,7 @@ class Diagnosis:
     document: Mapping[str, Any]
     changes: tuple[SessionChange, ...] = ()
     gears: tuple[GearEstimate, ...] = ()
+    known: tuple[tuple[str, str | None], ...] = ()
 
     @property
     def findings(self) -> tuple[EffectEstimate, ...]:
@@ -188,7 +191,16 @@ def diagnose(
     pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     segments.require_sampled([*pieces[0], *pieces[1]], hertz)
-    settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
+    known = options.prior.model
+    recorded = validate, pieces[1]
+    if known is not None and known.effects:
+        known = replace(known, hertz=hertz)
+        train, validate = (
+            [fitted_effects.without_effects(known, recording) for recording in group]
+            for group in (train, validate)
+        )
+        pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
+    settings = identification.IdentificationOptions(band=hertz, trusted=options.prior.parameters)
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
     halves = [_motions(identified, group, hertz) for group in pieces]
     errors = PositionErrors(identified, halves[0])
@@ -210,8 +222,9 @@ def diagnose(
     final = final_model.fit(identified, savable, not_saved, train, progress)
     effects = estimates.on_base(effects, model, evidence, final.motions[0].fitted_robot)
     progress("held-out recordings")
-    document = final.document(train)
-    held_out = _held_out_errors(final, document, validate, halves[1])
+    document = final.document(train, known)
+    measured = _motions(identified, recorded[1], hertz)
+    held_out = _held_out_errors(final, document, recorded[0], measured, halves[1])
     return Diagnosis(
         identified,
         hertz,
@@ -226,6 +239,7 @@ def diagnose(
         document,
         tuple(_changes(final, held_out)),
         gear_encoders.gears(halves, (train, validate)),
+        tuple(dict.fromkeys((e.effect, e.joint) for e in known.effects)) if known else (),
     )
 
 
@@ -259,16 +273,26 @@ def _held_out_errors(
     final: FinalModel,
     document: Mapping[str, Any],
     validate: Sequence[Recording],
+    measured: Sequence[RecordedMotion],
     motions: Sequence[RecordedMotion],
 ) -> HeldOutErrors:
-    """Errors of the base model and of the model that is read back from the saved file."""
+    """Errors of the base model and of the model that is read back from the saved file.
+
+    Args:
+        final: The saved model.
+        document: Content of its file.
+        validate: The held-out recordings.
+        measured: Their motions.
+        motions: The same with torque without the known effects.
+    """
     base = np.concatenate([motion.residual for motion in motions])
-    torque = np.concatenate([motion.torque for motion in motions])
+    torque = np.concatenate([motion.torque for motion in measured])
     moving = np.concatenate([motion.moving for motion in motions])
     saved = model_check.read_back(document)
-    residual = model_check.residuals(saved, validate, motions)
+    residual = model_check.residuals(saved, validate, measured)
     present = final_model.renewed(final, motions)
-    predicted = recorded_motion.split_by_motion(torque - residual, present)
+    beyond_known = np.concatenate([motion.torque for motion in motions])
+    predicted = recorded_motion.split_by_motion(beyond_known - residual, present)
     for motion, part in zip(present, predicted, strict=True):
         motion.cache["measured_torque"] = motion.at_samples(part)
     residual, base = np.where(moving, residual, 0.0), np.where(moving, base, 0.0)

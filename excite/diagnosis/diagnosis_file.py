@@ -94,6 +94,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "band_hz": diagnosis.hertz,
         "recording_filter": _recording_filter(diagnosis),
+        "known_effects": [{"effect": effect, "joint": joint} for effect, joint in diagnosis.known],
         "budget": _budget(diagnosis),
         "model_check": dict(zip(joints, held_out.rmse_after.tolist(), strict=True)),
         "between_recordings": _changes(diagnosis),

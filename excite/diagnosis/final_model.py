@@ -20,6 +20,7 @@ from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import identification, identified_model
 from ..identification.identification import Identification
+from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
 from . import base_estimate, fitted_effects, joint_model, recording_chain, session_changes
 from .fitted_effects import FittedEffect
@@ -82,15 +83,21 @@ class FinalModel:
         """
         return any((e.shape.effect, e.shape.joint) == (effect, joint) for e in self.saved_effects)
 
-    def document(self, recordings: Sequence[Recording]) -> dict[str, Any]:
+    def document(
+        self, recordings: Sequence[Recording], known: IdentifiedModel | None = None
+    ) -> dict[str, Any]:
         """Return the content of `model.json`.
 
         Args:
             recordings: The recordings to which the model is fitted.
+            known: The model of the prior, whose effects it has as well.
         """
         out = identified_model.model_document(self.identified, recordings)
         robot = self.identified.model.robot
-        out["effects"] = [fitted_effects.entry(effect, robot) for effect in self.saved_effects]
+        effects = [fitted_effects.restored(e, robot) for e in known.effects] if known else []
+        out["effects"] = [
+            fitted_effects.entry(effect, robot) for effect in (*effects, *self.saved_effects)
+        ]
         return out
 
 

@@ -134,3 +134,18 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, 
         return out
 
     return fitted.predict(recording, effect_torque)
+
+
+def without_effects(fitted: IdentifiedModel, recording: Recording) -> Recording:
+    """Return a recording whose torque is without what the effects of a model predict.
+
+    Args:
+        fitted: The model.
+        recording: A recording of its robot.
+    """
+    if not fitted.effects:
+        return recording
+    times, torque = predict(fitted, recording)
+    of_effects = torque - fitted.predict(recording)[1]
+    at_samples = [np.interp(recording.t, times, column) for column in of_effects.T]
+    return dataclasses.replace(recording, tau=recording.torque - np.column_stack(at_samples))

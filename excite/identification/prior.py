@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,37 +16,50 @@ from ..schemas.document_file import DocumentFile
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..schemas.prior import PriorDocument
 from . import identified_model
+from .identified_model import IdentifiedModel
 
 PLACEMENT_TOLERANCE = 1e-6
 """Difference of joint placements in two URDFs that rounding of their numbers explains [m, 1]."""
 
 
-def read_trusted_parameters(
-    path: Path, robot: Robot, parameters: Parameters
-) -> Mapping[int, float]:
-    """Read the parameters that a prior file or a `model.json` states.
+@dataclass(frozen=True)
+class TrustedPrior:
+    """Trusted knowledge about a robot, which is kept as it is.
+
+    Attributes:
+        parameters: By index in ψ: the value of a standard parameter.
+        model: The model that states them, with its effects; None for a prior file.
+    """
+
+    parameters: Mapping[int, float] = field(default_factory=dict)
+    model: IdentifiedModel | None = None
+
+
+def read_prior(path: str | Path | None, robot: Robot, parameters: Parameters) -> TrustedPrior:
+    """Read a prior file or a `model.json`.
 
     A prior trusts all inertial parameters of the URDF and the stated joint parameters; a
-    `model.json` trusts all its parameters.
+    `model.json` trusts all its parameters and effects.
 
     Args:
-        path: Path of the file.
+        path: Path of the file; nothing is known if None.
         robot: The robot to identify.
         parameters: Its standard parameters.
-
-    Returns:
-        Indices in ψ and their values.
 
     Raises:
         UnusableInput: The file is missing, breaks a rule of `schemas.prior` or `schemas.model`, or
             does not fit the robot.
     """
+    if path is None:
+        return TrustedPrior()
+    path = Path(path)
     file = DocumentFile(
         path, "a prior", "correct it", f"{{'schema': '{prior.SCHEMA}', …}} or a model.json"
     )
     content = file.json()
     if file.schema(content, (prior.SCHEMA, MODEL_SCHEMA)) == MODEL_SCHEMA:
-        return _model_parameters(path, robot, parameters)
+        model = _model(path, robot, parameters)
+        return TrustedPrior(dict(enumerate(model.psi.tolist())), model)
     document = file.converted(content, PriorDocument)
     if not document.trust_prior:
         raise UnusableInput(
@@ -61,11 +75,11 @@ def read_trusted_parameters(
             value = getattr(values, kind)
             if value is not None:
                 known[parameters.block(kind).start + parameters.joints.index(joint)] = float(value)
-    return known
+    return TrustedPrior(known)
 
 
-def _model_parameters(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
-    """All parameters of a `model.json` of the same robot."""
+def _model(path: Path, robot: Robot, parameters: Parameters) -> IdentifiedModel:
+    """Read the `model.json` of the same robot."""
     fitted = identified_model.read_model(path)
     if fitted.robot.joints != parameters.joints:
         raise UnusableInput(
@@ -83,7 +97,7 @@ def _model_parameters(path: Path, robot: Robot, parameters: Parameters) -> Mappi
             f"{', '.join(parameters.drive) or 'none'}; identify with the same --parameters and "
             "--without"
         )
-    return dict(enumerate(fitted.psi.tolist()))
+    return fitted
 
 
 def _have_equal_placements(first: Robot, second: Robot) -> bool:

@@ -33,6 +33,7 @@ from .torque_budget import (
     JointBudget,
     joint_budgets,
     joint_words,
+    known_words,
     parameter_words,
     probability_words,
     sorted_findings,
@@ -83,7 +84,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
     content = ReportContent(
         title=f"Diagnosis of {robot.name}",
         subtitle="What the base model (rigid links, rotor inertia, viscous and Coulomb friction, "
-        "offset) lacks.",
+        f"offset) lacks. {known_words(document)}".rstrip(),
         banners=_banners(document, budgets),
         cards=(),
         sections=[

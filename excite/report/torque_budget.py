@@ -35,6 +35,21 @@ _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
 
 
+def known_words(document: Mapping[str, Any]) -> str:
+    """Return which effects are known by the prior; "" if none.
+
+    Args:
+        document: The diagnosis as in `diagnosis.json`.
+    """
+    places: dict[str, list[str]] = {}
+    for entry in document["known_effects"]:
+        places.setdefault(entry["effect"], []).append(entry["joint"] or "whole robot")
+    if not places:
+        return ""
+    known = listed([f"{effect_words(e)} ({', '.join(joints)})" for e, joints in places.items()])
+    return f"Effects of the prior's model, which are no findings: {known}."
+
+
 def filter_words(document: Mapping[str, Any]) -> str:
     """Return how recorded torque and positions differ in their frequency response; "" if not.
 

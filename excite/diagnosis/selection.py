@@ -274,9 +274,13 @@ class _Search:
                 continue
             if best is not None and scores[key] < scores[best.shape.key] - TIE:
                 break
+            self._small.pop(key, None)
             addition = self._tried(shapes[key].model, rankings[key])
             for form in rankings[key].other_forms(shapes[key]):
-                if addition is None and form.best.evidence > rankings[key].best.evidence - TIE:
+                # another form of similar evidence is not larger
+                if addition is not None or key in self._small:
+                    break
+                if form.best.evidence > rankings[key].best.evidence - TIE:
                     addition = self._tried(tuned(self.model, form).model, form)
             if addition is None:
                 self._rejected[key] = scores[key]

@@ -141,7 +141,8 @@ def diagnose(
         recordings: Recordings that models are fitted to.
         validate: Held-out recordings.
         limits: Limits file or limits.
-        prior: Trusted parameters: an `excite.prior/1` document or a `model.json`.
+        prior: Trusted knowledge: parameters in an `excite.prior/1` document, or parameters and
+            effects of a `model.json`.
         band: Cutoff frequency of the low-pass filter [Hz]; None: chosen from the data.
         trajectory: The `trajectory.json` that was executed, or several: each recording takes
             period, window and commanded positions from the one that it holds.

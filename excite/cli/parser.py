@@ -953,7 +953,7 @@ def _diagnose(commands: Commands) -> None:
     sub.add_argument(
         "--prior",
         metavar="FILE",
-        help="trusted parameters: an excite.prior/1 document or a model.json",
+        help="what is known: an excite.prior/1 document, or a model.json with its effects",
     )
     _band_option(sub)
     _recording_options(sub)

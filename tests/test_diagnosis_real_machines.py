@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +11,16 @@ import pytest
 from diagnosis_cases import findings_of, parameters
 
 from excite import recordings
-from excite.diagnosis import diagnosis
+from excite._types import FloatArray
+from excite.diagnosis import diagnosis, model_check
 from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.diagnosis.regression import rms
 from excite.errors import ExciteWarning
 from excite.identification import prior as prior_module
-from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.identification.prior import TrustedPrior
+from excite.recordings import Recording
+from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
+from excite.robot.inertial_parameters import Parameters
 
 REAL = Path(__file__).resolve().parent.parent.parent / "shared" / "recordings"
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
@@ -28,23 +34,24 @@ def diagnose_machine(
     urdf: str | None = None,
 ) -> Diagnosis:
     """Diagnose a machine by its recordings in the shared folder."""
+    machine, standard, base, files = machine_of(name, train, held_out, urdf)
+    known = prior_module.read_prior(REAL / name / prior if prior else None, machine, standard)
+    return diagnosis.diagnose(machine, standard, base, *files, DiagnosisOptions(prior=known))
+
+
+def machine_of(
+    name: str, train: Sequence[str], held_out: str, urdf: str | None = None
+) -> tuple[robot.Robot, Parameters, base_parameters.Base, list[list[Recording]]]:
+    """Read a machine, with its recordings to fit and to validate, in the shared folder."""
     folder = REAL / name
     machine = robot.load(str(folder / f"{urdf or name}.urdf"))
     table = limits.resolve(machine)
     standard = inertial_parameters.standard_parameters(machine, table)
-    training, validation = (
-        [recordings.read(folder / f"{file}.csv", machine, table) for file in files]
-        for files in (train, (held_out,))
-    )
-    known = prior_module.read_prior(folder / prior if prior else None, machine, standard)
-    return diagnosis.diagnose(
-        machine,
-        standard,
-        base_parameters.find(machine, standard, table),
-        training,
-        validation,
-        DiagnosisOptions(prior=known),
-    )
+    files = [
+        [recordings.read(folder / f"{file}.csv", machine, table) for file in group]
+        for group in (train, (held_out,))
+    ]
+    return machine, standard, base_parameters.find(machine, standard, table), files
 
 
 def relative(result: Diagnosis) -> np.ndarray:
@@ -78,6 +85,34 @@ def test_tx40_has_coupled_wrist_joints():
     assert friction["coulomb"][0] == pytest.approx(1.95, rel=0.2)
     assert relative(result)[4] <= 0.5
     assert_not_worse_than_the_base_model(result)
+
+
+@pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
+@pytest.mark.parametrize("effects_are_known", [True, False])
+def test_a_payload_is_found_next_to_the_couplings_of_tx40(effects_are_known):
+    """Parameters of a saved model are trusted, its effects are known or have to be found again."""
+    machine, standard, base, files = machine_of("tx40", ("train",), "validate")
+    saved = model_check.read_back(diagnosis.diagnose(machine, standard, base, *files).document)
+    known = TrustedPrior(dict(enumerate(saved.psi.tolist())), saved if effects_are_known else None)
+    load = np.zeros(standard.count)
+    load[10 * (standard.bodies - 1) :][:4] = 1.5 * np.array([1.0, 0.02, 0.0, 0.1])
+    carried = [[with_load(r, machine, standard, load) for r in group] for group in files]
+    result = diagnosis.diagnose(machine, standard, base, *carried, DiagnosisOptions(prior=known))
+    named = set(findings_of(result))
+    assert ("payload", 5) in named
+    assert (named >= {("coupling", 4), ("coupling", 5)}) is not effects_are_known
+    if effects_are_known:
+        assert named == {("payload", 5)}
+        assert {entry["effect"] for entry in result.document["effects"]} >= {"coupling", "payload"}
+
+
+def with_load(
+    recording: Recording, machine: robot.Robot, standard: Parameters, load: FloatArray
+) -> Recording:
+    """Return a recording with the torque of a load, a change of the standard parameters."""
+    motion = recording.samples(10.0)
+    torque = np.asarray(dynamics.regressor(machine, standard, motion) @ load)
+    return dataclasses.replace(recording, tau=recording.torque + torque)
 
 
 def test_kuka_has_a_counterbalance_spring_that_may_be_the_payload():

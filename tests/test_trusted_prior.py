@@ -30,6 +30,7 @@ from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME
 from excite.identification import prior
 from excite.recordings import Recording
+from excite.report.torque_budget import known_words
 from excite.robot import dynamics
 from excite.robot.samples import Samples
 
@@ -98,11 +99,14 @@ def test_effects_of_the_prior_are_no_findings(tmp_path):
     seeds = (5, 6)
     second = diagnose(recordings_of(friction, seeds), prior=known)
     assert not findings_of(second)
+    # what is not asserted does not change what is known
+    assert second.document["effects"] == first.document["effects"]
     change = np.zeros(len(PSI))
     change[10:14] = 0.3 * np.array([1.0, 0.1, 0.0, 0.02])
     loaded = [added_torque(r, parameter_torque(r, change)) for r in recordings_of(friction, seeds)]
     third = diagnose(loaded, prior=known)
     assert {name for name, _ in findings_of(third)} == {"payload"}
+    assert "Stribeck friction" in known_words(document(third))
     # the file holds both
     saved = {entry["effect"] for entry in third.document["effects"]}
     assert saved >= {"stribeck", "payload"}

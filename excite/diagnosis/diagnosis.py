@@ -218,7 +218,7 @@ def diagnose(
     considered = [*in_model, *estimates.small_effects(small)]
     effects = estimates.with_unmodelled(considered, model, remaining)
     progress("base model of the recordings without the effects")
-    savable, not_saved = _savable(model, rare, in_model)
+    savable, not_saved = _savable(identified, model, rare, in_model)
     final = final_model.fit(identified, savable, not_saved, train, progress)
     effects = estimates.on_base(effects, model, evidence, final.motions[0].fitted_robot)
     progress("held-out recordings")
@@ -254,19 +254,31 @@ def _motions(
 
 
 def _savable(
-    model: JointModel, rare: Sequence[RareEffect], effects: Sequence[EffectEstimate]
+    identified: Identification,
+    model: JointModel,
+    rare: Sequence[RareEffect],
+    effects: Sequence[EffectEstimate],
 ) -> tuple[JointModel, frozenset[int]]:
-    """Return a joint model without flexible models, and the numbers of its unneeded effects.
+    """Return a joint model without flexible models, and the numbers of effects not to be saved.
 
     Flexible models are not saved. What they stand for is left to the effects of the catalogue,
-    which are judged by the residual that they leave.
+    which are judged by the residual that they leave. A friction that is not asserted is no reason
+    to change one that a prior states.
     """
     named = [i for i, m in enumerate(model.models) if m.effect != UNMODELLED]
     if len(named) < len(model.models):
         model = model.keeping(named)
         joint_model.reweight(model.regression)
         effects = estimates.estimate_effects(model, rare, cross_validation.select(model))
-    return model, frozenset(i for e in effects if not e.needed for i in e.evidence.effects)
+    trusted, block = identified.options.trusted, identified.model.parameters.block
+    stated = {
+        j
+        for j in range(model.n)
+        if {block("viscous").start + j, block("coulomb").start + j} <= trusted.keys()
+    }
+    saved = [e for e in effects if e.needed and (e.asserted or e.joint not in stated)]
+    kept = {i for e in saved for i in e.evidence.effects}
+    return model, frozenset(range(len(model.models))) - kept
 
 
 def _held_out_errors(

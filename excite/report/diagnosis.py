@@ -31,6 +31,7 @@ from .remarks import count_remarks, list_remarks
 from .render import render
 from .torque_budget import (
     JointBudget,
+    base_words,
     joint_budgets,
     joint_words,
     known_words,
@@ -235,6 +236,7 @@ def _budget_section(
         ],
         "shown": SHOWN_SENTENCES,
         "seconds": number(seconds, 2 if seconds < 100.0 else 3),
+        "base": base_words(has_prior=bool(diagnosis.identified.options.trusted)),
         "is_noise_known": diagnosis.noise.method == "periods",
         "has_changed": bool(changed),
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),

@@ -22,6 +22,7 @@ from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
 from .formatting import capitalized, number, significant, value_with_error
 from .torque_budget import (
     JointBudget,
+    base_words,
     change_words,
     filter_words,
     joint_words,
@@ -51,6 +52,7 @@ def prediction_section(
         "recordings": figures,
         "band": number(document["band_hz"], 3),
         "filter": filter_words(document),
+        "base": base_words(has_prior=bool(diagnosis.identified.options.trusted)),
         "excerpt": f"{EXCERPT_SECONDS:g}",
     }
     answer, tone = _prediction_answer(budgets)

@@ -35,6 +35,15 @@ _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
 
 
+def base_words(*, has_prior: bool) -> str:
+    """Return which base model the errors before the diagnosis are of.
+
+    Args:
+        has_prior: Whether a prior states its parameters.
+    """
+    return "the model of the prior" if has_prior else "the base model identified alone"
+
+
 def known_words(document: Mapping[str, Any]) -> str:
     """Return which effects are known by the prior; "" if none.
 
@@ -47,7 +56,7 @@ def known_words(document: Mapping[str, Any]) -> str:
     if not places:
         return ""
     known = listed([f"{effect_words(e)} ({', '.join(joints)})" for e, joints in places.items()])
-    return f"Effects of the prior's model, which are no findings: {known}."
+    return f"The prior knows, so that they are no findings: {known}."
 
 
 def filter_words(document: Mapping[str, Any]) -> str:

@@ -82,6 +82,9 @@ def test_a_payload_is_found_and_trusted_parameters_are_kept():
     result = diagnose(changed(dict(zip(range(10, 14), load, strict=True))), prior=TRUSTED)
     assert findings_of(result) == [("payload", 1)]
     assert parameters(result, "payload", 1)["mass"][0] == pytest.approx(0.4, rel=0.1)
+    # no base parameter is refit that could have a part of it
+    for shares in document(result)["budget"].values():
+        assert shares["payload"]["share"] > 0.9 and abs(shares["base_parameters"]["share"]) < 0.01
     np.testing.assert_allclose(result.final.motions[0].theta, SUBJECT.base.matrix @ PSI, atol=1e-12)
 
 

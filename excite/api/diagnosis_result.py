@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from .. import _json
 from .._system.progress import Progress, logger
-from ..diagnosis import decisions, diagnosis
+from ..diagnosis import decisions, diagnosis, fitted_effects
 from ..diagnosis.decisions import Decisions, ExpectedEvidence
 from ..diagnosis.diagnosis_file import document as diagnosis_document
 from ..diagnosis.diagnosis_file import withhold_findings
@@ -86,11 +86,11 @@ class DiagnosisResult(SavedResult):
     def model(self) -> dict[str, Any]:
         """Return the content of `model.json`: parameters with and without the findings."""
         plain = self.diagnosis.identified
-        out = (
-            identified_model.model_document(plain, self.recordings)
-            if self.doubts
-            else dict(self.diagnosis.document)
-        )
+        out = dict(self.diagnosis.document)
+        if self.doubts:
+            out = identified_model.model_document(plain, self.recordings)
+            robot = plain.model.robot
+            out["effects"] = [fitted_effects.entry(e, robot) for e in self.diagnosis.known]
         out["without_effects"] = dict(
             zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)
         )

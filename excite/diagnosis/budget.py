@@ -20,6 +20,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..schemas.effects import is_recording_filter
+from . import joint_model
 from .estimates import EffectEstimate
 from .final_model import FinalModel
 from .regression import independent_share, rms
@@ -112,14 +113,14 @@ def _absorbed_parameters(
 ) -> list[FloatArray]:
     """Base parameters, shape (p,), that a base model fitted alone absorbs of each saved effect.
 
-    The fitted motions have that base model.
+    The fitted motions have that base model. Parameters that a prior states absorb nothing.
     """
-    torques = _effect_torques(final, final.motions)
-    gamma = np.concatenate([motion.gamma for motion in motions])
+    torques, free = _effect_torques(final, final.motions), joint_model.free_parameters(identified)
+    gamma = np.concatenate([motion.gamma[:, :, free] for motion in motions])
     residual = np.concatenate([motion.residual for motion in motions])
     moving = final.regression.moving
     weight = np.sqrt(independent_share(residual, moving)) / rms(residual, moving) * moving
-    x = (gamma * weight[:, :, None]).reshape(-1, gamma.shape[2])
+    x = (gamma * weight[:, :, None]).reshape(moving.size, len(free))
     a = x.T @ x
     if not identified.options.trusted:
         a += consistency.base_prior_information(
@@ -127,6 +128,9 @@ def _absorbed_parameters(
         )
     scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
     inverse = np.linalg.pinv(a * scale[:, None] * scale, rcond=1e-9, hermitian=True)
-    return [
-        scale * (inverse @ (scale * (x.T @ (torque * weight).reshape(-1)))) for torque in torques
-    ]
+    out = []
+    for torque in torques:
+        theta = np.zeros(identified.model.base.count)
+        theta[free] = scale * (inverse @ (scale * (x.T @ (torque * weight).reshape(-1))))
+        out.append(theta)
+    return out

@@ -46,6 +46,7 @@ from . import (
 from .budget import TorqueBudget
 from .estimates import EffectEstimate
 from .final_model import FinalModel
+from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .gear_encoders import GearEstimate
 from .joint_model import JointModel
@@ -116,7 +117,7 @@ class Diagnosis:
         document: Content of the `model.json` by which the held-out errors are computed.
         changes: Changes of friction between recordings.
         gears: Gear parameters of joints with two encoders.
-        known: Effect and joint of the effects of the prior.
+        known: The effects of the prior.
     """
 
     identified: Identification
@@ -132,7 +133,7 @@ class Diagnosis:
     document: Mapping[str, Any]
     changes: tuple[SessionChange, ...] = ()
     gears: tuple[GearEstimate, ...] = ()
-    known: tuple[tuple[str, str | None], ...] = ()
+    known: tuple[FittedEffect, ...] = ()
 
     @property
     def findings(self) -> tuple[EffectEstimate, ...]:
@@ -191,12 +192,12 @@ def diagnose(
     pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     segments.require_sampled([*pieces[0], *pieces[1]], hertz)
-    known = options.prior.model
-    recorded = validate, pieces[1]
-    if known is not None and known.effects:
-        known = replace(known, hertz=hertz)
+    recorded, known = (validate, pieces[1]), tuple[FittedEffect, ...]()
+    if (stated := options.prior.model) is not None and stated.effects:
+        stated = replace(stated, hertz=hertz)
+        known = tuple(fitted_effects.restored(effect, robot) for effect in stated.effects)
         train, validate = (
-            [fitted_effects.without_effects(known, recording) for recording in group]
+            [fitted_effects.without_effects(stated, recording) for recording in group]
             for group in (train, validate)
         )
         pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
@@ -239,7 +240,7 @@ def diagnose(
         document,
         tuple(_changes(final, held_out)),
         gear_encoders.gears(halves, (train, validate)),
-        tuple(dict.fromkeys((e.effect, e.joint) for e in known.effects)) if known else (),
+        known,
     )
 
 

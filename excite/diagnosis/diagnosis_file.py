@@ -94,7 +94,10 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "band_hz": diagnosis.hertz,
         "recording_filter": _recording_filter(diagnosis),
-        "known_effects": [{"effect": effect, "joint": joint} for effect, joint in diagnosis.known],
+        "known_effects": [
+            {"effect": effect, "joint": _joint(diagnosis, joint)}
+            for effect, joint in dict.fromkeys(known.shape.key for known in diagnosis.known)
+        ],
         "budget": _budget(diagnosis),
         "model_check": dict(zip(joints, held_out.rmse_after.tolist(), strict=True)),
         "between_recordings": _changes(diagnosis),

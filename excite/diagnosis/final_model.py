@@ -20,7 +20,6 @@ from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import identification, identified_model
 from ..identification.identification import Identification
-from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
 from . import base_estimate, fitted_effects, joint_model, recording_chain, session_changes
 from .fitted_effects import FittedEffect
@@ -84,19 +83,18 @@ class FinalModel:
         return any((e.shape.effect, e.shape.joint) == (effect, joint) for e in self.saved_effects)
 
     def document(
-        self, recordings: Sequence[Recording], known: IdentifiedModel | None = None
+        self, recordings: Sequence[Recording], known: Sequence[FittedEffect] = ()
     ) -> dict[str, Any]:
         """Return the content of `model.json`.
 
         Args:
             recordings: The recordings to which the model is fitted.
-            known: The model of the prior, whose effects it has as well.
+            known: Effects of the prior, which it has as well.
         """
         out = identified_model.model_document(self.identified, recordings)
         robot = self.identified.model.robot
-        effects = [fitted_effects.restored(e, robot) for e in known.effects] if known else []
         out["effects"] = [
-            fitted_effects.entry(effect, robot) for effect in (*effects, *self.saved_effects)
+            fitted_effects.entry(effect, robot) for effect in (*known, *self.saved_effects)
         ]
         return out
 

@@ -192,7 +192,8 @@ def diagnose(
     pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     segments.require_sampled([*pieces[0], *pieces[1]], hertz)
-    recorded, known = (validate, pieces[1]), tuple[FittedEffect, ...]()
+    recorded = validate, pieces[1]
+    known: tuple[FittedEffect, ...] = ()
     if (stated := options.prior.model) is not None and stated.effects:
         stated = replace(stated, hertz=hertz)
         known = tuple(fitted_effects.restored(effect, robot) for effect in stated.effects)

@@ -262,6 +262,17 @@ def test_priors_and_bounds_are_respected(folder):
     )
 
 
+def test_effects_of_a_prior_are_left_out_with_a_warning(folder, capsys, tmp_path):
+    model = json.loads((folder / "out" / "model.json").read_text())
+    drag = {"effect": "drag", "joint": model["joints"][0], "values": {}, "coefficients": [0.1]}
+    drag |= {"from": None, "time": None, "recording": None}
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({**model, "effects": [drag]}))
+    words = ("identify", "two_link", folder / "train.csv", "--prior", path, "-o", tmp_path / "out")
+    assert run(*words) == 0
+    assert f"warning: {path}: has effects" in capsys.readouterr().err
+
+
 def test_a_model_of_other_parameters_or_another_robot_is_refused_as_prior(folder, capsys, tmp_path):
     assert (
         run(

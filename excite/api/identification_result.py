@@ -329,9 +329,18 @@ def identify(
     loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard_parameters(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
-    trusted = prior_module.read_prior(prior, loaded, standard).parameters
+    known = prior_module.read_prior(prior, loaded, standard)
+    if known.model is not None and known.model.effects:
+        warnings.warn(
+            f"{prior}: has effects, which an identification leaves out; "
+            "'excite diagnose --prior' knows them",
+            ExciteWarning,
+            stacklevel=2,
+        )
     inertial_bounds = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
-    chosen = dataclasses.replace(options, bounds=inertial_bounds, trusted=trusted, **choices)
+    chosen = dataclasses.replace(
+        options, bounds=inertial_bounds, trusted=known.parameters, **choices
+    )
     recording_cost.require_identifiable([*train, *held_out], report)
     result = identification.identify(loaded, standard, base, train, held_out, chosen, report)
     return IdentificationResult(

@@ -159,8 +159,7 @@ def load(folder: Path, data: DataSet) -> Machine:
         for names in (data.train, data.validate)
     )
     without_prior = subject.diagnose(train, validate, TrustedPrior())
-    model = model_check.read_back(without_prior.document)
-    saved = TrustedPrior(dict(enumerate(model.psi.tolist())), model)
+    saved = TrustedPrior.of_model(model_check.read_back(without_prior.document))
     results = {False: without_prior, True: subject.diagnose(train, validate, saved)}
     return Machine(
         urdf,

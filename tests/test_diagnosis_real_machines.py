@@ -93,7 +93,9 @@ def test_a_payload_is_found_next_to_the_couplings_of_tx40(effects_are_known):
     """Parameters of a saved model are trusted, its effects are known or have to be found again."""
     machine, standard, base, files = machine_of("tx40", ("train",), "validate")
     saved = model_check.read_back(diagnosis.diagnose(machine, standard, base, *files).document)
-    known = TrustedPrior(dict(enumerate(saved.psi.tolist())), saved if effects_are_known else None)
+    known = TrustedPrior.of_model(saved)
+    if not effects_are_known:
+        known = TrustedPrior(known.parameters)
     load = np.zeros(standard.count)
     load[10 * (standard.bodies - 1) :][:4] = 1.5 * np.array([1.0, 0.02, 0.0, 0.1])
     carried = [[with_load(r, machine, standard, load) for r in group] for group in files]

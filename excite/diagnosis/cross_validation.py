@@ -103,8 +103,7 @@ def _spoiling_group(
     groups = [
         frozenset(entry.effects)
         for entry in evidence
-        if entry.is_in_model
-        and joint in [j for e in entry.effects for j in model.regression.joints_of(e)]
+        if entry.is_in_model and joint in model.regression.joints_of(entry.effects)
     ]
     if not groups:
         return frozenset()

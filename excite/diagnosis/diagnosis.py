@@ -225,7 +225,7 @@ def diagnose(
     effects = estimates.on_base(effects, model, evidence, final.motions[0].fitted_robot)
     progress("held-out recordings")
     document = final.document(train, known)
-    measured = _motions(identified, recorded[1], hertz)
+    measured = _motions(identified, recorded[1], hertz) if known else halves[1]
     held_out = _held_out_errors(final, document, recorded[0], measured, halves[1])
     return Diagnosis(
         identified,

@@ -269,13 +269,13 @@ def _displaced(
 ) -> list[str]:
     """Names of rare effects that the model had, and would need if it had not an effect."""
     left_out, joints = posterior.left_out(evidence), model.regression.joints_of
-    acting = {j for e in present.effects for j in joints(e)}
+    acting = joints(present.effects)
     return [
         gone.name
         for gone in evidence
         if gone.name not in (*DENSE_NAMES, UNMODELLED, present.name)
         and not gone.is_in_model
-        and acting & {j for e in gone.effects for j in joints(e)}
+        and acting & joints(gone.effects)
         and posterior.evidence_of(
             model, gone.effects, (left_out | set(present.effects)) - set(gone.effects)
         ).is_needed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from ..effects import EFFECTS_BY_NAME, recorded_motion
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import MAX_BAND_SHARE
-from ..identification.identified_model import IdentifiedModel
+from ..identification.identified_model import IdentifiedModel, at_row_times
 from ..identification.lowpass import Grid
 from ..identification.segments import RecordingSegment
 from ..recordings import Recording
@@ -87,9 +87,28 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, 
     Returns:
         Times [s], shape (N,), and torque [N m], shape (N, n).
     """
+    return fitted.predict(recording, _effect_torque(fitted, recording) if fitted.effects else None)
+
+
+def without_effects(fitted: IdentifiedModel, recording: Recording) -> Recording:
+    """Return a recording whose torque is without what the effects of a model predict.
+
+    Args:
+        fitted: The model.
+        recording: A recording of its robot.
+    """
+    effect_torque = _effect_torque(fitted, recording)
+    torques = [(stretch, effect_torque(stretch)) for stretch in recording.segments()]
+    times, torque = at_row_times(recording, torques)
+    at_samples = [np.interp(recording.t, times, column) for column in torque.T]
+    return dataclasses.replace(recording, tau=recording.torque - np.column_stack(at_samples))
+
+
+def _effect_torque(
+    fitted: IdentifiedModel, recording: Recording
+) -> Callable[[Recording], FloatArray]:
+    """Function that predicts the torque of all effects along a gap-free stretch of a recording."""
     effects = [restored(stated, fitted.robot) for stated in fitted.effects]
-    if not effects:
-        return fitted.predict(recording)
     robot = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
     of_motion, of_measured_torque = (
         [part for part in effects if (part.shape.values.get("measured", 0.0) > 0.0) is measured]
@@ -133,19 +152,4 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, 
             )
         return out
 
-    return fitted.predict(recording, effect_torque)
-
-
-def without_effects(fitted: IdentifiedModel, recording: Recording) -> Recording:
-    """Return a recording whose torque is without what the effects of a model predict.
-
-    Args:
-        fitted: The model.
-        recording: A recording of its robot.
-    """
-    if not fitted.effects:
-        return recording
-    times, torque = predict(fitted, recording)
-    of_effects = torque - fitted.predict(recording)[1]
-    at_samples = [np.interp(recording.t, times, column) for column in of_effects.T]
-    return dataclasses.replace(recording, tau=recording.torque - np.column_stack(at_samples))
+    return effect_torque

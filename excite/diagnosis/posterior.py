@@ -191,9 +191,9 @@ def select(model: JointModel) -> list[EffectEvidence]:
         key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
         out.append(evidence.pop(key))
         left_out |= set(groups[key])
-        touched = set(_joints(regression, groups[key]))
+        touched = regression.joints_of(groups[key])
         for other in evidence:
-            if touched & set(_joints(regression, groups[other])):
+            if touched & regression.joints_of(groups[other]):
                 evidence[other] = evidence_of(model, groups[other], left_out)
     # one that is doubtful only next to a form error stays: it is a part of the friction curve
     for joint in range(model.n):
@@ -259,7 +259,7 @@ def judge(
         The evidence, and all effects that are left out; if the effect is not needed, as given.
     """
     groups, regression = effect_groups(model), model.regression
-    joints = set(_joints(regression, groups[key]))
+    joints = regression.joints_of(groups[key])
     frictions = {
         k: g
         for k, g in groups.items()
@@ -321,10 +321,6 @@ def _gain_of_transient(
     growth = np.maximum(without - with_, 0.0) / np.maximum(rows, 1)
     gain = 0.5 * float((VARIANCE_FREEDOM + share * rows) @ gains)
     return gain, float(np.sqrt(growth.max()))
-
-
-def _joints(regression: JointRegression, effects: Sequence[int]) -> list[int]:
-    return [j for e in effects for j in regression.joints_of(e)]
 
 
 def evidence_of(

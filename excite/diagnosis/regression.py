@@ -482,14 +482,14 @@ class JointRegression:
         square = self.weights @ batch.groups[0].squares[:, 0, 0, 0]
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
 
-    def joints_of(self, effect: int) -> list[int]:
-        """Return the joints on which an effect acts."""
-        part = self.slices[effect]
-        return [
+    def joints_of(self, effects: Iterable[int]) -> set[int]:
+        """Return the joints on which some effects act."""
+        parts = [self.slices[effect] for effect in effects]
+        return {
             j
             for j, g in enumerate(self._grams)
-            if np.any((g.places >= part.start) & (g.places < part.stop))
-        ]
+            if any(np.any((g.places >= p.start) & (g.places < p.stop)) for p in parts)
+        }
 
     def candidate(self, columns: Columns) -> CandidateFit:
         """Fit further columns jointly with the active coefficients, without sign constraints."""

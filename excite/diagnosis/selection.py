@@ -370,7 +370,7 @@ class _Search:
         """Add an effect, and note what else might be in its place."""
         self.model, self._shapes = chosen.joint, (*self._shapes, chosen.shape)
         members = posterior.effect_groups(self.model)[chosen.shape.key]
-        joints = {j for member in members for j in self.model.regression.joints_of(member)}
+        joints = self.model.regression.joints_of(members)
         for place in self._in_vain:
             if place[0] in LAST_RESORTS or place[1] is None or place[1] in joints:
                 self._in_vain[place] = 0
@@ -396,7 +396,7 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
     replaced = [
         i
         for i, m in enumerate(model.models)
-        if m.effect not in FRICTIONS and model.regression.joints_of(i) == [joint]
+        if m.effect not in FRICTIONS and model.regression.joints_of([i]) == {joint}
     ]
     shapes = [model.models[i] for i in replaced]
     # several models of a spring are one spring, each wave has an order of its own

@@ -34,6 +34,11 @@ class TrustedPrior:
     parameters: Mapping[int, float] = field(default_factory=dict)
     model: IdentifiedModel | None = None
 
+    @classmethod
+    def of_model(cls, model: IdentifiedModel) -> TrustedPrior:
+        """Return all that a model states, its parameters and its effects."""
+        return cls(dict(enumerate(model.psi.tolist())), model)
+
 
 def read_prior(path: str | Path | None, robot: Robot, parameters: Parameters) -> TrustedPrior:
     """Read a prior file or a `model.json`.
@@ -58,8 +63,7 @@ def read_prior(path: str | Path | None, robot: Robot, parameters: Parameters) ->
     )
     content = file.json()
     if file.schema(content, (prior.SCHEMA, MODEL_SCHEMA)) == MODEL_SCHEMA:
-        model = _model(path, robot, parameters)
-        return TrustedPrior(dict(enumerate(model.psi.tolist())), model)
+        return TrustedPrior.of_model(_model(path, robot, parameters))
     document = file.converted(content, PriorDocument)
     if not document.trust_prior:
         raise UnusableInput(

@@ -236,7 +236,7 @@ def _budget_section(
         ],
         "shown": SHOWN_SENTENCES,
         "seconds": number(seconds, 2 if seconds < 100.0 else 3),
-        "base": base_words(has_prior=bool(diagnosis.identified.options.trusted)),
+        "base": base_words(diagnosis),
         "is_noise_known": diagnosis.noise.method == "periods",
         "has_changed": bool(changed),
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),

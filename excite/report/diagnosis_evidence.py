@@ -52,7 +52,7 @@ def prediction_section(
         "recordings": figures,
         "band": number(document["band_hz"], 3),
         "filter": filter_words(document),
-        "base": base_words(has_prior=bool(diagnosis.identified.options.trusted)),
+        "base": base_words(diagnosis),
         "excerpt": f"{EXCERPT_SECONDS:g}",
     }
     answer, tone = _prediction_answer(budgets)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..diagnosis.budget import RECORDING_FILTER
-from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
+from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
 from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
 from ..schemas.effects import effect_words
@@ -35,12 +35,13 @@ _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
 
 
-def base_words(*, has_prior: bool) -> str:
+def base_words(diagnosis: Diagnosis) -> str:
     """Return which base model the errors before the diagnosis are of.
 
     Args:
-        has_prior: Whether a prior states its parameters.
+        diagnosis: The result.
     """
+    has_prior = bool(diagnosis.identified.options.trusted)
     return "the model of the prior" if has_prior else "the base model identified alone"
 
 

@@ -231,13 +231,7 @@ def test_an_effect_that_is_too_small_to_be_named_is_considered():
     assert "viscous friction that differs by direction" in text and "too small to be sure" in text
 
 
-@pytest.mark.parametrize(
-    "name",
-    known_failures(
-        OUTSIDE,
-        {"friction that depends on the other joint's position": "load friction, at 0.51"},
-    ),
-)
+@pytest.mark.parametrize("name", OUTSIDE)
 def test_torque_outside_the_catalogue_is_not_named(name):
     assert not findings_of(outside_the_catalogue(name))
 
@@ -245,11 +239,7 @@ def test_torque_outside_the_catalogue_is_not_named(name):
 @pytest.mark.parametrize(
     "name",
     known_failures(
-        [*HIDDEN, *OUTSIDE],
-        {
-            "elasticity": "2.49 noise floors at joint 1, base model 1.35",
-            "random function of both positions": "16.1 noise floors, base model 15.1",
-        },
+        [*HIDDEN, *OUTSIDE], {"elasticity": "2.49 noise floors at joint 1, base model 1.35"}
     ),
 )
 def test_no_joint_is_predicted_worse_than_by_the_base_model(name):

@@ -138,7 +138,10 @@ def test_small_contributions_are_summed() -> None:
     remains = "; the cause of what remains is not known"
     assert half.causes == f"Stribeck friction −48 %, others −2 %{remains}"
     worse = dataclasses.replace(half, after=1.1)
-    assert "→" in worse.error and worse.causes == "the effects of the model do not hold here"
+    assert (
+        "→" in worse.error
+        and worse.causes == "the saved model predicts this joint worse than the base model"
+    )
     useless = dataclasses.replace(half, torque=0.5).causes
     assert useless.endswith("worse than predicting no torque (200 % of the torque)")
     absent = dataclasses.replace(half, absent=("hysteresis",)).causes
@@ -252,7 +255,7 @@ def test_error_by_a_change_between_recordings_is_said_first() -> None:
     assert "→" in worse.error and worse.causes == expected
     assert "with care" not in diagnosis_page(result, stated)
     stated["between_recordings"][0]["error_share_before"] = 0.99
-    assert "do not hold here" in joint_budgets(stated, robot)[1].causes
+    assert "worse than the base model" in joint_budgets(stated, robot)[1].causes
     assert "with care" in diagnosis_page(result, stated)
 
 

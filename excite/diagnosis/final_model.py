@@ -160,13 +160,12 @@ def fit(
         for name in ("motor_torque", "measured_torque"):
             new.cache[name] = old.cache[name]
     torque = np.concatenate([m.torque - model.chain.passed(m, m.gamma @ m.theta) for m in motions])
-    changes = model.change_scale * session_changes.prior_std(motions)
+    changes = session_changes.prior_std(motions, model.change_scale)
+    changed = session_changes.columns(motions, model.change_scale, first.sigma)
     fixed_base = JointRegression.of_base(
         torque,
         model.regression.moving,
-        np.concatenate(
-            [model.chain.passed(m, session_changes.columns(m, motions)) for m in motions]
-        ),
+        np.concatenate([model.chain.passed(m, x) for m, x in zip(motions, changed, strict=True)]),
         (np.zeros_like(changes), np.diag(changes**-2.0)),
         first.sigma,
         first.independent_share,

@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import special
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import (
@@ -81,7 +80,8 @@ class JointModel:
         psi: Standard parameters, shape (P,).
         free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
         known: Torque of the others, which is not part of the regression, shape (N, n) [N m].
-        change_scale: Factor of the prior standard deviation of the changes between recordings.
+        change_scale: Factor of the prior standard deviation of the changes between recordings of
+            each joint, shape (n,).
         error_evidence: By effect and joint: log Bayes factor by errors of the positions alone.
     """
 
@@ -93,7 +93,7 @@ class JointModel:
     psi: FloatArray
     free: IntArray
     known: FloatArray
-    change_scale: float = 1.0
+    change_scale: FloatArray
     error_evidence: Mapping[Key, float] = field(default_factory=dict)
 
     @property
@@ -272,11 +272,10 @@ def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
     return _evidence(information, prior, np.array([seconds])), std
 
 
-def _renewed_change_scale(fitted: JointModel) -> float:
-    """Return the scale of the changes between recordings, the root of its mean square given them.
+def _renewed_change_scale(fitted: JointModel) -> FloatArray:
+    """Return the scale of the changes between recordings of every joint, shape (n,).
 
-    One for all joints: where nothing changes, a recording that determines the friction of a joint
-    badly must not move the mean that the base model holds.
+    Scales of joints are compared one joint at a time, at the present scales of the others.
 
     Args:
         fitted: A joint model.
@@ -286,15 +285,17 @@ def _renewed_change_scale(fitted: JointModel) -> float:
         return fitted.change_scale
     information, prior = _information(fitted, places)
     score = (information + np.diag(prior)) @ fitted.solution.coefficients[places]
+    joint = session_changes.joints(len(places), fitted.n)
 
-    def evidence(scale: float) -> float:
-        precision = prior * (fitted.change_scale / scale) ** 2
+    def evidence(j: int, scale: float) -> float:
+        precision = np.where(joint == j, (fitted.change_scale[j] / scale) ** 2, 1.0) * prior
         total = information + np.diag(precision)
         determinant = float(np.linalg.slogdet(total)[1]) - float(np.sum(np.log(precision)))
         return 0.5 * float(score @ np.linalg.solve(total, score)) - 0.5 * determinant
 
-    scales = session_changes.SCALES
-    return float(np.sqrt(special.softmax([evidence(scale) for scale in scales]) @ scales**2))
+    scales = session_changes.SCALES.tolist()
+    by_joint = [[evidence(j, scale) for scale in scales] for j in range(fitted.n)]
+    return session_changes.scale_of_joints(np.array(by_joint))
 
 
 def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -364,7 +365,7 @@ def base_model(
     chain: RecordingChain | None = None,
     weights: tuple[FloatArray, float] | None = None,
     modelled: Sequence[FloatArray] | None = None,
-    change_scale: float = 1.0,
+    change_scale: FloatArray | None = None,
 ) -> JointModel:
     """Return the joint model of the base model without effects.
 
@@ -376,9 +377,12 @@ def base_model(
         weights: RMS residual of each joint [N m] and share of independent rows; of the motions'
             base model if None.
         modelled: Torque of a fit to the motions, shapes (M, n) [N m]; of the base model if None.
-        change_scale: Factor of the prior standard deviation of the changes between recordings.
+        change_scale: Factor of the prior standard deviation of the changes between recordings of
+            each joint, shape (n,); 1 if None.
     """
     free, level = free_parameters(identified), friction_level(motions)
+    if change_scale is None:
+        change_scale = np.ones(len(level))
     chain = chain or RecordingChain()
     fixed = np.delete(np.arange(identified.model.base.count), free)
     known = np.concatenate(
@@ -389,10 +393,11 @@ def base_model(
         residual = np.concatenate([motion.residual for motion in motions])
         weights = rms(residual, moving), independent_share(residual, moving)
     prior = _base_prior(identified, motions, free, change_scale)
+    changes = session_changes.columns(motions, change_scale, weights[0])
     regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
-        _base_columns(motions, level, free, modelled or [None] * len(motions), chain),
+        _base_columns(motions, level, free, modelled or [None] * len(motions), chain, changes),
         prior,
         *weights,
         _dissipated(identified, free, len(prior[0])),
@@ -498,6 +503,7 @@ def _base_columns(
     free: IntArray,
     modelled: Sequence[FloatArray | None],
     chain: RecordingChain,
+    changes: Sequence[FloatArray],
 ) -> FloatArray:
     """Columns of the base model, shape (N, n, p + n + 2 + s).
 
@@ -505,14 +511,14 @@ def _base_columns(
     recordings.
     """
     parts = []
-    for motion, torque in zip(motions, modelled, strict=True):
+    for motion, torque, changed in zip(motions, modelled, changes, strict=True):
         slopes = np.zeros((len(motion), motion.n, motion.n))
         slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
         of_chain = recording_chain.columns(motion, torque, chain)
-        changes = session_changes.columns(motion, motions)
-        passed = (chain.passed(motion, x) for x in (motion.gamma[:, :, free], slopes, changes))
-        gamma, slopes, changes = passed
-        parts.append(np.concatenate([gamma, slopes, of_chain, changes], axis=2))
+        *base, change = (
+            chain.passed(motion, x) for x in (motion.gamma[:, :, free], slopes, changed)
+        )
+        parts.append(np.concatenate([*base, of_chain, change], axis=2))
     return np.concatenate(parts)
 
 
@@ -520,7 +526,7 @@ def _base_prior(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     free: IntArray,
-    change_scale: float,
+    change_scale: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Mean and information of the base parameters, widths, recording chain and session changes."""
     base, prior = identified.model.base, identified.prior
@@ -529,7 +535,7 @@ def _base_prior(
         [
             np.ones(n),
             recording_chain.prior_std(),
-            change_scale * session_changes.prior_std(motions),
+            session_changes.prior_std(motions, change_scale),
         ]
     )
     mean, out = np.zeros(p + len(others)), np.zeros((p + len(others),) * 2)

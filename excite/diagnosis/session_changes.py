@@ -3,11 +3,15 @@
 The friction of a joint differs between sessions by lubrication, temperature and mounting. Every
 recording therefore has its own Coulomb friction, viscous friction and offset of each joint,
 
-    τ_j ← τ_j + (ΔF_c tanh(q̇/w) + ΔF_v q̇ + Δτ₀),   Δ ~ N(0, (0.5 s F)²),
+    τ_j ← τ_j + (ΔF_c tanh(q̇/w) + ΔF_v q̇ + Δτ₀),   Δ ~ N(0, (0.5 s_j F)²),
 
-with a prior of the size of the friction F itself and a scale s that the recordings determine. The
-changes of the fitted recordings sum to zero, so that the base model holds their mean, by which
-held-out torque is predicted.
+with a prior of the size of the friction F itself and a scale s_j that the recordings determine.
+Joints of one robot change alike, ln s_j ~ N(ln s, SPREAD²): where nothing changes, a recording that
+determines the friction of a joint badly must not move the mean that the base model holds. Torque
+that nothing explains, which looks like a change at its own joint, does not loosen the others. The
+base model holds the mean of the recordings, by which held-out torque is predicted. A recording that
+determines a parameter badly, such as the offset of a joint that creeps in one direction, counts
+less.
 """
 
 from __future__ import annotations
@@ -16,8 +20,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion
 from .blocks import BLOCK_SECONDS, sandwiched
 
@@ -26,9 +31,13 @@ KINDS = ("coulomb", "viscous", "offset")
 RELATIVE_CHANGE = 0.5
 """Prior standard deviation of a change over friction itself."""
 SCALES = np.geomspace(0.02, 1.0, 12)
-"""Scales s, as probable beforehand: changes of 1 to 50 % of the friction."""
+"""Scales, as probable beforehand: changes of 1 to 50 % of the friction."""
+SPREAD = np.log(3.0)
+"""Standard deviation of the logarithm of the scale over the joints of a robot."""
 MIN_FRICTION_SHARE = 0.01
 """Smallest friction that is assumed, over the joint's largest torque."""
+UNINFORMED = 1e-6
+"""Information of a recording on a parameter that it does not show, over that of the prior."""
 WALD_THRESHOLD = 20.0
 """Wald statistic from which a change is significant; with three degrees of freedom chance exceeds
 it twice in ten thousand times."""
@@ -85,25 +94,102 @@ def actuator_columns(motion: RecordedMotion) -> FloatArray:
     return out.reshape(len(motion), n, 3 * n)
 
 
-def columns(motion: RecordedMotion, motions: Sequence[RecordedMotion]) -> FloatArray:
-    """Return the columns of session changes on one motion, shape (N, n, 3n × (recordings − 1)).
+def columns(
+    motions: Sequence[RecordedMotion], scale: FloatArray, error: FloatArray
+) -> list[FloatArray]:
+    """Return the columns of the changes, shapes (N, n, 3n × recordings), of one recording none.
+
+    Those of a recording, less its weight in the mean times the columns in all recordings.
 
     Args:
-        motion: One of the fitted motions.
-        motions: All fitted motions.
+        motions: The fitted motions.
+        scale: Scale of the changes of each joint, shape (n,).
+        error: RMS residual of each joint, shape (n,) [N m].
     """
-    names = sources(motions)
+    names, n, kinds = sources(motions), motions[0].n, len(KINDS)
     if len(names) == 1:
-        return np.zeros((len(motion), motion.n, 0))
-    first = motion.segment.source == names[0]
-    actuators = actuator_columns(motion)
-    signs = [-1.0 if first else float(motion.segment.source == name) for name in names[1:]]
-    return np.concatenate([sign * actuators for sign in signs], axis=2)
+        return [np.zeros((len(motion), n, 0)) for motion in motions]
+    joint = np.arange(n)
+    acting = [
+        actuator_columns(motion).reshape(len(motion), n, n, kinds)[:, joint, joint]
+        for motion in motions
+    ]
+    weights = _weights(motions, acting, scale[:, None] * parameter_std(motions), error)
+    out = []
+    for motion, own in zip(motions, acting, strict=True):
+        present = np.equal(names, motion.segment.source)[:, None, None]
+        part = np.zeros((len(motion), n, len(names), n, kinds))
+        part[:, joint, :, joint] = np.einsum("tja,rja->jtra", own, present - weights)
+        out.append(part.reshape(len(motion), n, -1))
+    return out
 
 
-def prior_std(motions: Sequence[RecordedMotion]) -> FloatArray:
-    """Return the prior standard deviation of the coefficients of `columns`."""
-    return np.tile(parameter_std(motions).ravel(), len(sources(motions)) - 1)
+def _weights(
+    motions: Sequence[RecordedMotion],
+    acting: Sequence[FloatArray],
+    std: FloatArray,
+    error: FloatArray,
+) -> FloatArray:
+    """Return the weight of each recording in the mean of a parameter, shape (recordings, n, 3).
+
+    It is 1 / (σ² + e²/q), with the prior σ of a change, the residual e, and the mean square q of
+    the parameter's column in the recording beside the others of the joint: as if all rows of a
+    recording had the same error, since that of a model is not independent from row to row.
+
+    Args:
+        motions: The fitted motions.
+        acting: Their columns of `KINDS` at every joint, shapes (N, n, 3).
+        std: Prior standard deviation of the changes, shape (n, 3).
+        error: RMS residual of each joint, shape (n,) [N m].
+    """
+    names, eye = sources(motions), np.eye(len(KINDS))
+    square, rows = np.zeros((len(names), *std.shape, len(KINDS))), np.zeros((len(names), len(std)))
+    for motion, own in zip(motions, acting, strict=True):
+        source, moving = names.index(motion.segment.source), motion.moving
+        square[source] += np.einsum("tj,tja,tjb->jab", moving, own, own)
+        rows[source] += moving.sum(axis=0)
+    precision = square / np.maximum(rows, 1.0)[:, :, None, None] / error[:, None, None] ** 2
+    covariance = np.linalg.inv(precision + eye * (UNINFORMED / std**2)[:, :, None])
+    weights = 1.0 / (std**2 + np.diagonal(covariance, axis1=2, axis2=3))
+    return np.asarray(weights / weights.sum(axis=0))
+
+
+def joints(count: int, n: int) -> IntArray:
+    """Return the joint of each of the coefficients of `columns`, shape (count,).
+
+    Args:
+        count: Number of coefficients.
+        n: Number of joints.
+    """
+    return np.arange(count) // len(KINDS) % n
+
+
+def prior_std(motions: Sequence[RecordedMotion], scale: FloatArray) -> FloatArray:
+    """Return the prior standard deviation of the coefficients of `columns`.
+
+    Args:
+        motions: All fitted motions.
+        scale: Scale of the changes of each joint, shape (n,).
+    """
+    of_joint = scale[:, None] * parameter_std(motions)
+    count = len(sources(motions))
+    return np.tile(of_joint.ravel(), count if count > 1 else 0)
+
+
+def scale_of_joints(log_evidence: FloatArray) -> FloatArray:
+    """Return the scale of every joint, shape (n,): the root of its mean square given the data.
+
+    Args:
+        log_evidence: Logarithm of the evidence of each of `SCALES` at each joint, shape (n, S).
+    """
+    logs = np.log(SCALES)
+    of_joint = special.log_softmax(-0.5 * ((logs[:, None] - logs) / SPREAD) ** 2, axis=1)
+    given = special.logsumexp(of_joint[None] + log_evidence[:, None, :], axis=2)  # joint, common
+    common = special.log_softmax(given.sum(axis=0))
+    # of each joint: the common scale, given the evidence of all joints, and its own
+    joint = common[None, :, None] + of_joint[None] + log_evidence[:, None, :] - given[:, :, None]
+    posterior = np.exp(special.logsumexp(joint, axis=1))
+    return np.asarray(np.sqrt(posterior @ SCALES**2))
 
 
 def parameter_std(motions: Sequence[RecordedMotion]) -> FloatArray:

@@ -217,7 +217,7 @@ class JointBudget:
     def _removed(self) -> list[str]:
         """Effects that remove the error: 'load friction −30 %, delay −5 %'."""
         if self.is_spoiled:
-            return ["the effects of the model do not hold here"]
+            return ["the saved model predicts this joint worse than the base model"]
         if not self.is_improved:
             if self.is_explained:
                 return ["nothing notable is missing"]

@@ -126,8 +126,8 @@ def test_a_recording_in_which_a_joint_creeps_does_not_change_its_friction(change
     noise = 0.1 * np.random.default_rng(8).normal(size=recording.q.shape)
     recording = added_torque(dataclasses.replace(recording, source="8.csv"), noise)
     changed = [
-        with_friction(one, np.array([0.0, sign * change]))
-        for one, sign in ((recordings[0], -1.0), (recording, 1.0))
+        with_friction(unchanged, np.array([0.0, sign * change]))
+        for unchanged, sign in ((recordings[0], -1.0), (recording, 1.0))
     ]
     result = diagnose([*changed, recordings[1]])
     assert not findings_of(result) and noise_ratios(result)[1][0] < 1.1

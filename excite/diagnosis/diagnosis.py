@@ -304,7 +304,7 @@ def _held_out_errors(
     moving = np.concatenate([motion.moving for motion in motions])
     saved = model_check.read_back(document)
     residual = model_check.residuals(saved, validate, measured)
-    present = final_model.renewed(final, motions)
+    present = final_model.renewed(final.identified, motions)
     beyond_known = np.concatenate([motion.torque for motion in motions])
     predicted = recorded_motion.split_by_motion(beyond_known - residual, present)
     for motion, part in zip(present, predicted, strict=True):

@@ -62,7 +62,9 @@ def first_round(
     for model in (plain, filtered):
         joint_model.reweight(model.regression)
     evidence = _evidence(filtered, plain) - np.log(len(filters) * len(CORNERS))
-    is_filter = filtered.chain.corner > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE
+    low_pass = filtered.chain.filter
+    assert low_pass is not None
+    is_filter = low_pass.hertz > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE
     return filtered if is_filter else start
 
 
@@ -87,7 +89,7 @@ class _Search:
 
     def fitted(self, chain: RecordingChain, widths: FloatArray) -> JointModel:
         """Return the frictions with a recording chain and widths of Coulomb friction."""
-        moved = [m.with_torque(chain.without_delay(m)) if chain.delay else m for m in self.motions]
+        moved = [chain.without_delay(motion) for motion in self.motions]
         present = joint_model.renewed(self.identified, moved, self.psi, widths)
         model = joint_model.base_model(self.identified, present, self.psi, chain)
         return model.with_effects(joint_model.dense_models(present))

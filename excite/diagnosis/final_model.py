@@ -24,7 +24,7 @@ from ..recordings import Recording
 from . import base_estimate, fitted_effects, joint_model, recording_chain, session_changes
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
-from .joint_model import FRICTIONS, JointModel, model_columns
+from .joint_model import FRICTIONS, JointModel
 from .recording_chain import RecordingChain
 from .regression import JointRegression
 
@@ -124,10 +124,11 @@ def fit(
     base_model = model.regression.keeping(())
     # the saved model has the widths and the chain of the motions, and no further change of them
     base_model.fix_at_zero(range(len(model.free), model.filter_place + 1))
-    first = _with_effects(base_model, model, model.motions, shapes)
+    joint = dataclasses.replace(model, models=(), regression=base_model).with_effects(shapes)
+    first = joint.regression
     # the effects that were left out explain nothing of the residual
     joint_model.reweight(first, joint_model.transient_rows(shapes, model.motions))
-    effects = _fitted(shapes, first)
+    effects = _fitted(joint.models, first)
     cleaned = [_cleaned(effects, recording, model) for recording in recordings]
     refitted = identification.identify(
         identified.model.robot,
@@ -144,7 +145,6 @@ def fit(
         # part of the base model, the recordings without its torque cannot show that part, a change
         # between them would be fitted by other parameters, and the noise of torque whose filter is
         # undone is large
-        joint = dataclasses.replace(model, models=tuple(shapes), regression=first)
         refitted = identification.with_estimate(
             dataclasses.replace(
                 refitted,
@@ -154,8 +154,7 @@ def fit(
             base_estimate.base_estimate(model),
             joint_model.consistent_estimate(refitted, joint),
         )
-    psi = joint_model.initial_parameters(refitted)
-    motions = joint_model.renewed(identified, model.motions, psi, refitted.model.widths)
+    motions = renewed(refitted, model.motions)
     for new, old in zip(motions, model.motions, strict=True):
         for name in ("motor_torque", "measured_torque"):
             new.cache[name] = old.cache[name]
@@ -170,9 +169,15 @@ def fit(
         first.sigma,
         first.independent_share,
     )
-    regression = _with_effects(fixed_base, model, motions, shapes)
+    final = dataclasses.replace(
+        model, motions=tuple(motions), models=(), regression=fixed_base
+    ).with_effects(shapes)
     return FinalModel(
-        refitted, tuple(motions), _fitted(shapes, regression), regression, model.chain
+        refitted,
+        final.motions,
+        _fitted(final.models, final.regression),
+        final.regression,
+        model.chain,
     )
 
 
@@ -194,20 +199,6 @@ def _widths(
         if shape.effect in FRICTIONS:
             widths[shape.joint_index] = model.motions[0].widths[shape.joint_index]
     return widths
-
-
-def _with_effects(
-    regression: JointRegression,
-    model: JointModel,
-    motions: Sequence[RecordedMotion],
-    shapes: Sequence[CandidateModel],
-) -> JointRegression:
-    """Add the columns of some effects to a regression."""
-    for shape in shapes:
-        columns = model_columns(shape, motions, model.level, model.chain)
-        assert columns is not None  # they were not zero in the joint model
-        regression.add(columns)
-    return regression
 
 
 def _fitted(
@@ -236,13 +227,12 @@ def _cleaned(
     return dataclasses.replace(recording, tau=tau)
 
 
-def renewed(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[RecordedMotion]:
-    """Return motions with the saved base model.
+def renewed(identified: Identification, motions: Sequence[RecordedMotion]) -> list[RecordedMotion]:
+    """Return motions with an identified base model.
 
     Args:
-        final: The model.
+        identified: The base model.
         motions: Motions with any base model.
     """
-    identified = final.identified
     psi = joint_model.initial_parameters(identified)
     return joint_model.renewed(identified, motions, psi, identified.model.widths)

@@ -145,7 +145,32 @@ class JointModel:
 
     def columns(self, model: CandidateModel) -> Columns | None:
         """Return the columns of a model over all motions; None if they are zero or not finite."""
-        return model_columns(model, self.motions, self.level, self.chain)
+        parts = [model.columns(motion).swapaxes(0, 1) for motion in self.motions]
+        acting = np.flatnonzero(np.any([[x.any() for x in part] for part in parts], axis=0))
+        passed = [
+            self.chain.passed(motion, part[acting].swapaxes(0, 1))
+            for motion, part in zip(self.motions, parts, strict=True)
+        ]
+        values = dict(zip(acting.tolist(), np.concatenate(passed).swapaxes(0, 1), strict=True))
+        largest = max((float(np.abs(x).max()) for x in values.values()), default=0.0)
+        if not 1e-9 < largest < np.inf:
+            return None
+        k = parts[0].shape[2]
+        if model.prior_std is not None:
+            prior = np.full(k, model.prior_std)
+        else:
+            level = self.level.max() if model.joint is None else self.level[model.joint]
+            prior = np.full(k, float(level))
+            if not any(model.nonnegative):
+                # coefficients in units of their own: a column of unit RMS has the friction level
+                rows = sum(map(len, self.motions))
+                size = np.sqrt(sum(np.sum(x**2, axis=0) for x in values.values()) / rows)
+                prior /= np.maximum(size, 1e-3 * size.max())
+        prior[: len(model.prior_shares)] *= model.prior_shares
+        if model.form_columns:
+            prior[-model.form_columns :] = RELATIVE_STD
+        nonnegative = np.array(model.nonnegative or (False,) * k)
+        return Columns(tuple(values), tuple(values.values()), nonnegative, prior)
 
     def with_effects(self, models: Sequence[CandidateModel]) -> JointModel:
         """Return the model with further effects, except those whose columns are zero."""
@@ -154,47 +179,6 @@ class JointModel:
         regression = self.regression.copy()
         regression.add(*(c for c in columns if c is not None))
         return replace(self, models=(*self.models, *kept), regression=regression)
-
-
-def model_columns(
-    model: CandidateModel,
-    motions: Sequence[RecordedMotion],
-    level: FloatArray,
-    chain: RecordingChain,
-) -> Columns | None:
-    """Return the columns of a model over motions; None if they are zero or not finite.
-
-    Args:
-        model: The model.
-        motions: The motions.
-        level: Friction level of each joint, shape (n,) [N m].
-        chain: How torque is recorded.
-    """
-    parts = [model.columns(motion).swapaxes(0, 1) for motion in motions]
-    acting = np.flatnonzero(np.any([[x.any() for x in part] for part in parts], axis=0))
-    passed = [
-        chain.passed(motion, part[acting].swapaxes(0, 1))
-        for motion, part in zip(motions, parts, strict=True)
-    ]
-    values = dict(zip(acting.tolist(), np.concatenate(passed).swapaxes(0, 1), strict=True))
-    largest = max((float(np.abs(x).max()) for x in values.values()), default=0.0)
-    if not 1e-9 < largest < np.inf:
-        return None
-    k = parts[0].shape[2]
-    if model.prior_std is not None:
-        prior = np.full(k, model.prior_std)
-    else:
-        prior = np.full(k, float(np.max(level) if model.joint is None else level[model.joint]))
-        if not any(model.nonnegative):
-            # coefficients in units of their own: a column of unit RMS has the friction level
-            rows = sum(map(len, motions))
-            size = np.sqrt(sum(np.sum(x**2, axis=0) for x in values.values()) / rows)
-            prior /= np.maximum(size, 1e-3 * size.max())
-    prior[: len(model.prior_shares)] *= model.prior_shares
-    if model.form_columns:
-        prior[-model.form_columns :] = RELATIVE_STD
-    nonnegative = np.array(model.nonnegative or (False,) * k)
-    return Columns(tuple(values), tuple(values.values()), nonnegative, prior)
 
 
 def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
@@ -226,19 +210,16 @@ def fit(
         chain = renewed_chain(fitted)
         width_steps = fitted.solution.coefficients[len(fitted.free) : fitted.delay_place]
         widths = widths * np.exp(np.clip(width_steps, -MAX_LOG_STEP, MAX_LOG_STEP))
-        change_scale = _renewed_change_scale(fitted)
         psi = consistent_parameters(identified, fitted)
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
             waves = [*ripple_search.refined_waves(fitted), *ripple_search.find_waves(fitted)]
-        moved = [m.with_torque(chain.without_delay(m)) if chain.delay else m for m in motions]
+        moved = [chain.without_delay(motion) for motion in motions]
         present = renewed(identified, moved, psi, widths)
-        modelled = modelled_torque(fitted)
-        for motion, torque in zip(present, modelled, strict=True):
+        for motion, torque in zip(present, modelled_torque(fitted), strict=True):
             motion.cache["measured_torque"] = torque
-        weights = fitted.regression.sigma, fitted.regression.independent_share
-        fitted = base_model(identified, present, psi, chain, weights, modelled, change_scale)
+        fitted = base_model(identified, present, psi, chain, fitted)
         fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
     reweight(fitted.regression)
     for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
@@ -269,7 +250,8 @@ def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
     """
     information, prior = _information(fitted, np.array([fitted.delay_place]))
     std = float(1.0 / np.sqrt(information[0, 0] + prior[0]))
-    return _evidence(information, prior, np.array([seconds])), std
+    occam = float(np.log1p(information[0, 0] / prior[0]))
+    return 0.5 * float(information[0, 0]) * seconds**2 - 0.5 * occam, std
 
 
 def _renewed_change_scale(fitted: JointModel) -> FloatArray:
@@ -285,7 +267,7 @@ def _renewed_change_scale(fitted: JointModel) -> FloatArray:
         return fitted.change_scale
     information, prior = _information(fitted, places)
     score = (information + np.diag(prior)) @ fitted.solution.coefficients[places]
-    joint = session_changes.joints(len(places), fitted.n)
+    joint = np.arange(len(places)) // len(session_changes.KINDS) % fitted.n
 
     def evidence(j: int, scale: float) -> float:
         precision = np.where(joint == j, (fitted.change_scale[j] / scale) ** 2, 1.0) * prior
@@ -316,18 +298,6 @@ def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, Floa
         np.linalg.inv(fitted.solution.solve(unit)[rows]) - np.diag(prior)
     )
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T), prior
-
-
-def _evidence(information: FloatArray, prior: FloatArray, x: FloatArray) -> float:
-    """Return the log Bayes factor for coefficients: ½ xᵀ I x − ½ ln det(1 + I Σ).
-
-    Args:
-        information: Information I of the data, shape (k, k).
-        prior: Information of the prior N(0, Σ), shape (k,).
-        x: The coefficients, shape (k,).
-    """
-    occam = float(np.linalg.slogdet(np.eye(len(x)) + information / prior)[1])
-    return 0.5 * float(x @ information @ x) - 0.5 * occam
 
 
 def modelled_torque(model: JointModel) -> list[FloatArray]:
@@ -362,10 +332,8 @@ def base_model(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     psi: FloatArray,
-    chain: RecordingChain | None = None,
-    weights: tuple[FloatArray, float] | None = None,
-    modelled: Sequence[FloatArray] | None = None,
-    change_scale: FloatArray | None = None,
+    chain: RecordingChain,
+    previous: JointModel | None = None,
 ) -> JointModel:
     """Return the joint model of the base model without effects.
 
@@ -374,32 +342,32 @@ def base_model(
         motions: The motions to fit.
         psi: Its standard parameters, shape (P,).
         chain: How torque is recorded; its delay was removed from the torque of the motions.
-        weights: RMS residual of each joint [N m] and share of independent rows; of the motions'
-            base model if None.
-        modelled: Torque of a fit to the motions, shapes (M, n) [N m]; of the base model if None.
-        change_scale: Factor of the prior standard deviation of the changes between recordings of
-            each joint, shape (n,); 1 if None.
+        previous: A fit that gives the weights of the rows, the size of changes between recordings,
+            and the measured torque of the motions; the base model does if None.
     """
     free, level = free_parameters(identified), friction_level(motions)
-    if change_scale is None:
-        change_scale = np.ones(len(level))
-    chain = chain or RecordingChain()
     fixed = np.delete(np.arange(identified.model.base.count), free)
     known = np.concatenate(
         [chain.passed(m, m.gamma[:, :, fixed] @ m.theta[fixed]) for m in motions]
     )
     moving = np.concatenate([motion.moving for motion in motions])
-    if weights is None:
+    if previous is None:
         residual = np.concatenate([motion.residual for motion in motions])
-        weights = rms(residual, moving), independent_share(residual, moving)
+        error, share = rms(residual, moving), independent_share(residual, moving)
+        change_scale, modelled = np.ones(len(level)), [motion.motor_torque for motion in motions]
+    else:
+        error, share = previous.regression.sigma, previous.regression.independent_share
+        change_scale = _renewed_change_scale(previous)
+        modelled = [motion.measured_torque for motion in motions]
     prior = _base_prior(identified, motions, free, change_scale)
-    changes = session_changes.columns(motions, change_scale, weights[0])
+    changes = session_changes.columns(motions, change_scale, error)
     regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
-        _base_columns(motions, level, free, modelled or [None] * len(motions), chain, changes),
+        _base_columns(motions, level, free, modelled, chain, changes),
         prior,
-        *weights,
+        error,
+        share,
         _dissipated(identified, free, len(prior[0])),
     )
     return JointModel(tuple(motions), (), regression, chain, level, psi, free, known, change_scale)
@@ -501,7 +469,7 @@ def _base_columns(
     motions: Sequence[RecordedMotion],
     level: FloatArray,
     free: IntArray,
-    modelled: Sequence[FloatArray | None],
+    modelled: Sequence[FloatArray],
     chain: RecordingChain,
     changes: Sequence[FloatArray],
 ) -> FloatArray:
@@ -534,7 +502,7 @@ def _base_prior(
     others = np.concatenate(
         [
             np.ones(n),
-            recording_chain.prior_std(),
+            recording_chain.PRIOR_STD,
             session_changes.prior_std(motions, change_scale),
         ]
     )
@@ -571,14 +539,6 @@ def _dissipated(identified: Identification, free: IntArray, count: int) -> BoolA
     return out
 
 
-def _coulomb_columns(identified: Identification) -> IntArray:
-    """Column of Γ that is the Coulomb friction of each joint, −1 where there is none."""
-    out = np.full(identified.model.robot.n, -1)
-    for column, joint in identified.model.friction_columns().items():
-        out[joint] = column
-    return out
-
-
 def renewed(
     identified: Identification,
     motions: Sequence[RecordedMotion],
@@ -588,8 +548,8 @@ def renewed(
     """Return motions with the base model of other parameters."""
     model = identified.model
     robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
-    columns = _coulomb_columns(identified)
-    return [m.with_base_model(robot, widths, model.base.matrix @ psi, columns) for m in motions]
+    columns, theta = model.friction_columns(), model.base.matrix @ psi
+    return [m.with_base_model(robot, widths, theta, columns) for m in motions]
 
 
 def consistent_parameters(identified: Identification, fitted: JointModel) -> FloatArray:

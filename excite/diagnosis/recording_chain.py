@@ -29,6 +29,8 @@ MIN_DELAY = 1e-5
 """Delay below which there is none [s]."""
 CORNER_STD = 1.0
 """Prior standard deviation of the logarithm of the filter's corner frequency."""
+PRIOR_STD = np.array([DELAY_STD, CORNER_STD])
+"""Prior standard deviations of `columns`."""
 MIN_CORNER = 6.0
 """Smallest corner frequency: no one filters a robot's torque at much less [Hz]."""
 
@@ -45,11 +47,6 @@ class RecordingChain:
     delay: float = 0.0
     filter: LowPass | None = None
 
-    @property
-    def corner(self) -> float:
-        """Corner frequency of the filter [Hz]; infinite without one."""
-        return np.inf if self.filter is None else self.filter.hertz
-
     def stepped(self, seconds: float, log_corner: float) -> RecordingChain:
         """Return the chain with another delay [s] and a step of the log corner frequency."""
         if self.filter is None:
@@ -57,16 +54,16 @@ class RecordingChain:
         corner = max(self.filter.hertz * float(np.exp(log_corner)), MIN_CORNER)
         return RecordingChain(seconds, self.filter.with_corner(corner))
 
-    def without_delay(self, motion: RecordedMotion) -> FloatArray:
-        """Return the recorded torque of a motion without the delay, shape (M, n) [N m].
+    def without_delay(self, motion: RecordedMotion) -> RecordedMotion:
+        """Return a motion with torque from which the delay was removed.
 
         Args:
             motion: The motion as it is recorded.
         """
-        torque, t = motion.segment.torque, motion.times
-        if self.delay:
-            torque = motion.torque_spline(np.clip(t + self.delay, t[0], t[-1]))
-        return np.asarray(torque)
+        if not self.delay:
+            return motion
+        t = motion.times
+        return motion.with_torque(motion.torque_spline(np.clip(t + self.delay, t[0], t[-1])))
 
     def without_filter(self, motion: RecordedMotion, torque: FloatArray) -> FloatArray:
         """Return torque at every sample of a motion without the filter, shape (M, n) [N m].
@@ -112,9 +109,7 @@ def _response(low_pass: LowPass, slope: bool, count: int, rate: float) -> NDArra
     return low_pass.slope(frequencies) if slope else low_pass.response(frequencies)
 
 
-def columns(
-    motion: RecordedMotion, modelled: FloatArray | None, chain: RecordingChain
-) -> FloatArray:
+def columns(motion: RecordedMotion, modelled: FloatArray, chain: RecordingChain) -> FloatArray:
     """Return the change of the torque by the delay, per second, and by the filter, (N, n, 2).
 
     The slope is that of the recorded torque, whose noise is uncorrelated with its own slope; the
@@ -122,16 +117,11 @@ def columns(
 
     Args:
         motion: The motion, with the torque from which a delay was removed.
-        modelled: Torque of a fit, shape (M, n) [N m]; of the base model if None.
+        modelled: Torque of a fit, shape (M, n) [N m].
         chain: The present recording chain.
     """
     slope = -motion.torque_slope
     if chain.filter is None:
         return np.stack([slope, np.zeros_like(slope)], axis=2)
-    torque = motion.lowpass(motion.motor_torque if modelled is None else modelled)
-    return np.stack([slope, _passed(motion, torque, chain.filter, slope=True)], axis=2)
-
-
-def prior_std() -> FloatArray:
-    """Return the prior standard deviations of the columns, shape (2,)."""
-    return np.array([DELAY_STD, CORNER_STD])
+    passed = _passed(motion, motion.lowpass(modelled), chain.filter, slope=True)
+    return np.stack([slope, passed], axis=2)

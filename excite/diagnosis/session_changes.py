@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from .._types import BoolArray, FloatArray, IntArray
+from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import RecordedMotion
 from .blocks import BLOCK_SECONDS, sandwiched
 
@@ -81,17 +81,13 @@ def sources(motions: Sequence[RecordedMotion]) -> list[str]:
 
 
 def actuator_columns(motion: RecordedMotion) -> FloatArray:
-    """Return tanh(q̇/w), q̇ and 1 of every joint at the rows of a motion, shape (N, n, 3n)."""
-    n = motion.n
-    out, joints = np.zeros((len(motion), n, n, 3)), np.arange(n)
-    out[:, joints, joints, 0] = motion.lowpass(np.tanh(motion.samples.dq / motion.widths))
-    out[:, joints, joints, 1] = motion.for_all_fits(
-        "low-passed speed", lambda: motion.lowpass(motion.samples.dq)
-    )
-    out[:, joints, joints, 2] = motion.for_all_fits(
+    """Return tanh(q̇/w), q̇ and 1 of every joint at the rows of a motion, shape (N, n, 3)."""
+    coulomb = motion.lowpass(np.tanh(motion.samples.dq / motion.widths))
+    speed = motion.for_all_fits("low-passed speed", lambda: motion.lowpass(motion.samples.dq))
+    one = motion.for_all_fits(
         "low-passed one", lambda: motion.lowpass(np.ones((len(motion.segment), 1)))
     )
-    return out.reshape(len(motion), n, 3 * n)
+    return np.stack([coulomb, speed, np.broadcast_to(one, speed.shape)], axis=2)
 
 
 def columns(
@@ -110,16 +106,13 @@ def columns(
     if len(names) == 1:
         return [np.zeros((len(motion), n, 0)) for motion in motions]
     joint = np.arange(n)
-    acting = [
-        actuator_columns(motion).reshape(len(motion), n, n, kinds)[:, joint, joint]
-        for motion in motions
-    ]
+    acting = [actuator_columns(motion) for motion in motions]
     weights = _weights(motions, acting, scale[:, None] * parameter_std(motions), error)
     out = []
-    for motion, own in zip(motions, acting, strict=True):
+    for motion, actuator in zip(motions, acting, strict=True):
         present = np.equal(names, motion.segment.source)[:, None, None]
         part = np.zeros((len(motion), n, len(names), n, kinds))
-        part[:, joint, :, joint] = np.einsum("tja,rja->jtra", own, present - weights)
+        part[:, joint, :, joint] = np.einsum("tja,rja->jtra", actuator, present - weights)
         out.append(part.reshape(len(motion), n, -1))
     return out
 
@@ -133,7 +126,7 @@ def _weights(
     """Return the weight of each recording in the mean of a parameter, shape (recordings, n, 3).
 
     It is 1 / (σ² + e²/q), with the prior σ of a change, the residual e, and the mean square q of
-    the parameter's column in the recording beside the others of the joint: as if all rows of a
+    the parameter's column in the recording next to the others of the joint: as if all rows of a
     recording had the same error, since that of a model is not independent from row to row.
 
     Args:
@@ -144,24 +137,14 @@ def _weights(
     """
     names, eye = sources(motions), np.eye(len(KINDS))
     square, rows = np.zeros((len(names), *std.shape, len(KINDS))), np.zeros((len(names), len(std)))
-    for motion, own in zip(motions, acting, strict=True):
+    for motion, actuator in zip(motions, acting, strict=True):
         source, moving = names.index(motion.segment.source), motion.moving
-        square[source] += np.einsum("tj,tja,tjb->jab", moving, own, own)
+        square[source] += np.einsum("tj,tja,tjb->jab", moving, actuator, actuator)
         rows[source] += moving.sum(axis=0)
     precision = square / np.maximum(rows, 1.0)[:, :, None, None] / error[:, None, None] ** 2
     covariance = np.linalg.inv(precision + eye * (UNINFORMED / std**2)[:, :, None])
     weights = 1.0 / (std**2 + np.diagonal(covariance, axis1=2, axis2=3))
     return np.asarray(weights / weights.sum(axis=0))
-
-
-def joints(count: int, n: int) -> IntArray:
-    """Return the joint of each of the coefficients of `columns`, shape (count,).
-
-    Args:
-        count: Number of coefficients.
-        n: Number of joints.
-    """
-    return np.arange(count) // len(KINDS) % n
 
 
 def prior_std(motions: Sequence[RecordedMotion], scale: FloatArray) -> FloatArray:
@@ -222,17 +205,16 @@ def changes(
         moving: Rows that count, shape (N, n).
     """
     ends = np.cumsum([0, *(len(motion) for motion in motions)])
-    prior = parameter_std(motions)
+    prior, acting = parameter_std(motions), [actuator_columns(motion) for motion in motions]
     out = []
     for source in sources(motions):
         for j in range(motions[0].n):
             blocks, power = [], 0.0
-            for start, motion in zip(ends, motions, strict=False):
+            for start, motion, actuator in zip(ends, motions, acting, strict=False):
                 if motion.segment.source != source:
                     continue
                 rows = moving[start : start + len(motion), j]
-                x = actuator_columns(motion)[rows, j, 3 * j : 3 * j + 3]
-                y = residual[start : start + len(motion), j][rows]
+                x, y = actuator[rows, j], residual[start : start + len(motion), j][rows]
                 count = max(1, int((motion.time[-1] - motion.time[0]) / BLOCK_SECONDS))
                 parts = np.array_split(np.arange(len(y)), count)
                 blocks += [(x[part], y[part]) for part in parts if len(part)]

@@ -62,26 +62,30 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     tilts gravity, which dominates in slow motion.
     """
     values = model.values
-    axes, dt = MODES[int(values["way"])], 1.0 / motion.band.rate_of(Grid.COARSE)
-    dynamics, upright = motion.base_dynamics.restricted_to(axes), motion.upright_inertia[list(axes)]
+    axes = list(MODES[int(values["way"])])
+    dynamics, upright = motion.base_dynamics, motion.upright_inertia[axes]
+    mass, by_speed, by_place = (
+        x[:, :, axes] for x in (dynamics.mass, dynamics.by_speed, dynamics.by_place)
+    )
     inertia = upright + values["stand"] * upright.max()
     spring = (
         2.0 * np.pi * values["frequency"] * values["apart"] ** np.arange(len(axes))
     ) ** 2 * inertia
     damping = 2.0 * values["damping"] * np.sqrt(spring * inertia)
     # gravity may not take more of a spring's stiffness than a standing base can lose
-    toppling = float(np.abs(dynamics.by_place).sum(axis=2).max() / spring.min())
-    stiffness = np.diag(spring) + dynamics.by_place * min(
+    toppling = float(np.abs(by_place[:, axes]).sum(axis=2).max() / spring.min())
+    stiffness = np.diag(spring) + by_place[:, axes] * min(
         1.0, (1.0 - MIN_STIFFNESS_SHARE) / max(toppling, 1e-9)
     )
     base_motion = simulate_base(
-        dynamics.mass + np.diag(inertia - upright),
-        dynamics.by_speed + np.diag(damping),
+        mass[:, axes] + np.diag(inertia - upright),
+        by_speed[:, axes] + np.diag(damping),
         stiffness,
-        dynamics.force,
-        dt,
+        (dynamics.reaction.mean(axis=0) - dynamics.reaction)[:, axes],
+        1.0 / motion.band.rate_of(Grid.COARSE),
     )
-    torque = [part @ x for part, x in zip(dynamics.joint_torque, base_motion, strict=True)]
+    on_joints = (x[:, 6:] for x in (by_place, by_speed, mass))
+    torque = [part @ x for part, x in zip(on_joints, base_motion, strict=True)]
     return motion.lowpass(np.sum(torque, axis=0), Grid.COARSE)
 
 

@@ -8,7 +8,7 @@ an extended arm, the destabilising moment of gravity, and Coriolis forces on a r
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -29,26 +29,6 @@ BASE_JOINTS = (
 
 
 @dataclass(frozen=True)
-class BaseAxesDynamics:
-    """Dynamics of some coordinates of the base.
-
-    Attributes:
-        mass: Inertia of the base coordinates, shape (C, k, k).
-        by_speed: Their force per base velocity, shape (C, k, k).
-        by_place: Their force per base displacement, shape (C, k, k).
-        joint_torque: Torque on the joints per base displacement, velocity and acceleration, each
-            of shape (C, n, k).
-        force: Force of the robot on the base minus its mean, shape (C, k).
-    """
-
-    mass: FloatArray
-    by_speed: FloatArray
-    by_place: FloatArray
-    joint_torque: tuple[FloatArray, FloatArray, FloatArray]
-    force: FloatArray
-
-
-@dataclass(frozen=True)
 class FloatingBaseDynamics:
     """Linearised dynamics of the robot with respect to its base.
 
@@ -64,26 +44,6 @@ class FloatingBaseDynamics:
     by_speed: FloatArray
     by_place: FloatArray
     reaction: FloatArray
-    _restricted: dict[tuple[int, ...], BaseAxesDynamics] = field(
-        default_factory=dict, init=False, compare=False, repr=False
-    )
-
-    def restricted_to(self, axes: tuple[int, ...]) -> BaseAxesDynamics:
-        """Return the dynamics of a base that moves along some axes only.
-
-        The result is kept, as it is needed with many spring constants.
-        """
-        if axes not in self._restricted:
-            which = list(axes)
-            mass, by_speed, by_place = (
-                x[:, :, which] for x in (self.mass, self.by_speed, self.by_place)
-            )
-            force = self.reaction[:, which].mean(axis=0) - self.reaction[:, which]
-            joint_torque = by_place[:, 6:].copy(), by_speed[:, 6:].copy(), mass[:, 6:].copy()
-            self._restricted[axes] = BaseAxesDynamics(
-                mass[:, which], by_speed[:, which], by_place[:, which], joint_torque, force
-            )
-        return self._restricted[axes]
 
 
 def floating_base_dynamics(robot: Robot, model: pin.Model, motion: Samples) -> FloatingBaseDynamics:

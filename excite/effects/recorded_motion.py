@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar, cast
 
@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
-from .._types import BoolArray, FloatArray, IntArray
+from .._types import BoolArray, FloatArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import IdentificationModel, filtered_friction, filtered_regressor
 from ..identification.segments import RecordingSegment
@@ -145,7 +145,11 @@ class RecordedMotion:
         return out
 
     def with_base_model(
-        self, fitted_robot: FittedRobot, widths: FloatArray, theta: FloatArray, coulomb: IntArray
+        self,
+        fitted_robot: FittedRobot,
+        widths: FloatArray,
+        theta: FloatArray,
+        coulomb: Mapping[int, int],
     ) -> RecordedMotion:
         """Return the motion with another fit of the base model.
 
@@ -153,12 +157,12 @@ class RecordedMotion:
             fitted_robot: The robot with its parameters.
             widths: Widths of the smooth Coulomb friction, shape (n,).
             theta: Base parameters, shape (p,).
-            coulomb: Column of Γ that is the Coulomb friction of each joint, −1: none, shape (n,).
+            coulomb: Joints by the columns of Γ that are their Coulomb friction.
         """
         step, slopes = filtered_friction(widths, self.samples.dq, self.band)
         gamma = self.gamma.copy()
-        for j in np.flatnonzero(coulomb >= 0):
-            gamma[:, j, coulomb[j]] = step[self.kept, j]
+        for column, joint in coulomb.items():
+            gamma[:, joint, column] = step[self.kept, joint]
         return self._of_same_motion(
             fitted_robot=fitted_robot,
             widths=widths,

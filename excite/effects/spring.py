@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,29 +11,18 @@ from ..robot.samples import MIN_TRAVEL
 from .effect import CandidateModel, Effect, grid_candidates, single_joint_columns
 from .recorded_motion import RecordedMotion, position_range
 
-
-@dataclass(frozen=True)
-class Form:
-    """Torque of usual springs and counterbalances over the joint position.
-
-    Attributes:
-        torque: Torque per coefficient over the position, (M,) -> (M, k).
-        goes_on: Whether it holds beyond the positions to which it was fitted, where a polynomial,
-            or two waves of which a part of a turn determines little, say nothing.
-    """
-
-    torque: Callable[[FloatArray], FloatArray]
-    goes_on: bool = False
-
-
-FORMS = (
-    Form(lambda q: q[:, None], goes_on=True),
-    Form(lambda q: np.column_stack([np.cos(q), np.sin(q)]), goes_on=True),
-    Form(lambda q: np.column_stack([q, q**2])),
-    Form(lambda q: np.column_stack([q, q**2, q**3])),
-    Form(lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)])),
+FORMS: tuple[Callable[[FloatArray], FloatArray], ...] = (
+    lambda q: q[:, None],
+    lambda q: np.column_stack([np.cos(q), np.sin(q)]),
+    lambda q: np.column_stack([q, q**2]),
+    lambda q: np.column_stack([q, q**2, q**3]),
+    lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
 )
-"""Forms by their number in `model.json`."""
+"""Torque of usual springs and counterbalances over the position, (M,) -> (M, k), by the number in
+`model.json`."""
+UNBOUNDED_FORMS = 2
+"""The first forms hold beyond the fitted positions. A polynomial, or two waves of which a part of a
+turn determines little, say nothing there."""
 WAVES_OVER_RANGE = (0.35, 0.6, 0.9)
 """Periods over the joint's range of the slow wave that is added to a linear spring."""
 KINK_POSITIONS = np.linspace(0.15, 0.85, 8)
@@ -60,7 +48,7 @@ def _torque(values: Mapping[str, float], q: FloatArray) -> FloatArray:
     if "order" in values:
         phase = values["order"] * (inside - values["about"])
         return np.column_stack([q - values["about"], np.cos(phase) - 1.0, np.sin(phase)])
-    return FORMS[int(values["form"])].torque(inside)
+    return FORMS[int(values["form"])](inside)
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -92,8 +80,8 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 "spring", j, _columns, values, parameters=parameters, prior_shares=shares
             )
 
-        for number, form in enumerate(FORMS):
-            ends = {} if form.goes_on else {"low": low, "high": high}
+        for number in range(len(FORMS)):
+            ends = {} if number < UNBOUNDED_FORMS else {"low": low, "high": high}
             yield model(form=float(number), **ends)
         if high - low > MIN_CURVE_RANGE:
             slow = (2.0 * np.pi / (high - low) * np.array(WAVES_OVER_RANGE)).tolist()

@@ -12,6 +12,7 @@ from .effect import (
     Effect,
     harmonic_columns,
     no_candidates,
+    pair_amplitude,
     single_joint_columns,
 )
 from .recorded_motion import RecordedMotion
@@ -41,7 +42,7 @@ def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> C
         joint,
         _columns,
         values,
-        parameters=lambda c: {"amplitude": float(np.hypot(c[0], c[1])), "order": order},
+        parameters=pair_amplitude(order=order),
         prior_shares=(1.0, 1.0, share, share),
     )
 

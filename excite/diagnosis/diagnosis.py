@@ -308,7 +308,7 @@ def _held_out_errors(
     beyond_known = np.concatenate([motion.torque for motion in motions])
     predicted = recorded_motion.split_by_motion(beyond_known - residual, present)
     for motion, part in zip(present, predicted, strict=True):
-        motion.cache["measured_torque"] = motion.at_samples(part)
+        motion.replace_torques(motion.at_samples(part))
     residual, base = np.where(moving, residual, 0.0), np.where(moving, base, 0.0)
     return HeldOutErrors(
         tuple(present),

@@ -63,7 +63,7 @@ class EffectEstimate:
         coefficients: Coefficients of its models in the joint model; empty if it is not in it.
         severity: RMS torque that a refit of the base model does not absorb, over the residual of
             the joint model, in the joint with the largest [1].
-        severity_interval: Its 90 % interval.
+        relative_std: Relative standard deviation of its torque [1].
         parameters: Value and standard deviation by name.
         equivalents: Names of effects that these recordings cannot tell from it.
     """
@@ -72,7 +72,7 @@ class EffectEstimate:
     probable: Probability
     coefficients: tuple[FloatArray, ...] = ()
     severity: float = 0.0
-    severity_interval: tuple[float, float] = (0.0, 0.0)
+    relative_std: float = 0.0
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     equivalents: tuple[str, ...] = ()
 
@@ -112,10 +112,13 @@ class EffectEstimate:
         return self.probable.value
 
     @property
-    def relative_std(self) -> float:
-        """Relative standard deviation of its torque [1]."""
-        low, high = self.severity_interval
-        return float(np.log(high / low)) / (2.0 * QUANTILE) if low > 0.0 else 0.0
+    def severity_interval(self) -> tuple[float, float]:
+        """90 % interval of the severity.
+
+        The form of an effect is wrong by a factor, and a severity is positive.
+        """
+        spread = float(np.exp(QUANTILE * self.relative_std))
+        return self.severity / spread, self.severity * spread
 
     @property
     def asserted(self) -> bool:
@@ -282,15 +285,6 @@ def _displaced(
     ]
 
 
-def _interval(severity: float, relative: float) -> tuple[float, float]:
-    """90 % interval of a severity whose logarithm has a standard deviation.
-
-    The form of an effect is wrong by a factor, and a severity is positive.
-    """
-    spread = QUANTILE * min(relative, MAX_LOG_STD)
-    return severity * float(np.exp(-spread)), severity * float(np.exp(spread))
-
-
 def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     """The delay of the clock."""
     model, seconds = of.model, of.model.chain.delay
@@ -310,7 +304,7 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
             probability.rare_probability(factor, severity),
             (np.array([seconds]),),
             severity,
-            _interval(severity, float(np.hypot(std / abs(seconds), FORM_STD))),
+            min(float(np.hypot(std / abs(seconds), FORM_STD)), MAX_LOG_STD),
             {"seconds": (seconds, std)},
         )
     ]
@@ -366,9 +360,7 @@ class _Posterior:
             estimate,
             coefficients=tuple(self.solution.coefficients[slices[e]] for e in effects),
             severity=severity,
-            severity_interval=_interval(
-                severity, float(np.hypot(self.relative_std(effects), form))
-            ),
+            relative_std=min(float(np.hypot(self.relative_std(effects), form)), MAX_LOG_STD),
             parameters=self.parameters(effects, self.model.motions[0].fitted_robot),
         )
 

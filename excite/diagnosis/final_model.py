@@ -156,8 +156,7 @@ def fit(
         )
     motions = renewed(refitted, model.motions)
     for new, old in zip(motions, model.motions, strict=True):
-        for name in ("motor_torque", "measured_torque"):
-            new.cache[name] = old.cache[name]
+        new.share_torques(old)
     torque = np.concatenate([m.torque - model.chain.passed(m, m.gamma @ m.theta) for m in motions])
     changes = session_changes.prior_std(motions, model.change_scale)
     changed = session_changes.columns(motions, model.change_scale, first.sigma)

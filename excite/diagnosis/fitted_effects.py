@@ -39,9 +39,7 @@ def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArra
         kept=slice(0, len(segment)),
         time=segment.start + np.arange(len(segment)) / segment.rate,
     )
-    for name in ("motor_torque", "measured_torque"):
-        if name in motion.cache:
-            at_samples.cache[name] = motion.cache[name]
+    at_samples.share_torques(motion)
     out = np.zeros(segment.q.shape)
     for part in effects:
         out += part.shape.columns(at_samples) @ part.coefficients

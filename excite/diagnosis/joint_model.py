@@ -218,12 +218,12 @@ def fit(
         moved = [chain.without_delay(motion) for motion in motions]
         present = renewed(identified, moved, psi, widths)
         for motion, torque in zip(present, modelled_torque(fitted), strict=True):
-            motion.cache["measured_torque"] = torque
+            motion.replace_torques(torque)
         fitted = base_model(identified, present, psi, chain, fitted)
         fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
     reweight(fitted.regression)
     for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
-        motion.cache["motor_torque"] = motion.cache["measured_torque"] = torque
+        motion.replace_torques(torque, torque)
     return fitted
 
 
@@ -431,14 +431,8 @@ def free_parameters(identified: Identification) -> IntArray:
     if not trusted:
         return np.arange(base.count)
     joint_parameters = 10 * identified.model.parameters.bodies
-    return np.array(
-        [
-            k
-            for k, place in enumerate(base.independent)
-            if place >= joint_parameters and int(place) not in trusted
-        ],
-        int,
-    )
+    places = np.asarray(base.independent)
+    return np.flatnonzero((places >= joint_parameters) & ~np.isin(places, list(trusted)))
 
 
 def initial_parameters(identified: Identification) -> FloatArray:

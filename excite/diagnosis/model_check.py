@@ -15,12 +15,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import identified_model
 from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
-from ..schemas.document_file import DocumentFile
 from . import fitted_effects
-
-MODEL_FILE = DocumentFile(
-    Path("model.json"), "a model", "diagnose again", "the model.json of 'excite diagnose'"
-)
 
 
 def read_back(document: Mapping[str, Any]) -> IdentifiedModel:
@@ -29,7 +24,8 @@ def read_back(document: Mapping[str, Any]) -> IdentifiedModel:
     Args:
         document: Content of the file.
     """
-    return identified_model.model_from_document(MODEL_FILE, json.loads(_json.dumps(document)))
+    file = identified_model.model_file(Path("model.json"))
+    return identified_model.model_from_document(file, json.loads(_json.dumps(document)))
 
 
 def residuals(

@@ -155,7 +155,8 @@ def _two_periods(
     seconds, (low, high) = period
     rate = 1.0 / (motion.time[1] - motion.time[0])
     rows = int(np.floor(seconds * rate))
-    later = shifted(residual, seconds * rate - rows)[rows:]
+    part = seconds * rate - rows  # of a row
+    later = with_response(residual, lambda k: np.exp(2j * np.pi * part * np.fft.rfftfreq(k)))[rows:]
     inside = (motion.time[: len(later)] >= low) & (
         motion.time[rows : rows + len(later)] + 1.0 / rate <= high
     )
@@ -221,20 +222,6 @@ def _usual_rows(square: FloatArray) -> BoolArray:
     for start, end in sorted(true_runs(large).tolist(), key=lambda e: e[0] - e[1])[:2]:
         kept[start:end] = False
     return np.repeat(kept, [len(part) for part in parts])
-
-
-def shifted(x: FloatArray, by: float) -> FloatArray:
-    """Return x a fraction of a row later, by its Fourier series.
-
-    The ends are continued by reflection.
-
-    Args:
-        x: Shape (N, n).
-        by: Shift [rows].
-    """
-    if by < 1e-6:
-        return x
-    return with_response(x, lambda count: np.exp(2j * np.pi * by * np.fft.rfftfreq(count)))
 
 
 def estimate_period(recording: Recording) -> Period | None:

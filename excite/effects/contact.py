@@ -64,9 +64,7 @@ def unit_forces(motion: RecordedMotion) -> FloatArray:
     Returns:
         Shape (N, links, n, 3).
     """
-    torque = -np.swapaxes(motion.link_jacobians, 2, 3)
-    low = motion.lowpass(torque.reshape(len(torque), -1), Grid.COARSE)
-    return low.reshape(len(motion), *torque.shape[1:])
+    return motion.lowpass(-np.swapaxes(motion.link_jacobians, 2, 3), Grid.COARSE)
 
 
 def contact_models(

@@ -19,6 +19,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel
+from .friction import max_speed
 from .recorded_motion import RecordedMotion, position_range
 
 POSITION_WAVES = 4
@@ -46,7 +47,7 @@ def with_form_error(
     count = n + DERIVATIVES
     if joint is not None:
         low, high = position_range(motions, joint)
-        top = max(float(np.abs(m.samples.dq[:, joint]).max()) for m in motions)
+        top = max_speed(motions, joint)
         count = POSITION_WAVES + SPEED_WAVES + DERIVATIVES
 
     def columns(motion: RecordedMotion, _model: CandidateModel) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
@@ -60,21 +61,11 @@ def fitted_robot(robot: Robot, parameters: Parameters, psi: FloatArray) -> Fitte
     return FittedRobot(robot, parameters, model, psi)
 
 
-class memoized(Generic[T]):
-    """A property that is computed once for a recorded motion."""
+class memoized_for_all_fits(Generic[T]):
+    """A property that is computed once, as it depends on neither the torque nor the base model."""
 
     def __init__(self, compute: Callable[[RecordedMotion], T]) -> None:
         self.compute, self.__doc__ = compute, compute.__doc__
-
-    def __get__(self, motion: RecordedMotion, owner: type[RecordedMotion]) -> T:
-        name = self.compute.__name__
-        if name not in motion.cache:
-            motion.cache[name] = self.compute(motion)
-        return cast(T, motion.cache[name])
-
-
-class memoized_for_all_fits(memoized[T]):
-    """One that depends on neither the torque nor the base model."""
 
     def __get__(self, motion: RecordedMotion, owner: type[RecordedMotion]) -> T:
         return motion.for_all_fits(self.compute.__name__, lambda: self.compute(motion))
@@ -100,7 +91,6 @@ class RecordedMotion:
         time: Times of the kept rows [s], shape (N,).
         grid: Grid to which `lowpass` reduces.
         motion_cache: What depends on neither the torque nor the base model; shared by all fits.
-        cache: Values of the `memoized` properties.
     """
 
     segment: RecordingSegment
@@ -117,7 +107,6 @@ class RecordedMotion:
     motion_cache: dict[str, object] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    cache: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -178,17 +167,33 @@ class RecordedMotion:
             torque=self.band.filter(torque, Grid.KEPT)[self.kept],
         )
 
-    @memoized
+    def replace_torques(self, measured: FloatArray, motor: FloatArray | None = None) -> None:
+        """Put the torque of a joint model in the place of measured torque and base model.
+
+        Args:
+            measured: In the place of `measured_torque`, shape (M, n) [N m].
+            motor: In the place of `motor_torque`, unless None, shape (M, n) [N m].
+        """
+        self.__dict__["measured_torque"] = measured
+        if motor is not None:
+            self.__dict__["motor_torque"] = motor
+
+    def share_torques(self, motion: RecordedMotion) -> None:
+        """Take the torques that are known of another fit to the same motion."""
+        for name in {"measured_torque", "motor_torque"} & set(motion.__dict__):
+            self.__dict__[name] = motion.__dict__[name]
+
+    @cached_property
     def residual(self) -> FloatArray:
         """Measured torque minus the base model's [N m], shape (N, n)."""
         return self.torque - self.gamma @ self.theta
 
-    @memoized
+    @cached_property
     def torque_slope(self) -> FloatArray:
         """Time derivative of the measured torque [N m/s], shape (N, n)."""
         return self.band.filter(self.segment.torque, Grid.KEPT, 1)[self.kept]
 
-    @memoized
+    @cached_property
     def torque_spline(self) -> CubicSpline:
         """Recorded torque over the time [N m]."""
         return CubicSpline(self.times, self.segment.torque)
@@ -293,25 +298,25 @@ class RecordedMotion:
         fine = np.arange(len(self.segment)) / self.segment.rate
         return np.array([np.interp(fine, t, column) for column in x.T]).T
 
-    @memoized
+    @cached_property
     def rigid_torque(self) -> FloatArray:
         """Torque of the rigid links without actuators [N m], shape (C, n)."""
         robot = self.fitted_robot
         return inverse_dynamics(robot.robot, robot.model, self.coarse_samples)
 
-    @memoized
+    @cached_property
     def initial_torque(self) -> FloatArray:
         """Static torque of the rigid links in the first pose [N m], shape (n,)."""
         robot, q = self.fitted_robot, self.coarse_samples.q[:1]
         still = Samples(q, np.zeros_like(q), np.zeros_like(q))
         return np.asarray(inverse_dynamics(robot.robot, robot.model, still)[0])
 
-    @memoized
+    @cached_property
     def transmitted_torque(self) -> FloatArray:
         """Torque that the gears transmit: `rigid_torque` at every sample [N m], shape (M, n)."""
         return self.upsample(self.rigid_torque)
 
-    @memoized
+    @cached_property
     def motor_torque(self) -> FloatArray:
         """Torque of the base model with actuators, at every sample [N m], shape (M, n).
 
@@ -326,7 +331,7 @@ class RecordedMotion:
             + parameter("offset")
         )
 
-    @memoized
+    @cached_property
     def measured_torque(self) -> FloatArray:
         """Measured torque, low-passed, at every sample [N m], shape (M, n).
 
@@ -334,7 +339,7 @@ class RecordedMotion:
         """
         return self.band.filter(self.segment.torque, Grid.RECORDED)
 
-    @memoized
+    @cached_property
     def derivatives(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Derivatives ∂τ/∂q, ∂τ/∂q̇ and mass matrix M of the rigid links, each (C, n, n)."""
         robot, model = self.fitted_robot.robot, self.fitted_robot.model
@@ -352,17 +357,17 @@ class RecordedMotion:
         by_q, by_v, mass = of_joints.transpose(0, 3, 2, 1)
         return by_q, by_v, mass
 
-    @memoized
+    @cached_property
     def link_inertias(self) -> FloatArray:
         """The links' inertia about each joint [kg m²], shape (C, n)."""
         return np.maximum(np.diagonal(self.derivatives[2], axis1=1, axis2=2), 1e-9)
 
-    @memoized
+    @cached_property
     def free_acceleration(self) -> FloatArray:
         """Acceleration by its load of each link that its motor does not hold [rad/s²], (M, n)."""
         return self.upsample(self.rigid_torque / self.link_inertias)
 
-    @memoized
+    @cached_property
     def gravity(self) -> FloatArray:
         """Torque per unit acceleration of the base along x, y, z, −∂τ/∂g; shape (C, n, 3)."""
         robot = self.fitted_robot.robot
@@ -375,19 +380,19 @@ class RecordedMotion:
             out[:, :, axis] = inverse_dynamics(robot, model, still)
         return out
 
-    @memoized
+    @cached_property
     def leaning(self) -> FloatArray:
         """Torque per rotation of the base about x, y, z: δg = g × φ to first order; (C, n, 3)."""
         return np.asarray(-self.gravity @ pin.skew(self.fitted_robot.model.gravity.linear))
 
-    @memoized
+    @cached_property
     def base_dynamics(self) -> FloatingBaseDynamics:
         """Dynamics of a compliant base, linearised along the motion, at the coarse samples."""
         return floating_base_dynamics(
             self.fitted_robot.robot, self.fitted_robot.model, self.coarse_samples
         )
 
-    @memoized
+    @cached_property
     def upright_inertia(self) -> FloatArray:
         """Mass and moments of inertia of the robot about the base axes, all joints at zero.
 
@@ -399,7 +404,7 @@ class RecordedMotion:
         )
         return np.maximum(np.diag(dynamics.mass[0, :6]), 1e-9)
 
-    @memoized
+    @cached_property
     def link_jacobians(self) -> FloatArray:
         """Jacobians of the links' centres of mass in the base frame, shape (C, n links, 3, n)."""
         robot, model = self.fitted_robot.robot, self.fitted_robot.model

@@ -1,9 +1,11 @@
-"""Probability of a rare effect next to rival effects of similar evidence."""
+"""Candidates for rare effects, and their probability next to rivals of similar evidence."""
 
 from __future__ import annotations
 
 import pytest
+from diagnosis_cases import diagnosed
 
+from excite.diagnosis.rare_candidates import CandidateColumns
 from excite.diagnosis.selection import RareEffect
 
 
@@ -32,3 +34,13 @@ def test_another_effect_of_the_same_joint_is_an_equivalent():
 def test_another_effect_of_the_whole_robot_shares_the_probability_of_a_load_without_being_one():
     share, equivalents = rare_effect("payload", {("kinematic_error", 4): 100.0}).share()
     assert share == pytest.approx(0.5, abs=0.01) and not equivalents
+
+
+def test_a_shape_that_the_model_has_is_no_candidate():
+    """A second one of the same columns would have evidence by its wider prior."""
+    model = diagnosed("spring").model
+    rankings = CandidateColumns(model, trusted=False).scored(model)[1]
+    tried = {candidate.model.form for r in rankings.values() for candidate in r.plausible}
+    springs = {shape.form for shape in model.models if shape.effect == "spring"}
+    assert springs and not springs & tried
+    assert any(candidate.model.effect == "spring" for candidate in rankings["spring", 1].plausible)

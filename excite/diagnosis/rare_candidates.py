@@ -167,10 +167,16 @@ class CandidateColumns:
         self._contacts = CandidateShapes.of(model, contact_search.contacts(model))
 
     def _rankings(self, model: JointModel, groups: Iterable[CandidateShapes]) -> dict[Key, Ranking]:
-        """Return the ranking of the shapes of every effect of some groups at every joint."""
+        """Return the ranking of the shapes of every effect of some groups at every joint.
+
+        A shape that the model has already would have evidence by the wider prior of two.
+        """
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
+        present = [shape.form for shape in model.models]
         for candidate in itertools.chain(*(group.fitted(model) for group in groups)):
+            if candidate.model.form in present:
+                continue
             key = candidate.model.key
             counts[key] = counts.get(key, 0) + 1
             if candidate.is_plausible:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -104,6 +104,12 @@ class CandidateModel:
     def key(self) -> Key:
         """Effect and joint."""
         return self.effect, self.joint
+
+    @property
+    def form(self) -> Hashable:
+        """All that tells its torque from that of other models, but for functions."""
+        values = tuple(sorted(self.values.items()))
+        return self.key, self.other, self.interval, self.source, self.signature, values
 
     @property
     def joint_index(self) -> int:

@@ -84,10 +84,10 @@ def actuator_columns(motion: RecordedMotion) -> FloatArray:
     """Return tanh(q̇/w), q̇ and 1 of every joint at the rows of a motion, shape (N, n, 3)."""
     coulomb = motion.lowpass(np.tanh(motion.samples.dq / motion.widths))
     speed = motion.for_all_fits("low-passed speed", lambda: motion.lowpass(motion.samples.dq))
-    one = motion.for_all_fits(
+    unit = motion.for_all_fits(
         "low-passed one", lambda: motion.lowpass(np.ones((len(motion.segment), 1)))
     )
-    return np.stack([coulomb, speed, np.broadcast_to(one, speed.shape)], axis=2)
+    return np.stack([coulomb, speed, np.broadcast_to(unit, speed.shape)], axis=2)
 
 
 def columns(

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import RecordedMotion
@@ -93,9 +93,11 @@ def actuator_columns(motion: RecordedMotion) -> FloatArray:
 def columns(
     motions: Sequence[RecordedMotion], scale: FloatArray, error: FloatArray
 ) -> list[FloatArray]:
-    """Return the columns of the changes, shapes (N, n, 3n × recordings), of one recording none.
+    """Return the columns of the changes, shapes (N, n, 3n × (recordings − 1)).
 
-    Those of a recording, less its weight in the mean times the columns in all recordings.
+    A change of recording r acts by the columns there, less its weight in the mean times those of
+    all recordings. Equal changes of all recordings are none: the coefficients are orthonormal
+    contrasts, which have the prior of the changes.
 
     Args:
         motions: The fitted motions.
@@ -105,14 +107,15 @@ def columns(
     names, n, kinds = sources(motions), motions[0].n, len(KINDS)
     if len(names) == 1:
         return [np.zeros((len(motion), n, 0)) for motion in motions]
-    joint = np.arange(n)
+    joint, contrasts = np.arange(n), linalg.helmert(len(names))
     acting = [actuator_columns(motion) for motion in motions]
     weights = _weights(motions, acting, scale[:, None] * parameter_std(motions), error)
     out = []
     for motion, actuator in zip(motions, acting, strict=True):
         present = np.equal(names, motion.segment.source)[:, None, None]
-        part = np.zeros((len(motion), n, len(names), n, kinds))
-        part[:, joint, :, joint] = np.einsum("tja,rja->jtra", actuator, present - weights)
+        changed = np.tensordot(contrasts, present - weights, 1)
+        part = np.zeros((len(motion), n, len(contrasts), n, kinds))
+        part[:, joint, :, joint] = np.einsum("tja,rja->jtra", actuator, changed)
         out.append(part.reshape(len(motion), n, -1))
     return out
 
@@ -155,8 +158,7 @@ def prior_std(motions: Sequence[RecordedMotion], scale: FloatArray) -> FloatArra
         scale: Scale of the changes of each joint, shape (n,).
     """
     of_joint = scale[:, None] * parameter_std(motions)
-    count = len(sources(motions))
-    return np.tile(of_joint.ravel(), count if count > 1 else 0)
+    return np.tile(of_joint.ravel(), len(sources(motions)) - 1)
 
 
 def scale_of_joints(log_evidence: FloatArray) -> FloatArray:

@@ -285,11 +285,13 @@ def test_cross_validation_is_a_refit_without_the_fold(nonnegative):
     np.testing.assert_allclose(errors, expected, rtol=1e-6)
 
 
-def test_coefficients_of_a_fold_of_its_own_are_fitted_to_its_errors():
+@pytest.mark.parametrize("change", [None, 7.0])
+def test_coefficients_of_a_fold_of_its_own_are_fitted_to_its_errors(change):
     regression, columns = random_regression(6, nonnegative=False)
     fold = np.arange(60) % 3 == 0
     unused = np.arange(7) < 1
-    errors = regression.cross_validated([fold, ~fold], [()], unused, slice(0, 1))
+    factor = None if change is None else np.array([[change], [1.0]])
+    errors = regression.cross_validated([fold, ~fold], [()], unused, slice(0, 1), factor)
     other = JointRegression.of_base(
         regression.torque[~fold],
         np.ones((40, 2), bool),
@@ -301,7 +303,7 @@ def test_coefficients_of_a_fold_of_its_own_are_fitted_to_its_errors():
     other.add(columns_on_all_joints(columns[~fold, :, 3:], np.zeros(4, bool), np.full(4, 3.0)))
     left = regression.torque[fold] - columns[fold, :, 1:] @ other.solution.coefficients
     for j in range(2):  # the prior of the coefficient is that of the joint model
-        x = columns[fold, j, 0]
-        c = x @ left[:, j] / (x @ x + 0.1 / regression.weights[j])
+        x, prior = columns[fold, j, 0], 0.1 * (change or 1.0)
+        c = x @ left[:, j] / (x @ x + prior / regression.weights[j])
         expected = left[:, j] @ left[:, j] - c * (x @ left[:, j])
         np.testing.assert_allclose(errors[0, 0, j], expected, rtol=1e-6)

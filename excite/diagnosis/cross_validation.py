@@ -124,7 +124,10 @@ def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> Float
     unused = np.zeros(len(regression.nonnegative), bool)
     unused[model.session_places] = True
     unused[model.form_places] = True  # the saved model has none
-    errors = regression.cross_validated(parts, variants, unused, model.session_places)
+    # a change from the mean of the others, not from the mean of all, as its column is
+    change = ((1.0 - model.weights_in_mean) ** 2).reshape(len(model.weights_in_mean), -1)
+    change = np.tile(change, len(change) - 1)
+    errors = regression.cross_validated(parts, variants, unused, model.session_places, change)
     rows = np.array([regression.moving[part].sum(axis=0) for part in parts], float)
     if len(session_changes.sources(model.motions)) == 1:
         errors, rows = (x.sum(axis=0, keepdims=True) for x in (errors, rows))

@@ -159,7 +159,7 @@ def fit(
         new.share_torques(old)
     torque = np.concatenate([m.torque - model.chain.passed(m, m.gamma @ m.theta) for m in motions])
     changes = session_changes.prior_std(motions, model.change_scale)
-    changed = session_changes.columns(motions, model.change_scale, first.sigma)
+    changed = session_changes.columns(motions, model.weights_in_mean)
     fixed_base = JointRegression.of_base(
         torque,
         model.regression.moving,

@@ -82,6 +82,8 @@ class JointModel:
         known: Torque of the others, which is not part of the regression, shape (N, n) [N m].
         change_scale: Factor of the prior standard deviation of the changes between recordings of
             each joint, shape (n,).
+        weights_in_mean: Weights of the recordings in the mean of their friction, shape
+            (recordings, n, 3).
         error_evidence: By effect and joint: log Bayes factor by errors of the positions alone.
     """
 
@@ -94,6 +96,7 @@ class JointModel:
     free: IntArray
     known: FloatArray
     change_scale: FloatArray
+    weights_in_mean: FloatArray
     error_evidence: Mapping[Key, float] = field(default_factory=dict)
 
     @property
@@ -360,7 +363,8 @@ def base_model(
         change_scale = _renewed_change_scale(previous)
         modelled = [motion.measured_torque for motion in motions]
     prior = _base_prior(identified, motions, free, change_scale)
-    changes = session_changes.columns(motions, change_scale, error)
+    in_mean = session_changes.weights_in_mean(motions, change_scale, error)
+    changes = session_changes.columns(motions, in_mean)
     regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
@@ -370,7 +374,9 @@ def base_model(
         share,
         _dissipated(identified, free, len(prior[0])),
     )
-    return JointModel(tuple(motions), (), regression, chain, level, psi, free, known, change_scale)
+    return JointModel(
+        tuple(motions), (), regression, chain, level, psi, free, known, change_scale, in_mean
+    )
 
 
 def reweight(regression: JointRegression, transient: BoolArray | None = None) -> None:

@@ -270,14 +270,16 @@ class JointRegression:
             out.append((x.T @ x, x.T @ tau, float(tau @ tau)))
         return out
 
-    def _with_fitted(self, joint: int, products: _Products, fitted: slice) -> _Products:
+    def _with_fitted(
+        self, joint: int, products: _Products, fitted: slice, information: FloatArray
+    ) -> _Products:
         """Products of a joint's rows to which some coefficients are always fitted.
 
         The squared error of the others is then the minimum over those, with their prior.
         """
         places, (matrix, score, power) = self._grams[joint].places, products
         on = (places >= fitted.start) & (places < fitted.stop)
-        prior = np.diag(self.prior_matrix)[places[on]] / self.weights[joint]
+        prior = information[places[on] - fitted.start] / self.weights[joint]
         right = np.column_stack([matrix[on], score[on]])
         follow = np.linalg.solve(matrix[np.ix_(on, on)] + np.diag(prior), right)
         return (
@@ -372,6 +374,7 @@ class JointRegression:
         variants: Sequence[Collection[int]],
         unused: BoolArray,
         per_fold: slice,
+        change: FloatArray | None = None,
     ) -> FloatArray:
         """Return squared errors on rows that the coefficients were not fitted to.
 
@@ -381,6 +384,8 @@ class JointRegression:
             unused: Coefficients that say nothing about other rows, shape (K,).
             per_fold: Those of them that differ from fold to fold, which are fitted to the errors
                 of each, with their prior.
+            change: Factor on the information of this prior in each fold, shape (folds, k); 1 if
+                None.
 
         Returns:
             Sum over the rows of each fold [(N m)²], shape (folds, variants, n).
@@ -392,11 +397,14 @@ class JointRegression:
         out = np.zeros((len(folds), len(variants), self.n))
         measured = np.where(self.moving, self.torque, 0.0)
         parts = [self._products(fold, measured) for fold in folds]
-        for errors, held_out in zip(out, parts, strict=True):
+        information = np.diag(self.prior_matrix)[per_fold] * np.ones((len(folds), 1))
+        if change is not None:
+            information = information * change
+        for errors, held_out, prior in zip(out, parts, information, strict=True):
             # a sum over the other folds: a difference would leave the rounding errors of the whole
             system = self._system_of([part for part in parts if part is not held_out])
             elimination = self._elimination_of(system, ~unused)
-            reduced = [self._with_fitted(j, p, per_fold) for j, p in enumerate(held_out)]
+            reduced = [self._with_fitted(j, p, per_fold, prior) for j, p in enumerate(held_out)]
             for v, mask in enumerate(used):
                 c = elimination.minimum(system, mask, self.solution.active).coefficients
                 for j, (gram, (matrix, score, power)) in enumerate(

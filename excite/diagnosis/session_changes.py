@@ -91,9 +91,36 @@ def actuator_columns(motion: RecordedMotion) -> FloatArray:
     return np.stack([coulomb, speed, np.broadcast_to(unit, speed.shape)], axis=2)
 
 
-def columns(
+def weights_in_mean(
     motions: Sequence[RecordedMotion], scale: FloatArray, error: FloatArray
-) -> list[FloatArray]:
+) -> FloatArray:
+    """Return the weight of each recording in the mean of `KINDS`, shape (recordings, n, 3).
+
+    It is 1 / (σ² + e²/q), with the prior σ of a change, the residual e, and the mean square q of
+    the parameter's column in the recording next to the others of the joint: as if all rows of a
+    recording had the same error, since that of a model is not independent from row to row.
+
+    Args:
+        motions: The fitted motions.
+        scale: Scale of the changes of each joint, shape (n,).
+        error: RMS residual of each joint, shape (n,) [N m].
+    """
+    std = scale[:, None] * parameter_std(motions)
+    names, eye = sources(motions), np.eye(len(KINDS))
+    if len(names) == 1:
+        return np.ones((1, *std.shape))
+    square, rows = np.zeros((len(names), *std.shape, len(KINDS))), np.zeros((len(names), len(std)))
+    for motion in motions:
+        source, actuator = names.index(motion.segment.source), actuator_columns(motion)
+        square[source] += np.einsum("tj,tja,tjb->jab", motion.moving, actuator, actuator)
+        rows[source] += motion.moving.sum(axis=0)
+    precision = square / np.maximum(rows, 1.0)[:, :, None, None] / error[:, None, None] ** 2
+    covariance = np.linalg.inv(precision + eye * (UNINFORMED / std**2)[:, :, None])
+    weights = 1.0 / (std**2 + np.diagonal(covariance, axis1=2, axis2=3))
+    return np.asarray(weights / weights.sum(axis=0))
+
+
+def columns(motions: Sequence[RecordedMotion], weights: FloatArray) -> list[FloatArray]:
     """Return the columns of the changes, shapes (N, n, 3n × (recordings − 1)).
 
     A change of recording r acts by the columns there, less its weight in the mean times those of
@@ -102,53 +129,19 @@ def columns(
 
     Args:
         motions: The fitted motions.
-        scale: Scale of the changes of each joint, shape (n,).
-        error: RMS residual of each joint, shape (n,) [N m].
+        weights: The weights, as of `weights_in_mean`.
     """
-    names, n, kinds = sources(motions), motions[0].n, len(KINDS)
+    names, n = sources(motions), motions[0].n
     if len(names) == 1:
         return [np.zeros((len(motion), n, 0)) for motion in motions]
-    joint, contrasts = np.arange(n), linalg.helmert(len(names))
-    acting = [actuator_columns(motion) for motion in motions]
-    weights = _weights(motions, acting, scale[:, None] * parameter_std(motions), error)
-    out = []
-    for motion, actuator in zip(motions, acting, strict=True):
+    joint, contrasts, out = np.arange(n), linalg.helmert(len(names)), []
+    for motion in motions:
         present = np.equal(names, motion.segment.source)[:, None, None]
         changed = np.tensordot(contrasts, present - weights, 1)
-        part = np.zeros((len(motion), n, len(contrasts), n, kinds))
-        part[:, joint, :, joint] = np.einsum("tja,rja->jtra", actuator, changed)
+        part = np.zeros((len(motion), n, len(contrasts), n, len(KINDS)))
+        part[:, joint, :, joint] = np.einsum("tja,rja->jtra", actuator_columns(motion), changed)
         out.append(part.reshape(len(motion), n, -1))
     return out
-
-
-def _weights(
-    motions: Sequence[RecordedMotion],
-    acting: Sequence[FloatArray],
-    std: FloatArray,
-    error: FloatArray,
-) -> FloatArray:
-    """Return the weight of each recording in the mean of a parameter, shape (recordings, n, 3).
-
-    It is 1 / (σ² + e²/q), with the prior σ of a change, the residual e, and the mean square q of
-    the parameter's column in the recording next to the others of the joint: as if all rows of a
-    recording had the same error, since that of a model is not independent from row to row.
-
-    Args:
-        motions: The fitted motions.
-        acting: Their columns of `KINDS` at every joint, shapes (N, n, 3).
-        std: Prior standard deviation of the changes, shape (n, 3).
-        error: RMS residual of each joint, shape (n,) [N m].
-    """
-    names, eye = sources(motions), np.eye(len(KINDS))
-    square, rows = np.zeros((len(names), *std.shape, len(KINDS))), np.zeros((len(names), len(std)))
-    for motion, actuator in zip(motions, acting, strict=True):
-        source, moving = names.index(motion.segment.source), motion.moving
-        square[source] += np.einsum("tj,tja,tjb->jab", moving, actuator, actuator)
-        rows[source] += moving.sum(axis=0)
-    precision = square / np.maximum(rows, 1.0)[:, :, None, None] / error[:, None, None] ** 2
-    covariance = np.linalg.inv(precision + eye * (UNINFORMED / std**2)[:, :, None])
-    weights = 1.0 / (std**2 + np.diagonal(covariance, axis1=2, axis2=3))
-    return np.asarray(weights / weights.sum(axis=0))
 
 
 def prior_std(motions: Sequence[RecordedMotion], scale: FloatArray) -> FloatArray:

@@ -124,6 +124,19 @@ def test_uncertain_effect_of_the_model_is_marked() -> None:
     assert "needs a probability of 0.5" in answer(text, "considered")
 
 
+def test_parts_that_cancel_are_one() -> None:
+    """No part of a budget removes more than the whole error."""
+    result = diagnosis_of(2.0)
+    stated = copy.deepcopy(document(result))
+    shares = {"base_parameters": 2.2, "spring": -1.4, "stribeck": 0.1, "residual": 0.1}
+    stated["budget"]["joint_2"] = {name: {"share": x, "std": 0.01} for name, x in shares.items()}
+    stated["joints"]["joint_2"] |= {"rmse_before": 1.0, "rmse_after": 0.25}
+    stated["findings"] = [{**stated["findings"][0], "effect": "spring", "joint": "joint_2"}]
+    causes = joint_budgets(stated, result.identified.model.robot)[1].causes
+    assert causes.startswith("base parameters fitted jointly with spring −67 %, ")
+    assert "Stribeck friction −8 %" in causes and "hardly" not in causes
+
+
 def test_small_contributions_are_summed() -> None:
     result = diagnosis_of(2.0)
     stated = copy.deepcopy(document(result))

@@ -7,10 +7,10 @@ the error by which it falls, which is divided in their proportion.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from ..diagnosis.budget import RECORDING_FILTER
+from ..diagnosis.budget import BASE_PARAMETERS, RECORDING_FILTER
 from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
 from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
@@ -89,12 +89,22 @@ class BudgetPart:
         share: Share of the removed error [1]; negative if it adds to the error.
         std: Its standard deviation [1].
         is_certain: False if the saved model has the effect but it is not among the findings.
+        inseparable: Effects whose parts are in this one, since they cancel it.
     """
 
     effect: str
     share: float
     std: float
     is_certain: bool
+    inseparable: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """Its name in a sentence: 'perhaps presliding hysteresis'."""
+        text = f"{'' if self.is_certain else 'perhaps '}{effect_words(self.effect)}"
+        if self.inseparable:
+            text += f" with {listed([effect_words(name) for name in self.inseparable])}"
+        return text
 
 
 @dataclass(frozen=True)
@@ -222,11 +232,7 @@ class JointBudget:
             if self.is_explained:
                 return ["nothing notable is missing"]
             return [] if self.unknown or self.is_changed else ["no effect found reduces it"]
-        texts = [
-            f"{'' if part.is_certain else 'perhaps '}{effect_words(part.effect)} "
-            f"{self.change_words(part.share)}"
-            for part in self.parts
-        ]
+        texts = [f"{part.words} {self.change_words(part.share)}" for part in self.parts]
         if abs(self.others) * self.removed >= NAMED_OTHERS:
             texts.append(f"others {self.change_words(self.others)}")
         if self.absent:
@@ -324,6 +330,30 @@ def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     )
 
 
+def _separable(parts: list[BudgetPart], removed: float) -> list[BudgetPart]:
+    """Return parts of which none changes an error by more than all of it, the largest first.
+
+    Base parameters that are fitted jointly with an effect may take what the effect adds elsewhere,
+    as gravity that of a spring where the held-out motion leaves the fitted positions. Only their
+    sum says something.
+
+    Args:
+        parts: The parts, with shares of the removed error.
+        removed: Share of the base model's error that is removed [1].
+    """
+    while max((abs(part.share) for part in parts), default=0.0) * removed > 1.0:
+        base = next((part for part in parts if part.effect == BASE_PARAMETERS), None)
+        opposed = [part for part in parts if base and part.share * base.share < 0.0]
+        if base is None or not opposed:
+            break
+        largest = max(opposed, key=lambda part: abs(part.share))
+        together = replace(
+            base, share=base.share + largest.share, inseparable=(*base.inseparable, largest.effect)
+        )
+        parts = [*(part for part in parts if part not in (base, largest)), together]
+    return sorted(parts, key=lambda part: -part.share)
+
+
 def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget]:
     """Return the budget of every joint.
 
@@ -343,7 +373,9 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
             is_certain = not uncertain & {(name, joint), (name, None)}
             share, std = value["share"] / total, value["std"] / total
             parts.append(BudgetPart(name, share, std, is_certain))
+        parts = _separable(parts, 1.0 - errors["rmse_after"] / max(errors["rmse_before"], 1e-300))
         shown = tuple(part for part in parts if abs(part.share) >= MIN_SHARE)
+        named = {name for part in shown for name in (part.effect, *part.inseparable)}
         effects = (f["effect"] for f in document["findings"] if f["joint"] == joint)
         changed, changed_before = (
             sum(c[key] for c in document["between_recordings"] if c["joint"] == joint)
@@ -364,7 +396,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 changed_before,
                 joint in small,
                 small.get(joint, ()),
-                tuple(name for name in effects if name not in {part.effect for part in shown}),
+                tuple(name for name in effects if name not in named),
                 errors["speed_ratio"],
             )
         )

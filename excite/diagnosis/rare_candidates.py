@@ -173,7 +173,7 @@ class CandidateColumns:
         """
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
-        present = [shape.form for shape in model.models]
+        present = {shape.form for shape in model.models}
         for candidate in itertools.chain(*(group.fitted(model) for group in groups)):
             if candidate.model.form in present:
                 continue

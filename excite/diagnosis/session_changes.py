@@ -33,12 +33,13 @@ RELATIVE_CHANGE = 0.5
 SCALES = np.geomspace(0.02, 1.0, 12)
 """Scales, as probable beforehand: changes of 1 to 50 % of the friction."""
 SPREAD = np.log(3.0)
-"""Standard deviation of the logarithm of the scale over the joints of a robot: it is 0.6 to 0.9
-where recordings of the KR300 and of the LWR4 are fitted joint by joint."""
+"""Standard deviation of the logarithm of the scale over the joints of a robot [1]: it is 0.6 to 0.9
+where recordings of the KR300 and of the LWR4 are fitted joint by joint. A term of the model."""
 MIN_FRICTION_SHARE = 0.01
 """Smallest friction that is assumed, over the joint's largest torque."""
 UNINFORMED = 1e-6
-"""Information of a recording on a parameter that it does not show, over that of the prior."""
+"""Information of a recording on a parameter that it does not show, over that of the prior [1]. Only
+for the inverse of a matrix that is singular without it."""
 WALD_THRESHOLD = 20.0
 """Wald statistic from which a change is significant; with three degrees of freedom chance exceeds
 it twice in ten thousand times."""
@@ -83,12 +84,11 @@ def sources(motions: Sequence[RecordedMotion]) -> list[str]:
 
 def actuator_columns(motion: RecordedMotion) -> FloatArray:
     """Return tanh(q̇/w), q̇ and 1 of every joint at the rows of a motion, shape (N, n, 3)."""
-    coulomb = motion.lowpass(np.tanh(motion.samples.dq / motion.widths))
     speed = motion.for_all_fits("low-passed speed", lambda: motion.lowpass(motion.samples.dq))
     unit = motion.for_all_fits(
         "low-passed one", lambda: motion.lowpass(np.ones((len(motion.segment), 1)))
     )
-    return np.stack([coulomb, speed, np.broadcast_to(unit, speed.shape)], axis=2)
+    return np.stack([motion.coulomb_columns, speed, np.broadcast_to(unit, speed.shape)], axis=2)
 
 
 def weights_in_mean(

@@ -189,6 +189,11 @@ class RecordedMotion:
         return self.torque - self.gamma @ self.theta
 
     @cached_property
+    def coulomb_columns(self) -> FloatArray:
+        """Low-passed tanh(q̇/w) of every joint, shape (N, n)."""
+        return self.lowpass(np.tanh(self.samples.dq / self.widths))
+
+    @cached_property
     def torque_slope(self) -> FloatArray:
         """Time derivative of the measured torque [N m/s], shape (N, n)."""
         return self.band.filter(self.segment.torque, Grid.KEPT, 1)[self.kept]

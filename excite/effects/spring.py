@@ -11,18 +11,22 @@ from ..robot.samples import MIN_TRAVEL
 from .effect import CandidateModel, Effect, grid_candidates, single_joint_columns
 from .recorded_motion import RecordedMotion, position_range
 
-FORMS: tuple[Callable[[FloatArray], FloatArray], ...] = (
+_Form = Callable[[FloatArray], FloatArray]
+"""Torque of usual springs and counterbalances over the joint position, (M,) -> (M, k)."""
+UNBOUNDED_FORMS: tuple[_Form, ...] = (
     lambda q: q[:, None],
     lambda q: np.column_stack([np.cos(q), np.sin(q)]),
+)
+"""Forms that hold beyond the positions to which they were fitted."""
+BOUNDED_FORMS: tuple[_Form, ...] = (
     lambda q: np.column_stack([q, q**2]),
     lambda q: np.column_stack([q, q**2, q**3]),
     lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
 )
-"""Torque of usual springs and counterbalances over the position, (M,) -> (M, k), by the number in
-`model.json`."""
-UNBOUNDED_FORMS = 2
-"""The first forms hold beyond the fitted positions. A polynomial, or two waves of which a part of a
-turn determines little, say nothing there."""
+"""Forms that say nothing there: polynomials, and two waves of which a part of a turn determines
+little."""
+FORMS = (*UNBOUNDED_FORMS, *BOUNDED_FORMS)
+"""All of them by their number in `model.json`."""
 WAVES_OVER_RANGE = (0.35, 0.6, 0.9)
 """Periods over the joint's range of the slow wave that is added to a linear spring."""
 KINK_POSITIONS = np.linspace(0.15, 0.85, 8)
@@ -80,8 +84,8 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 "spring", j, _columns, values, parameters=parameters, prior_shares=shares
             )
 
-        for number in range(len(FORMS)):
-            ends = {} if number < UNBOUNDED_FORMS else {"low": low, "high": high}
+        for number, form in enumerate(FORMS):
+            ends = {} if form in UNBOUNDED_FORMS else {"low": low, "high": high}
             yield model(form=float(number), **ends)
         if high - low > MIN_CURVE_RANGE:
             slow = (2.0 * np.pi / (high - low) * np.array(WAVES_OVER_RANGE)).tolist()

@@ -369,7 +369,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
         shares = {name: value for name, value in budget.items() if name != "residual"}
         total = max(1.0 - budget["residual"]["share"], 1e-300)
         parts = []
-        for name, value in sorted(shares.items(), key=lambda entry: -entry[1]["share"]):
+        for name, value in shares.items():
             is_certain = not uncertain & {(name, joint), (name, None)}
             share, std = value["share"] / total, value["std"] / total
             parts.append(BudgetPart(name, share, std, is_certain))

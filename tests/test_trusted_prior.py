@@ -26,11 +26,12 @@ from synthetic_recordings import pinocchio_model
 
 import excite
 from excite._types import FloatArray
+from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME
 from excite.identification import prior
 from excite.recordings import Recording
-from excite.report.torque_budget import known_words
+from excite.report.torque_budget import joint_budgets, known_words, prior_words
 from excite.robot import dynamics
 from excite.robot.samples import Samples
 
@@ -53,6 +54,27 @@ def changed(places: dict[int, float]) -> list[Recording]:
 def test_nothing_is_found_where_the_prior_is_right():
     result = diagnose(recordings_of(None), prior=TRUSTED)
     assert result.verdict == "no-mismatch" and not findings_of(result)
+
+
+def doubts(result: Diagnosis) -> str:
+    """Return what the reports say against the prior."""
+    return prior_words(joint_budgets(document(result), SUBJECT.robot))
+
+
+def test_a_prior_of_another_robot_is_in_doubt():
+    """The links of the robot are 1.4 times as heavy; no single effect of the catalogue is that."""
+    heavier = dict(enumerate(0.4 * PSI[:20]))
+    result = diagnose(changed(heavier), prior=TRUSTED)
+    assert "in doubt" in doubts(result)
+    assert not [effect for effect, _ in findings_of(result) if EFFECTS_BY_NAME[effect].prior_only]
+    assert not doubts(diagnose(changed(heavier)))
+
+
+def test_a_prior_that_holds_is_not_in_doubt():
+    assert not doubts(diagnose(recordings_of(None), prior=TRUSTED))
+    load = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])
+    loaded = changed(dict(zip(range(10, 14), load, strict=True)))
+    assert not doubts(diagnose(loaded, prior=TRUSTED))
 
 
 def test_an_offset_is_found_that_a_refit_absorbs():

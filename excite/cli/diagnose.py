@@ -12,13 +12,14 @@ from .._system.output_files import output_folder
 from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
 from ..report.decisions import HEAD, decision_rows, decisions_answer
-from ..report.formatting import significant
+from ..report.formatting import capitalized, significant
 from ..report.torque_budget import (
     change_words,
     filter_words,
     joint_budgets,
     known_words,
     parameter_words,
+    prior_words,
     probability_words,
     sorted_findings,
 )
@@ -71,6 +72,8 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
     budgets = joint_budgets(document, robot)
     lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
+    if doubted := prior_words(budgets):
+        lines += ["", f"{capitalized(doubted)}."]
     for words in filter_words(document), known_words(document):
         lines += ["", words] if words else []
     if document["findings"]:

@@ -88,6 +88,8 @@ class HeldOutErrors:
         moving: Rows that count, shape (N, n).
         rmse_before: RMSE of the base model, shape (n,) [N m].
         rmse_after: RMSE of the saved model, shape (n,) [N m].
+        rmse_refit: RMSE of the base model identified without the trusted prior, shape (n,) [N m];
+            None without one.
     """
 
     motions: tuple[RecordedMotion, ...]
@@ -97,6 +99,7 @@ class HeldOutErrors:
     moving: BoolArray
     rmse_before: FloatArray
     rmse_after: FloatArray
+    rmse_refit: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -218,6 +221,14 @@ def diagnose(
     remaining = unmodelled.find(model, evidence, estimate, residual, by_errors)
     in_model = estimates.estimate_effects(model, rare, evidence)
     considered = [*in_model, *estimates.small_effects(small)]
+    left = rms(residual, model.regression.moving)
+    refit: Identification | None = None
+    if settings.trusted:
+        progress("base model without the trusted parameters")
+        free = replace(settings, trusted={})
+        refit = identification.identify(robot, parameters, base, train, (), free, progress)
+        rmse = _rmse(_motions(refit, pieces[0], hertz))
+        considered = estimates.with_doubts_about_prior(considered, left, rmse)
     effects = estimates.with_unmodelled(considered, model, remaining)
     progress("base model of the recordings without the effects")
     savable, not_saved = _savable(identified, model, rare, in_model)
@@ -227,6 +238,8 @@ def diagnose(
     document = final.document(train, known)
     measured = _motions(identified, recorded[1], hertz) if known else halves[1]
     held_out = _held_out_errors(final, document, recorded[0], measured, halves[1])
+    if refit is not None:
+        held_out = replace(held_out, rmse_refit=_rmse(_motions(refit, pieces[1], hertz)))
     return Diagnosis(
         identified,
         hertz,
@@ -234,7 +247,7 @@ def diagnose(
         tuple(effects),
         final,
         estimate,
-        rms(residual, model.regression.moving),
+        left,
         tuple(remaining),
         held_out,
         budget.torque_budget(identified, halves, final, effects, held_out),
@@ -253,6 +266,14 @@ def _motions(
     if not motions:
         raise segments.too_short(pieces[0].source, 2.0 * settling_time(hertz), hertz)
     return motions
+
+
+def _rmse(motions: Sequence[RecordedMotion]) -> FloatArray:
+    """RMS residual of the base model in the rows that count, shape (n,) [N m]."""
+    return rms(
+        np.concatenate([motion.residual for motion in motions]),
+        np.concatenate([motion.moving for motion in motions]),
+    )
 
 
 def _savable(

@@ -83,6 +83,9 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         | {"torque_rms": float(torque_rms[i]), "speed_ratio": float(speed_ratio[i])}
         for i, joint in enumerate(joints)
     }
+    if held_out.rmse_refit is not None:
+        for row, rmse in zip(rows.values(), held_out.rmse_refit.tolist(), strict=True):
+            row["rmse_refit"] = rmse
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,

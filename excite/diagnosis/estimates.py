@@ -257,6 +257,32 @@ def with_unmodelled(
     return sorted(out, key=lambda e: (-e.probability, -e.log_bayes_factor))
 
 
+def with_doubts_about_prior(
+    effects: Sequence[EffectEstimate], residual: FloatArray, refit: FloatArray
+) -> list[EffectEstimate]:
+    """Return estimates whose probabilities take account of errors of the trusted parameters.
+
+    What a refit of the base model absorbs can be a part of other errors of its parameters. It is
+    the whole difference from them only as far as the refit does not leave less torque r₁ than the
+    joint model leaves, r: its probability is reduced by the smallest r₁²/r² of its joints.
+
+    Args:
+        effects: The estimates.
+        residual: RMS residual of the joint model, shape (n,) [N m].
+        refit: RMS residual of the base model identified without the prior, shape (n,) [N m].
+    """
+    left = np.minimum((refit / np.maximum(residual, 1e-300)) ** 2, 1.0)
+
+    def share(estimate: EffectEstimate) -> float:
+        effect = EFFECTS_BY_NAME[estimate.effect]
+        if not effect.prior_only:
+            return 1.0
+        acts_on_all = estimate.joint is None or effect.of_link
+        return float(left.min() if acts_on_all else left[estimate.joint])
+
+    return [replace(e, probable=replace(e.probable, prior=share(e))) for e in effects]
+
+
 def _by_other_joints(effect: EffectEstimate, effects: Sequence[EffectEstimate], n: int) -> float:
     """Probability of an effect without its own evidence, by that of the robot's other joints."""
     if effect.effect not in DENSE_NAMES:

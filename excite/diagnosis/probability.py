@@ -48,17 +48,19 @@ class Probability:
         size: That it is large enough to be told from the errors of other forms; 1 for a friction.
         share: That it, or one of its equivalents, is there, and no other effect in its place.
         known: That it is no part of torque that no effect explains.
+        prior: That it is no part of an error of the trusted parameters.
     """
 
     evidence: float
     size: float = 1.0
     share: float = 1.0
     known: float = 1.0
+    prior: float = 1.0
 
     @property
     def value(self) -> float:
         """The product."""
-        return self.evidence * self.size * self.share * self.known
+        return self.evidence * self.size * self.share * self.known * self.prior
 
 
 def friction_probabilities(log_bayes_factors: FloatArray) -> FloatArray:

@@ -19,6 +19,8 @@ NEXT_TO_UNKNOWN = "next to unknown torque, of which it may be a part"
 """Reason: torque that no effect explains is larger."""
 SPOILS_PREDICTION = "spoils the prediction of recordings it is not fitted to"
 """Reason: cross-validation."""
+PRIOR_IN_DOUBT = "the parameters of the prior are in doubt, and it may be a part of their error"
+"""Reason: identified anew, the base model alone explains more."""
 ERRORS_OF_POSITIONS = "noise or steps of the recorded positions look like it"
 """Reason: next to such errors there is hardly evidence for the effect."""
 WEAK_EVIDENCE = "weak evidence"
@@ -48,5 +50,6 @@ def reason(estimate: EffectEstimate) -> str:
         weak: probable.evidence,
         EXPLAINED_AS_WELL: probable.share,
         NEXT_TO_UNKNOWN: probable.known,
+        PRIOR_IN_DOUBT: probable.prior,
     }
     return min(factors, key=lambda words: factors[words])

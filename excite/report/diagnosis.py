@@ -36,6 +36,7 @@ from .torque_budget import (
     joint_words,
     known_words,
     parameter_words,
+    prior_words,
     probability_words,
     sorted_findings,
 )
@@ -62,6 +63,7 @@ _VERDICTS = {
 _ONE_SESSION = (
     "warm up alike, or record temp.<joint>, and record training and validation again in one session"
 )
+_WITHOUT_PRIOR = "diagnose without --prior, or with a prior that states only what is known"
 _AS_FAST = "record training motion as fast as the motion that is to be predicted"
 _NOISE_FLOORS = {
     "periods": "the difference between repeated periods",
@@ -131,6 +133,8 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
             f"; most of the error of {joint_words(changed, len(budgets))} is friction or offset "
             "that changed between the recordings"
         )
+    if doubted := prior_words(budgets):
+        text += f"; {doubted}"
     if extrapolated:
         text += (
             f"; friction is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
@@ -179,7 +183,8 @@ def _use(budgets: Sequence[JointBudget]) -> str:
 
 def _next_action(document: Document, budgets: Sequence[JointBudget]) -> str:
     """First actions on what these recordings leave open."""
-    actions = [_ONE_SESSION] if any(b.is_changed for b in budgets) else []
+    actions = [_WITHOUT_PRIOR] if any(b.is_misled for b in budgets) else []
+    actions += [_ONE_SESSION] if any(b.is_changed for b in budgets) else []
     if any(b.is_extrapolated for b in budgets):
         actions.append(_AS_FAST)
     actions += [

@@ -28,6 +28,9 @@ NAMED_JOINTS = 5
 """Joints that are named before they are only counted."""
 CHANGED_SHARE = 0.5
 """Share of the squared error from which it is mostly a change between the recordings."""
+MISLED_SHARE = 0.5
+"""Share of the squared error that must go without the trusted prior for the prior to be in doubt:
+parameters that are refit without need differ from true ones by less than the noise."""
 EXTRAPOLATED_SPEED_RATIO = 1.5
 """Largest held-out speed over that of the fitted recordings from which friction is extrapolated:
 other motions within the same limits differ by less."""
@@ -58,6 +61,21 @@ def known_words(document: Mapping[str, Any]) -> str:
         return ""
     known = listed([f"{effect_words(e)} ({', '.join(joints)})" for e, joints in places.items()])
     return f"The prior knows, so that they are no findings: {known}."
+
+
+def prior_words(budgets: Sequence[JointBudget]) -> str:
+    """Return that the trusted prior does not hold; "" if nothing speaks against it.
+
+    Args:
+        budgets: The budgets of all joints.
+    """
+    misled = [budget.joint for budget in budgets if budget.is_misled]
+    if not misled:
+        return ""
+    return (
+        "the parameters of the prior are in doubt: identified without them, the base model alone "
+        f"predicts {joint_words(misled, len(budgets))} better than the saved model"
+    )
 
 
 def filter_words(document: Mapping[str, Any]) -> str:
@@ -128,6 +146,7 @@ class JointBudget:
         small: Effects that would explain a part of that, but are too small.
         absent: Findings at the joint that remove no notable part of its error.
         speed_ratio: Largest held-out speed over that of the fitted recordings [1].
+        refit: RMSE of the base model identified without the trusted prior; infinite without one.
     """
 
     joint: str
@@ -145,6 +164,7 @@ class JointBudget:
     small: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     speed_ratio: float = 1.0
+    refit: float = float("inf")
 
     @property
     def removed(self) -> float:
@@ -164,13 +184,27 @@ class JointBudget:
     @property
     def is_changed(self) -> bool:
         """True if most of the squared error is friction or offset that changed."""
-        return self.changed > CHANGED_SHARE and not self.is_explained and not self.is_extrapolated
+        return self.changed > CHANGED_SHARE and not (
+            self.is_explained or self.is_extrapolated or self.is_misled
+        )
 
     @property
     def is_unforeseen(self) -> bool:
         """True if there is an error for which neither a change nor speed nor unknown torque
         stands."""
-        return not (self.is_explained or self.is_changed or self.is_extrapolated or self.unknown)
+        return not (
+            self.is_explained
+            or self.is_changed
+            or self.is_extrapolated
+            or self.is_misled
+            or self.unknown
+        )
+
+    @property
+    def is_misled(self) -> bool:
+        """True if most of the squared error goes where the trusted prior is not used."""
+        is_less = self.refit**2 < (1.0 - MISLED_SHARE) * self.after**2
+        return is_less and not self.is_explained
 
     @property
     def unchanged(self) -> float:
@@ -231,7 +265,8 @@ class JointBudget:
         if not self.is_improved:
             if self.is_explained:
                 return ["nothing notable is missing"]
-            return [] if self.unknown or self.is_changed else ["no effect found reduces it"]
+            is_caused = self.unknown or self.is_changed or self.is_misled
+            return [] if is_caused else ["no effect found reduces it"]
         texts = [f"{part.words} {self.change_words(part.share)}" for part in self.parts]
         if abs(self.others) * self.removed >= NAMED_OTHERS:
             texts.append(f"others {self.change_words(self.others)}")
@@ -249,6 +284,11 @@ class JointBudget:
             texts.append("torque that repeats and that no known effect explains remains")
             if self.small:
                 texts.append(small_words(self.small))
+        if self.is_misled:
+            texts.append(
+                "the base model identified without the prior has an error of "
+                f"{significant(self.refit)} {self.unit}"
+            )
         if self.is_extrapolated:
             texts.append(
                 f"friction is extrapolated to speeds {self.speed_ratio:.1f} times those of the "
@@ -398,6 +438,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 small.get(joint, ()),
                 tuple(name for name in effects if name not in named),
                 errors["speed_ratio"],
+                errors.get("rmse_refit", float("inf")),
             )
         )
     return out

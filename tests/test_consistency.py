@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from conftest import loaded, random_urdf
+from conftest import loaded, random_urdf, states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from excite._types import FloatArray
 from excite.errors import UnusableInput
 from excite.identification import consistency
 from excite.identification.consistency import Bounds, Prior
-from excite.identification.inertia_distance import Distance
-from excite.robot import inertial_parameters, limits, robot
+from excite.identification.inertia_distance import Distance, pseudo_inertias
+from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
 from excite.robot.inertial_parameters import Parameters
 
 
@@ -44,6 +47,34 @@ def test_estimates_are_physically_consistent_for_any_data(seed: int, kind: Dista
         standard, root, size * rng.normal(size=12), prior_of(standard, kind)
     )
     assert consistency.is_consistent(standard, estimate.psi) and estimate.misfit >= 0.0
+
+
+def sheared(body: FloatArray, transformation: FloatArray) -> FloatArray:
+    """Return the inertial parameters of a body whose points are mapped affinely, A P Aᵀ."""
+    P = transformation @ pseudo_inertias(body[None])[0] @ transformation.T
+    tensor = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
+    entries = (tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2])
+    return np.array([P[3, 3], *P[:3, 3], *entries])
+
+
+@pytest.mark.parametrize("noise", [1e-1, 1e-3, 1e-5])
+@pytest.mark.parametrize("seed", range(4))
+def test_exact_data_of_a_consistent_robot_are_met_however_wrong_the_nominal_one_is(seed, noise):
+    """Precise data far from the start must not drive the search to the boundary, and leave it."""
+    machine = robot.load("two_link")
+    known = limits.resolve(machine)
+    standard = inertial_parameters.standard_parameters(machine, known)
+    base = base_parameters.find(machine, standard, known)
+    rng = np.random.default_rng(seed)
+    truth = consistency.consistent_nominal(standard)
+    for body in (slice(0, 10), slice(10, 20)):
+        shear = 0.5 * (rng.normal(size=(4, 4)) + np.eye(4))
+        truth[body] = sheared(truth[body], shear)
+    columns = dynamics.regressor(machine, standard, states(machine.n, 200, seed)) @ base.selection
+    root = np.linalg.qr(columns.reshape(-1, base.count) / noise, mode="r") @ base.matrix
+    prior = replace(prior_of(standard, Distance.PULLBACK), inertial_weight=1e-3)
+    estimate = consistency.maximum_a_posteriori(standard, root, root @ truth, prior)
+    assert consistency.is_consistent(standard, truth) and estimate.misfit < 0.01
 
 
 @pytest.mark.parametrize("kind", list(Distance))

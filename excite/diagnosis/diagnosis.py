@@ -16,6 +16,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray
 from ..effects import recorded_motion
+from ..effects.effect import Key
 from ..effects.recorded_motion import RecordedMotion
 from ..errors import UnusableInput
 from ..identification import identification, segments
@@ -231,8 +232,8 @@ def diagnose(
         considered = estimates.with_doubts_about_prior(considered, left, rmse)
     effects = estimates.with_unmodelled(considered, model, remaining)
     progress("base model of the recordings without the effects")
-    savable, not_saved = _savable(identified, model, rare, in_model)
-    final = final_model.fit(identified, savable, not_saved, train, progress)
+    savable, probabilities = _savable(identified, model, rare, in_model)
+    final = final_model.fit(identified, savable, probabilities, train, progress)
     effects = estimates.on_base(effects, model, evidence, final.motions[0].fitted_robot)
     progress("held-out recordings")
     document = final.document(train, known)
@@ -281,8 +282,8 @@ def _savable(
     model: JointModel,
     rare: Sequence[RareEffect],
     effects: Sequence[EffectEstimate],
-) -> tuple[JointModel, frozenset[int]]:
-    """Return a joint model without flexible models, and the numbers of effects not to be saved.
+) -> tuple[JointModel, dict[Key, float]]:
+    """Return a joint model without flexible models, and the effects to be saved: probabilities.
 
     Flexible models are not saved. What they stand for is left to the effects of the catalogue,
     which are judged by the residual that they leave. A friction that is not asserted is no reason
@@ -300,8 +301,7 @@ def _savable(
         if {block("viscous").start + j, block("coulomb").start + j} <= trusted.keys()
     }
     saved = [e for e in effects if e.needed and (e.asserted or e.joint not in stated)]
-    kept = {i for e in saved for i in e.evidence.effects}
-    return model, frozenset(range(len(model.models))) - kept
+    return model, {e.key: e.probability for e in saved}
 
 
 def _held_out_errors(

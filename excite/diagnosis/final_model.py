@@ -8,7 +8,7 @@ computed with the `model.json` that holds the result.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..effects import delay
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import identification, identified_model
 from ..identification.identification import Identification
@@ -102,7 +102,7 @@ class FinalModel:
 def fit(
     identified: Identification,
     model: JointModel,
-    left_out: Collection[int],
+    probabilities: Mapping[Key, float],
     recordings: Sequence[Recording],
     progress: Callable[[str], None] = lambda _: None,
 ) -> FinalModel:
@@ -111,10 +111,11 @@ def fit(
     Args:
         identified: The base model without effects.
         model: The joint model.
-        left_out: Numbers of the effects that are not needed.
+        probabilities: Probabilities of the effects to be saved.
         recordings: The recordings to fit.
         progress: Called with each line of progress.
     """
+    left_out = [i for i, shape in enumerate(model.models) if shape.key not in probabilities]
     solution = model.regression.without(left_out)
     shapes = [
         shape.exact or shape
@@ -126,6 +127,7 @@ def fit(
     base_model.fix_at_zero(range(len(model.free), model.filter_place + 1))
     joint = dataclasses.replace(model, models=(), regression=base_model).with_effects(shapes)
     first = joint.regression
+    first.reduce_prior([probabilities[shape.key] for shape in joint.models])
     # the effects that were left out explain nothing of the residual
     joint_model.reweight(first, joint_model.transient_rows(shapes, model.motions))
     effects = _fitted(joint.models, first)
@@ -171,6 +173,7 @@ def fit(
     final = dataclasses.replace(
         model, motions=tuple(motions), models=(), regression=fixed_base
     ).with_effects(shapes)
+    final.regression.reduce_prior([probabilities[shape.key] for shape in final.models])
     return FinalModel(
         refitted,
         final.motions,

@@ -199,6 +199,19 @@ class JointRegression:
             self.prior_matrix[place, place] = 1.0 / FIXED_STD**2
         self._changed()
 
+    def reduce_prior(self, probabilities: Sequence[float]) -> None:
+        """Make the prior of every effect that of one that is there with some probability P.
+
+        A coefficient that is zero with probability 1 − P, and normally distributed about zero with
+        variance v otherwise, has the variance P v.
+
+        Args:
+            probabilities: P of each effect.
+        """
+        for part, probability in zip(self.slices, probabilities, strict=True):
+            self.prior_matrix[part, part] /= probability
+        self._changed()
+
     def add(self, *effects: Columns) -> range:
         """Append the columns of some effects; return their numbers."""
         start = len(self.nonnegative)

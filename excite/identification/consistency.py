@@ -22,8 +22,11 @@ from .inertia_distance import Distance, NominalFrames, distance_metrics, pseudo_
 NONNEGATIVE_KINDS = ("rotor_inertia", "viscous", "coulomb")
 """Joint parameters that cannot be negative."""
 BARRIER_WEIGHTS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
-"""Weights of the barrier, one after the other. With the last the barrier costs at most 1e-4 per
+"""Last weights of the barrier, one after the other. With the last the barrier costs at most 1e-4 per
 term (Boyd & Vandenberghe 2004, 11.2.2): 0.01 for 100 terms."""
+FIRST_WEIGHT_FACTOR = 100.0
+"""Factor between the weights that come before, where the start is far from the data: of 10, 100 and
+1000 the one with the fewest Newton steps."""
 MIN_PSEUDO_INERTIA = 1e-6
 """Lower bound of the pseudo-inertia, P ≻ MIN_PSEUDO_INERTIA · P₀: at the boundary of the consistent
 set a body has no finite metric."""
@@ -32,7 +35,7 @@ MAX_NEWTON_STEPS = 60
 FINAL_NEWTON_DECREMENT = 1e-8
 """Squared Newton decrement at which the last minimisation has converged [log-likelihood]."""
 NEWTON_DECREMENT = 1e-3
-"""The same for the minimisations before."""
+"""The same for the minimisations before, over the weight where that is larger than 1."""
 STEP_TO_BOUNDARY = 0.95
 """Largest step as a share of the step that reaches the boundary of the consistent set."""
 MAX_HALVINGS = 40
@@ -262,7 +265,7 @@ def maximum_a_posteriori(
         target: R θ̂. Shape (m,).
         prior: ψ₀, the distance and γ.
         bounds: Bounds of masses and centres of mass.
-        barrier_weights: Decreasing weights of the barrier.
+        barrier_weights: Decreasing weights of the barrier, after those that the start needs.
 
     Raises:
         UnusableInput: No physically consistent body satisfies the bounds.
@@ -276,7 +279,7 @@ def maximum_a_posteriori(
             "widen them"
         )
     steps, ridge = 0, 1e-13 * np.eye(parameters.count)  # below rounding
-    for weight in barrier_weights:
+    for weight in (*_first_weights(problem, psi, barrier_weights[0]), *barrier_weights):
         for _ in range(MAX_NEWTON_STEPS):
             gradient, hessian = problem.derivatives(psi, weight)
             scale = 1.0 / np.sqrt(np.diag(hessian))
@@ -286,7 +289,9 @@ def maximum_a_posteriori(
             decrement = -float(gradient @ step)
             steps += 1
             if decrement < (
-                FINAL_NEWTON_DECREMENT if weight == barrier_weights[-1] else NEWTON_DECREMENT
+                FINAL_NEWTON_DECREMENT
+                if weight == barrier_weights[-1]
+                else NEWTON_DECREMENT * max(weight, 1.0)
             ):
                 break
             psi = _line_search(problem, psi, step, decrement, weight)
@@ -300,6 +305,22 @@ def maximum_a_posteriori(
         distance,
         steps,
     )
+
+
+def _first_weights(problem: _BarrierProblem, psi: FloatArray, last: float) -> list[float]:
+    """Weights of the barrier before the last one, the largest first.
+
+    The number of Newton steps grows with the difference of objective plus barrier from its minimum,
+    over the weight (Boyd & Vandenberghe 2004, 9.6.4). A start far from the data would be driven
+    straight to the boundary of the constraints, and stay there.
+
+    Args:
+        problem: The problem.
+        psi: The start.
+        last: The weight that follows.
+    """
+    stages = np.log(max(problem.value(psi, 0.0) / last, 1.0)) / np.log(FIRST_WEIGHT_FACTOR)
+    return [last * FIRST_WEIGHT_FACTOR**k for k in range(int(np.ceil(stages)), 0, -1)]
 
 
 def _line_search(

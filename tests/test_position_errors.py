@@ -57,7 +57,7 @@ def test_errors_of_positions_are_no_effect(kind):
     "kind",
     known_failures(
         [*NOISE, *STEPS],
-        {"noise of 1e-4 rad": "the filter that stands for the noise leaves torque that recurs"},
+        {"12 bits": "what repeats differs between draws of the encoders' origins"},
     ),
 )
 def test_errors_of_positions_are_no_unknown_torque(kind):

@@ -278,6 +278,24 @@ def test_a_tilted_base_and_other_masses_are_no_doubt(simulated):
         assert not nominal_comparison.compare_with_nominal(other, robot)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_friction_tells_whether_the_torque_or_the_robot_description_is_the_wrong_way(sign):
+    """The centres of mass of both links are on the other side in the robot description."""
+    model = SUBJECT.robot.model.copy()
+    for i, factor in ((1, -3.0), (2, -1.0)):
+        body = model.inertias[i]
+        model.inertias[i] = pin.Inertia(body.mass, factor * body.lever, body.inertia)
+    robot = dataclasses.replace(SUBJECT.robot, model=model)
+    measured = recordings_of(None)[0]
+    recording = dataclasses.replace(measured, tau=sign * measured.tau)
+    compared = robot if sign > 0.0 else SUBJECT.robot
+    remarks = nominal_comparison.compare_with_nominal(recording, compared)
+    assert {r.kind for r in remarks} == {RemarkKind.TORQUE_SIGN}
+    assert all(r.doubt is (sign < 0.0) for r in remarks)
+    cause = "its sign is inverted" if sign < 0.0 else "wrong in the robot description"
+    assert all(cause in r.text for r in remarks)
+
+
 @pytest.mark.parametrize(
     ("factor", "word"), [(1e3, "mN m"), (1e-3, "kN m"), (0.02, "motor current"), (80.0, "gear")]
 )

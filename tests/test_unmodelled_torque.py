@@ -124,7 +124,8 @@ def test_what_repeats_is_a_share_of_the_power():
     rng = np.random.default_rng(0)
     common = rng.normal(size=4000)
     first, second = (common + rng.normal(size=4000) for _ in range(2))
-    share, sure = repeated_share(first * second, 2.0, 0.0)
+    none = np.zeros(4000)
+    share, sure = repeated_share(first * second, 2.0, none)
     assert share == pytest.approx(0.5, abs=0.05) and sure > 10.0
-    share, sure = repeated_share(first * rng.permutation(second), 2.0, 0.0)
+    share, sure = repeated_share(first * rng.permutation(second), 2.0, none)
     assert abs(sure) < 4.0 and abs(share) < 0.1

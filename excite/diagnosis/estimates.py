@@ -372,11 +372,14 @@ class _Posterior:
         )
 
     def estimate(self, estimate: EffectEstimate) -> EffectEstimate:
-        """Return an estimate of an effect of the model with its size and its parameters."""
+        """Return an estimate of an effect of the model with its size and its parameters.
+
+        An effect whose coefficients are all held at zero by their signs is not in the model.
+        """
         effects, slices = estimate.evidence.effects, self.model.regression.slices
         places = self.places(effects)
         if not len(places):
-            return estimate
+            return replace(estimate, evidence=replace(estimate.evidence, is_in_model=False))
         change = np.zeros(len(self.solution.coefficients))
         change[places] = self.solution.coefficients[places]
         torque = self.torque_beyond_base(change)

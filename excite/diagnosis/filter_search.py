@@ -8,7 +8,7 @@ of all joints, so that they contradict what an effect of one joint asks for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -39,7 +39,10 @@ STEPS = 3
 
 
 def first_round(
-    identified: Identification, motions: Sequence[RecordedMotion], like: LowPass | None = None
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    like: LowPass | None = None,
+    by_errors: Callable[[JointModel], float] = lambda _: 0.0,
 ) -> JointModel:
     """Return the frictions of all joints at the identified parameters, which start every fit.
 
@@ -49,23 +52,45 @@ def first_round(
         identified: The base model.
         motions: The motions to fit.
         like: A filter to whose kind the search is confined; filters of all kinds if None.
+        by_errors: Evidence that errors of the positions alone give the filter of a model.
     """
-    filters = [
-        of_kind for of_kind in FILTERS if like is None or like == of_kind[0].with_corner(like.hertz)
-    ]
-    start = without_filter(identified, motions)
-    search = _Search(identified, motions, start.psi)
-    if start.n == 1:
-        return start  # the filter of a single joint cannot be told from its dynamics
-    plain = search.refined(start)
-    filtered = search.best_filter(plain, filters)
+    if motions[0].n == 1:  # the filter of a single joint cannot be told from its dynamics
+        return without_filter(identified, motions)
+    plain, filtered = with_and_without_filter(identified, motions, like)
     for model in (plain, filtered):
         joint_model.reweight(model.regression)
-    evidence = _evidence(filtered, plain) - np.log(len(filters) * len(CORNERS))
+    evidence = _evidence(filtered, plain) - np.log(len(_filters(like)) * len(CORNERS))
     low_pass = filtered.chain.filter
     assert low_pass is not None
-    is_filter = low_pass.hertz > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE
-    return filtered if is_filter else start
+    if low_pass.hertz > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE:
+        # noise of the positions is the larger part of fast motion, whose torque a filter reduces
+        evidence /= 1.0 + 2.0 * by_errors(filtered)
+        if evidence > MIN_CHAIN_EVIDENCE:
+            return filtered
+    return without_filter(identified, motions)
+
+
+def with_and_without_filter(
+    identified: Identification, motions: Sequence[RecordedMotion], like: LowPass | None = None
+) -> tuple[JointModel, JointModel]:
+    """Return the frictions of all joints without a filter, and with the best one.
+
+    Args:
+        identified: The base model.
+        motions: The motions to fit.
+        like: A filter to whose kind the search is confined; filters of all kinds if None.
+    """
+    start = without_filter(identified, motions)
+    search = _Search(identified, motions, start.psi)
+    plain = search.refined(start)
+    return plain, search.best_filter(plain, _filters(like))
+
+
+def _filters(like: LowPass | None) -> list[tuple[LowPass, ...]]:
+    """Filters of all kinds, or of that of one filter."""
+    return [
+        of_kind for of_kind in FILTERS if like is None or like == of_kind[0].with_corner(like.hertz)
+    ]
 
 
 def without_filter(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:

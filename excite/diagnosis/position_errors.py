@@ -120,6 +120,23 @@ class PositionErrors:
         }
         return {key: factor for key, factor in factors.items() if factor > 0.0}
 
+    def filter_evidence(self, model: JointModel) -> float:
+        """Return the log likelihood ratio that the errors give the kind of a model's filter.
+
+        Args:
+            model: A joint model with a filter, whose weights the rows have.
+        """
+        if not self._matter(model):
+            return 0.0
+        regression = model.regression
+        errors = [
+            float(np.sum((m.regression.residual() / regression.sigma)[regression.moving] ** 2))
+            for m in filter_search.with_and_without_filter(
+                self.identified, self._disturbed, model.chain.filter
+            )
+        ]
+        return max(0.5 * regression.independent_share * (errors[0] - errors[1]), 0.0)
+
     def residual(self, model: JointModel) -> FloatArray:
         """Return the residual that the errors leave of the frictions, shape (N, n) [N m].
 

@@ -163,7 +163,9 @@ class _Search:
     ) -> None:
         self._identified, self._motions, self._progress = identified, motions, progress
         self._position_errors = position_errors
-        self._start = filter_search.first_round(identified, motions)
+        self._start = filter_search.first_round(
+            identified, motions, by_errors=position_errors.filter_evidence
+        )
         self._error_evidence: dict[Key, float] = {}
         self.model = self._fit(())
         self._error_evidence |= self._position_errors.evidence((), self.model)

@@ -136,7 +136,8 @@ def find(
     named = {entry.joint for entry in out}
     for j in (j for j in range(model.n) if j not in named and len(products)):
         square = float(np.mean(residual[regression.moving[:, j], j] ** 2))
-        known = max(float(estimate.steps[j]) ** 2, float(expected[:, j].mean()))
+        known = expected[:, j]
+        known = known + max(float(estimate.steps[j]) ** 2 - float(known.mean()), 0.0)
         share, sure = repeated_share(products[:, j], square, known)
         size = float(np.sqrt(max(share, 0.0) * square))
         chance = float(special.expit(0.5 * max(sure, 0.0) ** 2 + LOG_ODDS))
@@ -146,18 +147,21 @@ def find(
     return sorted(out, key=lambda entry: entry.joint)
 
 
-def repeated_share(products: FloatArray, square: float, known: float) -> tuple[float, float]:
+def repeated_share(products: FloatArray, square: float, known: FloatArray) -> tuple[float, float]:
     """Return the share of a residual's power that repeats, and that share over its standard error.
 
     Args:
         products: Products of the residuals of two periods, shape (m,).
         square: Mean square residual.
-        known: Mean square of errors of positions and torque that repeat as well.
+        known: Products of errors of positions and torque that repeat as well, of one draw of such
+            errors, shape (m,).
     """
     count = min(ERROR_BLOCKS, len(products))
-    blocks = np.array([part.mean() for part in np.array_split(products, count)])
-    power = float(blocks.mean()) - known
-    std = max(float(blocks.std() / np.sqrt(count)), 1e-300)
+    blocks, known_blocks = (
+        np.array([part.mean() for part in np.array_split(x, count)]) for x in (products, known)
+    )
+    power = float(blocks.mean() - known_blocks.mean())
+    std = max(float(np.sqrt((blocks.var() + known_blocks.var()) / count)), 1e-300)
     return power / max(square, 1e-300), power / std
 
 

@@ -22,8 +22,8 @@ from .inertia_distance import Distance, NominalFrames, distance_metrics, pseudo_
 NONNEGATIVE_KINDS = ("rotor_inertia", "viscous", "coulomb")
 """Joint parameters that cannot be negative."""
 BARRIER_WEIGHTS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
-"""Last weights of the barrier, one after the other. With the last the barrier costs at most 1e-4 per
-term (Boyd & Vandenberghe 2004, 11.2.2): 0.01 for 100 terms."""
+"""Weights of the barrier, one after the other, from a start near the data. With the last the
+barrier costs at most 1e-4 per term (Boyd & Vandenberghe 2004, 11.2.2): 0.01 for 100 terms."""
 FIRST_WEIGHT_FACTOR = 100.0
 """Factor between the weights that come before, where the start is far from the data: of 10, 100 and
 1000 the one with the fewest Newton steps."""

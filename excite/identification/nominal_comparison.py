@@ -25,6 +25,7 @@ from ..recordings import Recording, Remark, RemarkKind
 from ..robot.dynamics import inverse_dynamics
 from ..robot.robot import Robot
 from ..robot.samples import Samples
+from .dissipation import CLEARLY_NEGATIVE
 
 COMPARED_ROWS = 600
 """Number of compared rows, spread evenly over the longest stretch without a gap."""
@@ -150,7 +151,11 @@ def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
         return []
     gravity, dynamic = nominal_torque(robot, motion)
     comparison = _comparison(torque, motion, gravity, dynamic)
-    remarks = [*_sign_doubts(recording, comparison), *_scale_doubts(recording, comparison)]
+    dissipates = _friction_dissipates(torque, motion, comparison)
+    remarks = [
+        *_sign_doubts(recording, comparison, dissipates),
+        *_scale_doubts(recording, comparison),
+    ]
     if not remarks:
         remarks += _exchanged_joints(recording, robot, torque, motion, comparison)
     if not remarks and np.any(robot.model.gravity.linear):
@@ -192,16 +197,51 @@ def _comparison(
     return NominalComparison(*parts)
 
 
-def _sign_doubts(recording: Recording, comparison: NominalComparison) -> Iterator[Remark]:
-    """Yield a doubt for each joint whose torque has the opposite sign."""
+def _friction_dissipates(
+    torque: FloatArray, motion: Samples, comparison: NominalComparison
+) -> BoolArray:
+    """Tell whether friction clearly takes out power at each joint, whatever its nominal torque is.
+
+    Torque is fitted by friction, acceleration and nominal torque, of whatever sign and size. Shape
+    (n,).
+    """
+    out = np.zeros(torque.shape[1], bool)
+    for j, (speed, acceleration) in enumerate(zip(motion.dq.T, motion.ddq.T, strict=True)):
+        columns = _friction(speed)
+        count = columns.shape[1]
+        columns = np.column_stack([columns, acceleration, comparison.nominal[:, j]])
+        columns = columns[:, np.abs(columns).max(axis=0) > 0.0]
+        covariance = np.linalg.pinv(columns.T @ columns)
+        fitted = covariance @ columns.T @ torque[:, j]
+        variance = np.mean((torque[:, j] - columns @ fitted) ** 2)
+        power = np.zeros(len(fitted))
+        power[1:count] = columns[:, 1:count].T @ speed  # an offset takes out none on the way back
+        std = np.sqrt(variance * (power @ covariance @ power))
+        out[j] = power @ fitted > CLEARLY_NEGATIVE * std
+    return out
+
+
+def _sign_doubts(
+    recording: Recording, comparison: NominalComparison, dissipates: BoolArray
+) -> Iterator[Remark]:
+    """Yield a doubt for each joint whose torque has the opposite sign.
+
+    Where its friction takes out power the sign is right, and the nominal model is wrong.
+    """
     slope, correlation = comparison.slopes()
     for j in np.flatnonzero(correlation < -MIN_CORRELATION).tolist():
         joint = recording.joints[j]
         text = (
             f"joint '{joint}': measured torque is {slope[j]:.3g} times the torque of the nominal "
-            f"model, with a correlation of {correlation[j]:.2f}; its sign is inverted, turn it"
+            f"model, with a correlation of {correlation[j]:.2f}; "
         )
-        yield Remark(RemarkKind.TORQUE_SIGN, text, joint, doubt=True)
+        text += (
+            "its friction takes out power, so that its sign is right, and mass or centre of mass "
+            "of the links that it moves are wrong in the robot description"
+            if dissipates[j]
+            else "its sign is inverted, turn it"
+        )
+        yield Remark(RemarkKind.TORQUE_SIGN, text, joint, doubt=not dissipates[j])
 
 
 def _scale_doubts(recording: Recording, comparison: NominalComparison) -> Iterator[Remark]:

@@ -32,7 +32,7 @@ from excite import effects
 from excite._types import FloatArray
 from excite.cli import main as main_module
 from excite.cli.diagnose import diagnosis_text
-from excite.diagnosis import rejection
+from excite.diagnosis import estimates, posterior, rejection
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME, nonlinear_viscous
@@ -116,6 +116,16 @@ class Paused(FourierSeries):
         rate, change = clock(within, 1)[:, None], clock(within, 2)[:, None]
         along = super().samples(clock(within) + turns * self.period)
         return Samples(along.q, along.dq * rate, along.ddq * rate**2 + along.dq * change)
+
+
+def test_an_effect_whose_coefficients_are_all_zero_is_not_in_the_model():
+    """Signs may hold all of them at zero next to other effects."""
+    model = diagnosed(None).model
+    friction = posterior.select(model)[0]
+    at_zero = dataclasses.replace(friction, is_in_model=False)  # leaves it out of the solution
+    kept = dataclasses.replace(friction, is_in_model=True)
+    estimate, _ = estimates.estimate_effects(model, (), [kept, at_zero])
+    assert not estimate.needed and rejection.reason(estimate)
 
 
 def test_static_friction_at_rest_is_no_mismatch():

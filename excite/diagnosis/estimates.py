@@ -423,7 +423,11 @@ class _Posterior:
     def parameters(
         self, effects: Sequence[int], base: FittedRobot
     ) -> dict[str, tuple[float, float]]:
-        """Return the parameters of the largest model of an effect, with standard deviations."""
+        """Return the parameters of the largest model of an effect, with standard deviations.
+
+        Next to other effects its coefficients may have left the range that is physically possible.
+        Then they say nothing, and there are none.
+        """
         draws = self.draws(self.places(effects))
         sizes = {e: self.relative_size(e) for e in effects if len(self.places([e]))}
         largest = max(sizes, key=lambda e: sizes[e])
@@ -432,6 +436,8 @@ class _Posterior:
         places = self.places([largest])
         columns = np.searchsorted(self.places(effects), places)
         c = self.solution.coefficients[part]
+        if not shape.is_plausible(shape.plain(c)):
+            return {}
         values = shape.reported(shape.plain(c), base)
         cloud = []
         shift, log_std = self._nonlinear(shape, c, places)

@@ -26,7 +26,7 @@ from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .recording_chain import RecordingChain
-from .regression import JointRegression
+from .regression import JointRegression, rms
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,15 @@ class FinalModel:
         out["effects"] = [
             fitted_effects.entry(effect, robot) for effect in (*known, *self.saved_effects)
         ]
+        moving, torque = self.regression.moving, np.concatenate([m.torque for m in self.motions])
+        sources = np.concatenate([[m.segment.source] * len(m) for m in self.motions])
+        for fit in out["fit"]:
+            rows = sources == fit["recording"]
+            errors, sizes = (rms(x[rows], moving[rows]) for x in (self.residual, torque))
+            for joint, error, size in zip(
+                fit["joints"].values(), errors.tolist(), sizes.tolist(), strict=True
+            ):
+                joint |= {"rmse": error, "relative": error / max(size, 1e-300)}
         return out
 
 
@@ -156,6 +165,8 @@ def fit(
             base_estimate.base_estimate(model),
             joint_model.consistent_estimate(refitted, joint),
         )
+    # errors are those of the recordings with all of their torque
+    refitted = dataclasses.replace(refitted, fits=identified.fits)
     motions = renewed(refitted, model.motions)
     for new, old in zip(motions, model.motions, strict=True):
         new.share_torques(old)

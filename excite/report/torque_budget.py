@@ -267,7 +267,11 @@ class JointBudget:
                 return ["nothing notable is missing"]
             is_caused = self.unknown or self.is_changed or self.is_misled
             return [] if is_caused else ["no effect found reduces it"]
-        texts = [f"{part.words} {self.change_words(part.share)}" for part in self.parts]
+        texts = [
+            f"{part.words} {self.change_words(part.share)}"
+            for part in self.parts
+            if round(100.0 * part.share * self.removed)
+        ]
         if abs(self.others) * self.removed >= NAMED_OTHERS:
             texts.append(f"others {self.change_words(self.others)}")
         if self.absent:

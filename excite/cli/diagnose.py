@@ -70,7 +70,11 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
         rows = decision_rows(document)
         lines += _aligned([HEAD, *rows]) if rows else []
     budgets = joint_budgets(document, robot)
-    lines += ["", "torque error on the held-out recordings (root mean square), and its causes:"]
+    lines += [
+        "",
+        "torque error on the held-out recordings (root mean square, joints in motion), "
+        "and its causes:",
+    ]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
     if doubted := prior_words(budgets):
         lines += ["", f"{capitalized(doubted)}."]

@@ -19,7 +19,7 @@ from ..effects.delay import LowPass
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
-from . import joint_model
+from . import joint_model, probability
 from .joint_model import MIN_CHAIN_EVIDENCE, JointModel, renewed_chain
 from .recording_chain import MIN_CORNER, RecordingChain
 
@@ -54,9 +54,10 @@ def first_round(
         like: A filter to whose kind the search is confined; filters of all kinds if None.
         by_errors: Evidence that errors of the positions alone give the filter of a model.
     """
-    if motions[0].n == 1:  # the filter of a single joint cannot be told from its dynamics
-        return without_filter(identified, motions)
-    plain, filtered = with_and_without_filter(identified, motions, like)
+    start = without_filter(identified, motions)
+    if start.n == 1:
+        return start  # the filter of a single joint cannot be told from its dynamics
+    plain, filtered = with_and_without_filter(identified, motions, start, like)
     for model in (plain, filtered):
         joint_model.reweight(model.regression)
     evidence = _evidence(filtered, plain) - np.log(len(_filters(like)) * len(CORNERS))
@@ -64,23 +65,26 @@ def first_round(
     assert low_pass is not None
     if low_pass.hertz > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE:
         # noise of the positions is the larger part of fast motion, whose torque a filter reduces
-        evidence /= 1.0 + 2.0 * by_errors(filtered)
+        evidence = probability.beyond_errors(evidence, by_errors(filtered))
         if evidence > MIN_CHAIN_EVIDENCE:
             return filtered
-    return without_filter(identified, motions)
+    return start
 
 
 def with_and_without_filter(
-    identified: Identification, motions: Sequence[RecordedMotion], like: LowPass | None = None
+    identified: Identification,
+    motions: Sequence[RecordedMotion],
+    start: JointModel,
+    like: LowPass | None = None,
 ) -> tuple[JointModel, JointModel]:
     """Return the frictions of all joints without a filter, and with the best one.
 
     Args:
         identified: The base model.
         motions: The motions to fit.
+        start: What `without_filter` returns.
         like: A filter to whose kind the search is confined; filters of all kinds if None.
     """
-    start = without_filter(identified, motions)
     search = _Search(identified, motions, start.psi)
     plain = search.refined(start)
     return plain, search.best_filter(plain, _filters(like))

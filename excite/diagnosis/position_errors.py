@@ -128,14 +128,15 @@ class PositionErrors:
         """
         if not self._matter(model):
             return 0.0
-        regression = model.regression
-        errors = [
+        regression, motions = model.regression, self._disturbed
+        start = filter_search.without_filter(self.identified, motions)
+        without, with_ = (
             float(np.sum((m.regression.residual() / regression.sigma)[regression.moving] ** 2))
             for m in filter_search.with_and_without_filter(
-                self.identified, self._disturbed, model.chain.filter
+                self.identified, motions, start, model.chain.filter
             )
-        ]
-        return max(0.5 * regression.independent_share * (errors[0] - errors[1]), 0.0)
+        )
+        return max(0.5 * regression.independent_share * (without - with_), 0.0)
 
     def residual(self, model: JointModel) -> FloatArray:
         """Return the residual that the errors leave of the frictions, shape (N, n) [N m].

@@ -349,6 +349,5 @@ def evidence_of(
         gain, size = _gain_of_transient(model, shapes, reduced, current)
         factor += gain - (reduced.objective - current.objective)
     by_errors = model.error_evidence.get(shapes[0].key, 0.0)
-    if factor > 0.0:
-        factor /= 1.0 + 2.0 * by_errors  # they add to the variance of the coefficients
+    factor = probability.beyond_errors(factor, by_errors)
     return EffectEvidence(members, shapes, len(places), factor, severity, size, by_errors=by_errors)

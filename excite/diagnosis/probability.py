@@ -90,6 +90,21 @@ def rare_probability(log_bayes_factor: float, size: float) -> Probability:
     return Probability(float(by_evidence(log_bayes_factor)), float(by_size(size)))
 
 
+def beyond_errors(log_bayes_factor: float, by_errors: float) -> float:
+    """Return the evidence ln B for an effect beyond that which errors of the positions give it.
+
+    Errors that give it the log Bayes factor N, with coefficients c of c²/(2 σ²) = N, multiply their
+    variance σ² by 1 + 2 N: the evidence is ln B/(1 + 2 N). Evidence against it is not theirs.
+
+    Args:
+        log_bayes_factor: ln B.
+        by_errors: N.
+    """
+    return (
+        log_bayes_factor / (1.0 + 2.0 * by_errors) if log_bayes_factor > 0.0 else log_bayes_factor
+    )
+
+
 def by_evidence(log_bayes_factor: float | FloatArray) -> FloatArray:
     """Return the probability of any other effect that is large, σ(ln B / T′ + λ′).
 

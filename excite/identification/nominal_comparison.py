@@ -210,7 +210,6 @@ def _friction_dissipates(
         columns = _friction(speed)
         count = columns.shape[1]
         columns = np.column_stack([columns, acceleration, comparison.nominal[:, j]])
-        columns = columns[:, np.abs(columns).max(axis=0) > 0.0]
         covariance = np.linalg.pinv(columns.T @ columns)
         fitted = covariance @ columns.T @ torque[:, j]
         variance = np.mean((torque[:, j] - columns @ fitted) ** 2)

@@ -8,15 +8,17 @@ whose weight is reduced until it costs at most a hundredth of a unit of log-like
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import linalg
 
 from .._types import FloatArray
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..robot.base_parameters import Base
-from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
+from ..robot.inertial_parameters import Parameters, inverse_root, proper_body, pseudo_inertia
 from .inertia_distance import Distance, NominalFrames, distance_metrics, pseudo_inertias
 
 NONNEGATIVE_KINDS = ("rotor_inertia", "viscous", "coulomb")
@@ -36,6 +38,12 @@ FINAL_NEWTON_DECREMENT = 1e-8
 """Squared Newton decrement at which the last minimisation has converged [log-likelihood]."""
 NEWTON_DECREMENT = 1e-3
 """The same for the minimisations before, over the weight where that is larger than 1."""
+MAX_GAP = 0.02
+"""Squared Newton decrement above which the minimisation has not converged: twice what the barrier
+costs of the log-likelihood; relative to the objective where that is larger than 1."""
+ROUNDING = 1e-14
+"""Rounding errors of a Hessian relative to its diagonal [1]; where a parameter has no prior, the
+share of its information by the data that stands for one."""
 STEP_TO_BOUNDARY = 0.95
 """Largest step as a share of the step that reaches the boundary of the consistent set."""
 MAX_HALVINGS = 40
@@ -91,14 +99,15 @@ class ConsistentEstimate:
             Shape (P, P).
         misfit: ½‖R(Bψ̂ − θ̂)‖²: log-likelihood lost to consistency and the prior.
         distance: Squared distance d(ψ̂, ψ₀)².
-        steps: Number of Newton steps.
+        gap: Squared Newton decrement at the end, twice the log-likelihood by which the objective
+            may still be above its minimum.
     """
 
     psi: FloatArray
     covariance: FloatArray
     misfit: float
     distance: float
-    steps: int
+    gap: float
 
 
 def consistent_nominal(parameters: Parameters) -> FloatArray:
@@ -165,9 +174,11 @@ def base_prior_information(parameters: Parameters, base: Base, prior: Prior) -> 
 
 
 class _BarrierProblem:
-    """Objective plus barrier as a function of ψ, with its derivatives.
+    """Objective plus barrier as a function of ψ, and its Newton step.
 
-    Linear constraints are `rows` ψ > `levels`.
+    Linear constraints are `rows` ψ > `levels`. The step is computed in coordinates x, ψ = S x, in
+    which distances from the nominal parameters have unit curvature, since the ten parameters of a
+    small body differ by many orders of magnitude.
     """
 
     def __init__(
@@ -181,9 +192,13 @@ class _BarrierProblem:
     ) -> None:
         self.parameters, self.root, self.target, self.prior = parameters, root, target, prior
         self.edge = 10 * parameters.bodies
-        self.frames = NominalFrames(inertial_rows(parameters, prior.nominal))
+        bodies = inertial_rows(parameters, prior.nominal)
+        coordinates = np.array([inverse_root(body) for body in bodies])
+        self.frames = NominalFrames(bodies, coordinates)
         self.rows, self.levels = rows, levels
         self.scale = prior.joint_scales
+        self.S = linalg.block_diag(*coordinates, np.diag(self.scale))
+        self.rows_x, self.root_x = rows @ self.S, root @ self.S
         self.information = root.T @ root
 
     def slack(self, psi: FloatArray) -> FloatArray:
@@ -215,28 +230,42 @@ class _BarrierProblem:
             squared.sum()
         )
 
-    def derivatives(self, psi: FloatArray, weight: float) -> tuple[FloatArray, FloatArray]:
-        """Gradient and Hessian of `value`."""
-        gradient = self.root.T @ (self.root @ psi - self.target)
-        hessian = self.information.copy()
-        slack = self.slack(psi)
-        gradient -= weight * self.rows.T @ (1.0 / slack)
-        hessian += weight * (self.rows.T / slack**2) @ self.rows
-        gradient[self.edge :] += (
-            2.0 * self.prior.joint_weights * (psi - self.prior.nominal)[self.edge :] / self.scale**2
-        )
-        index = np.arange(self.edge, len(psi))
-        hessian[index, index] += 2.0 * self.prior.joint_weights / self.scale**2
+    def regularisation(self, psi: FloatArray, weight: float) -> tuple[FloatArray, FloatArray]:
+        """Gradient and Hessian by x of the penalty and of the barrier of the pseudo-inertias."""
+        delta = (psi - self.prior.nominal)[self.edge :] / self.scale
         bodies = self.bodies(psi)
-        terms = (
-            (weight, self.frames.barrier(bodies, MIN_PSEUDO_INERTIA)),
-            (self.prior.inertial_weight, self.frames.squared_distance(self.prior.distance, bodies)),
+        barrier = self.frames.barrier(bodies, MIN_PSEUDO_INERTIA)
+        distance = self.frames.squared_distance(self.prior.distance, bodies)
+        gamma = self.prior.inertial_weight
+        gradient = weight * barrier.gradient + gamma * distance.gradient
+        hessian = weight * barrier.hessian + gamma * distance.hessian
+        return (
+            np.concatenate([gradient.ravel(), 2.0 * self.prior.joint_weights * delta]),
+            linalg.block_diag(*hessian, 2.0 * np.diag(self.prior.joint_weights)),
         )
-        for factor, term in terms:
-            gradient[: self.edge] += factor * term.gradient.ravel()
-            for i, block in enumerate(term.hessian):
-                hessian[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] += factor * block
-        return gradient, hessian
+
+    def newton_step(self, psi: FloatArray, weight: float) -> tuple[FloatArray, float]:
+        """Return the Newton step of `value`, and the squared Newton decrement.
+
+        The data know some directions 10²⁰ times better than the prior knows the others: the sum of
+        both Hessians would have lost the prior. With that of the regularisation, H = L Lᵀ, the
+        step is Δx = L⁻ᵀ y, y = argmin ‖A L⁻ᵀ y − b‖² + ‖y + L⁻¹ g‖² by a QR decomposition of all
+        rows, A and b those of the misfit and of the barrier of the linear constraints.
+        """
+        slack = self.slack(psi)
+        A = np.vstack([self.root_x, np.sqrt(weight) * self.rows_x / slack[:, None]])
+        b = np.concatenate([self.target - self.root @ psi, np.full(len(slack), np.sqrt(weight))])
+        gradient, hessian = self.regularisation(psi, weight)
+        diagonal = np.diag(hessian) * (1.0 + ROUNDING)
+        by_data = np.sum(A**2, axis=0)
+        np.fill_diagonal(hessian, np.where(diagonal > 0.0, diagonal, ROUNDING * (by_data + 1.0)))
+        factor = linalg.cholesky(hessian, lower=True)
+        rows = np.vstack([linalg.solve_triangular(factor, A.T, lower=True).T, np.eye(len(psi))])
+        right = np.concatenate([b, -linalg.solve_triangular(factor, gradient, lower=True)])
+        triangle = np.asarray(np.linalg.qr(np.column_stack([rows, right]), mode="r"))[:-1]
+        y = linalg.solve_triangular(triangle[:, :-1], triangle[:, -1])
+        step = self.S @ linalg.solve_triangular(factor, y, lower=True, trans=1)
+        return np.asarray(step), float(np.sum((rows @ y) ** 2))
 
     def max_step(self, psi: FloatArray, step: FloatArray) -> float:
         """Length of the step that reaches the boundary of the constraints."""
@@ -269,6 +298,9 @@ def maximum_a_posteriori(
 
     Raises:
         UnusableInput: No physically consistent body satisfies the bounds.
+
+    Warns:
+        ExciteWarning: The minimisation has not converged.
     """
     rows, levels = _halfspaces(parameters, bounds or Bounds())
     problem = _BarrierProblem(parameters, root, target, prior, rows, levels)
@@ -278,16 +310,10 @@ def maximum_a_posteriori(
             "bounds: no physically consistent body satisfies the bounds of mass and centre; "
             "widen them"
         )
-    steps, ridge = 0, 1e-13 * np.eye(parameters.count)  # below rounding
+    decrement = np.inf
     for weight in (*_first_weights(problem, psi, barrier_weights[0]), *barrier_weights):
         for _ in range(MAX_NEWTON_STEPS):
-            gradient, hessian = problem.derivatives(psi, weight)
-            scale = 1.0 / np.sqrt(np.diag(hessian))
-            step = -scale * np.linalg.solve(
-                hessian * np.outer(scale, scale) + ridge, scale * gradient
-            )
-            decrement = -float(gradient @ step)
-            steps += 1
+            step, decrement = problem.newton_step(psi, weight)
             if decrement < (
                 FINAL_NEWTON_DECREMENT
                 if weight == barrier_weights[-1]
@@ -295,6 +321,13 @@ def maximum_a_posteriori(
             ):
                 break
             psi = _line_search(problem, psi, step, decrement, weight)
+    if decrement > MAX_GAP * max(problem.value(psi, 0.0), 1.0):
+        warnings.warn(
+            "the physically consistent parameters are not the best ones: the search for them has "
+            f"not converged, and their log-likelihood is about {0.5 * decrement:.2g} too low",
+            ExciteWarning,
+            stacklevel=2,
+        )
     spread = prior_information(parameters, local_prior(parameters, prior, psi))
     misfit = root @ psi - target
     distance = problem.penalty(psi) / prior.inertial_weight if prior.inertial_weight else 0.0
@@ -303,7 +336,7 @@ def maximum_a_posteriori(
         symmetric_pseudo_inverse(problem.information + spread),
         0.5 * float(misfit @ misfit),
         distance,
-        steps,
+        decrement,
     )
 
 

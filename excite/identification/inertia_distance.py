@@ -72,11 +72,16 @@ class NominalFrames:
 
     Attributes:
         nominal: Physically consistent nominal bodies. Shape (b, 10).
+        coordinates: D of coordinates x of the bodies, φ = D x, by which functions are
+            differentiated; φ itself if None. Shape (b, 10, 10).
         units: ∂M/∂φ. Shape (b, 10, 4, 4).
+        directions: ∂M/∂x. Shape (b, 10, 4, 4).
     """
 
     nominal: FloatArray
+    coordinates: FloatArray | None = None
     units: FloatArray = field(init=False)
+    directions: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(self.nominal)))
@@ -84,6 +89,12 @@ class NominalFrames:
             self,
             "units",
             inverse[:, None] @ PSEUDO_INERTIA_BASIS @ np.swapaxes(inverse, 1, 2)[:, None],
+        )
+        D = self.coordinates
+        object.__setattr__(
+            self,
+            "directions",
+            self.units if D is None else np.einsum("bkx,bkij->bxij", D, self.units),
         )
 
     def matrix(self, phi: FloatArray) -> FloatArray:
@@ -101,7 +112,7 @@ class NominalFrames:
     def barrier(self, phi: FloatArray, floor: float = 0.0) -> BodyFunction:
         """Compute the convex barrier −log|M − floor · 1| of each body."""
         M = self.matrix(phi) - floor * np.eye(4)
-        scaled = np.linalg.inv(M)[:, None] @ self.units
+        scaled = np.linalg.inv(M)[:, None] @ self.directions
         hessian = np.einsum("biac,bjca->bij", scaled, scaled, optimize=True)
         return BodyFunction(-np.linalg.slogdet(M)[1], -np.trace(scaled, axis1=2, axis2=3), hessian)
 
@@ -122,14 +133,18 @@ class NominalFrames:
         G = distance_metrics(kind, self.nominal)
         delta = phi - self.nominal
         change = np.einsum("bij,bj->bi", G, delta)
-        return BodyFunction(np.einsum("bi,bi->b", delta, change), 2.0 * change, 2.0 * G)
+        value = np.einsum("bi,bi->b", delta, change)
+        if self.coordinates is not None:
+            D = np.swapaxes(self.coordinates, 1, 2)
+            change, G = np.einsum("bij,bj->bi", D, change), D @ G @ self.coordinates
+        return BodyFunction(value, 2.0 * change, 2.0 * G)
 
     def _bregman(self, phi: FloatArray) -> BodyFunction:
         """Log-det Bregman divergence (review, eq. 17)."""
-        log_det, trace = self.barrier(phi), np.trace(self.units, axis1=2, axis2=3)
+        log_det = self.barrier(phi)
         return BodyFunction(
-            log_det.value + np.einsum("bk,bk->b", trace, phi) - 4.0,
-            log_det.gradient + trace,
+            log_det.value + np.trace(self.matrix(phi), axis1=1, axis2=2) - 4.0,
+            log_det.gradient + np.trace(self.directions, axis1=2, axis2=3),
             log_det.hessian,
         )
 
@@ -140,7 +155,7 @@ class NominalFrames:
         """
         d, V = np.linalg.eigh(self.matrix(phi))
         d = np.maximum(d, MIN_EIGENVALUE)
-        changes = np.swapaxes(V, 1, 2)[:, None] @ self.units @ V[:, None]
+        changes = np.swapaxes(V, 1, 2)[:, None] @ self.directions @ V[:, None]
         rate = np.log(d) / d
         gap, middle = d[:, :, None] - d[:, None, :], np.sqrt(d[:, :, None] * d[:, None, :])
         close = np.abs(gap) < EQUAL_EIGENVALUES * middle

@@ -9,6 +9,7 @@ by Clarabel. The Riemannian distance is not convex in the parameters and has no 
 from __future__ import annotations
 
 import importlib.util
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -144,12 +145,14 @@ def solve_lmi(
     problem = cp.Problem(
         cp.Minimize(cost), _constraints(parameters, prior, psi, bounds or Bounds())
     )
-    problem.solve(
-        solver=cp.CLARABEL,
-        tol_gap_abs=SOLVER_TOLERANCE,
-        tol_gap_rel=SOLVER_TOLERANCE,
-        tol_feas=SOLVER_TOLERANCE,
-    )
+    with warnings.catch_warnings():  # how accurate it is the comparison of the objectives tells
+        warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+        problem.solve(
+            solver=cp.CLARABEL,
+            tol_gap_abs=SOLVER_TOLERANCE,
+            tol_gap_rel=SOLVER_TOLERANCE,
+            tol_feas=SOLVER_TOLERANCE,
+        )
     if x.value is None:
         raise UnusableInput(
             f"--check-lmi: Clarabel reports that the problem is {problem.status}; widen the bounds "

@@ -50,7 +50,7 @@ from .final_model import FinalModel
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .gear_encoders import GearEstimate
-from .joint_model import JointModel
+from .joint_model import FRICTIONS, JointModel
 from .noise import NoiseEstimate
 from .position_errors import PositionErrors
 from .regression import rms
@@ -301,7 +301,8 @@ def _savable(
         if {block("viscous").start + j, block("coulomb").start + j} <= trusted.keys()
     }
     saved = [e for e in effects if e.needed and (e.asserted or e.joint not in stated)]
-    return model, {e.key: e.probability for e in saved}
+    # an effect other than a friction is saved only if it is asserted, and then it is there
+    return model, {e.key: e.probability if e.effect in FRICTIONS else 1.0 for e in saved}
 
 
 def _held_out_errors(

@@ -183,8 +183,9 @@ def _use(budgets: Sequence[JointBudget]) -> str:
 
 def _next_action(document: Document, budgets: Sequence[JointBudget]) -> str:
     """First actions on what these recordings leave open."""
-    actions = [_WITHOUT_PRIOR] if any(b.is_misled for b in budgets) else []
-    actions += [_ONE_SESSION] if any(b.is_changed for b in budgets) else []
+    if any(b.is_misled for b in budgets):
+        return _WITHOUT_PRIOR  # what else there is shows without it
+    actions = [_ONE_SESSION] if any(b.is_changed for b in budgets) else []
     if any(b.is_extrapolated for b in budgets):
         actions.append(_AS_FAST)
     actions += [
@@ -206,7 +207,8 @@ def _budget_section(
     improved = sorted((b for b in budgets if b.is_improved), key=lambda b: b.after / b.before)
     changed = [b.joint for b in budgets if b.is_changed]
     fast = [b.joint for b in budgets if b.is_extrapolated]
-    unknown = [b.joint for b in budgets if b.unknown]
+    misled = [b.joint for b in budgets if b.is_misled]
+    unknown = [b.joint for b in budgets if b.unknown and not b.is_misled]
     answer, tone = "Not known: no effect found reduces the error.", "warn"
     if "doubts" in document:
         answer = "Not known while findings are withheld: only the error is shown."
@@ -221,8 +223,9 @@ def _budget_section(
         tone = ""
     elif all(b.is_explained for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"
-    elif changed or fast or unknown:
+    elif misled or changed or fast or unknown:
         causes = {
+            "parameters of the prior that are in doubt": misled,
             "friction or offset that changed between the recordings": changed,
             "friction at speeds that the fitted recordings do not have": fast,
             "torque that no known effect explains": unknown,

@@ -14,9 +14,9 @@ from excite._types import FloatArray
 from excite.errors import UnusableInput
 from excite.identification import consistency
 from excite.identification.consistency import Bounds, Prior
-from excite.identification.inertia_distance import Distance, pseudo_inertias
+from excite.identification.inertia_distance import Distance
 from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
-from excite.robot.inertial_parameters import Parameters
+from excite.robot.inertial_parameters import Parameters, of_pseudo_inertia, pseudo_inertia
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +51,7 @@ def test_estimates_are_physically_consistent_for_any_data(seed: int, kind: Dista
 
 def sheared(body: FloatArray, transformation: FloatArray) -> FloatArray:
     """Return the inertial parameters of a body whose points are mapped affinely, A P Aᵀ."""
-    P = transformation @ pseudo_inertias(body[None])[0] @ transformation.T
-    tensor = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
-    entries = (tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2])
-    return np.array([P[3, 3], *P[:3, 3], *entries])
+    return of_pseudo_inertia(transformation @ pseudo_inertia(body) @ transformation.T)
 
 
 def shrunk(body: FloatArray, size: float) -> FloatArray:

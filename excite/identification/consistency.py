@@ -18,7 +18,13 @@ from scipy import linalg
 from .._types import FloatArray
 from ..errors import ExciteWarning, UnusableInput
 from ..robot.base_parameters import Base
-from ..robot.inertial_parameters import Parameters, inverse_root, proper_body, pseudo_inertia
+from ..robot.inertial_parameters import (
+    Parameters,
+    inverse_root,
+    of_pseudo_inertia,
+    proper_body,
+    pseudo_inertia,
+)
 from .inertia_distance import Distance, NominalFrames, distance_metrics, pseudo_inertias
 
 NONNEGATIVE_KINDS = ("rotor_inertia", "viscous", "coulomb")
@@ -452,18 +458,10 @@ def _interior_point(parameters: Parameters, nominal: FloatArray, bounds: Bounds)
                 low + INITIAL_BOUND_SHARE * (high - low),
                 high - INITIAL_BOUND_SHARE * (high - low),
             )
-        second = second + mass * np.outer(centre, centre)
-        tensor = np.trace(second) * np.eye(3) - second
-        psi[i : i + 10] = [
-            mass,
-            *(mass * centre),
-            tensor[0, 0],
-            tensor[0, 1],
-            tensor[1, 1],
-            tensor[0, 2],
-            tensor[1, 2],
-            tensor[2, 2],
-        ]
+        place = np.append(centre, 1.0)
+        P = mass * np.outer(place, place)
+        P[:3, :3] += second
+        psi[i : i + 10] = of_pseudo_inertia(P)
     return psi
 
 

@@ -222,14 +222,14 @@ def diagnose(
     remaining = unmodelled.find(model, evidence, estimate, residual, by_errors)
     in_model = estimates.estimate_effects(model, rare, evidence)
     considered = [*in_model, *estimates.small_effects(small)]
-    left = rms(residual, model.regression.moving)
+    residual_rms = rms(residual, model.regression.moving)
     refit: Identification | None = None
     if settings.trusted:
         progress("base model without the trusted parameters")
         free = replace(settings, trusted={})
         refit = identification.identify(robot, parameters, base, train, (), free, progress)
         rmse = _rmse(_motions(refit, pieces[0], hertz))
-        considered = estimates.with_doubts_about_prior(considered, left, rmse)
+        considered = estimates.with_doubts_about_prior(considered, residual_rms, rmse)
     effects = estimates.with_unmodelled(considered, model, remaining)
     progress("base model of the recordings without the effects")
     savable, probabilities = _savable(identified, model, rare, in_model)
@@ -248,7 +248,7 @@ def diagnose(
         tuple(effects),
         final,
         estimate,
-        left,
+        residual_rms,
         tuple(remaining),
         held_out,
         budget.torque_budget(identified, halves, final, effects, held_out),

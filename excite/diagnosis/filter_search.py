@@ -38,11 +38,50 @@ STEPS = 3
 """Gauss-Newton steps of the recording chain."""
 
 
+@dataclass(frozen=True)
+class FilterFits:
+    """Frictions of all joints at the identified parameters, without a filter and with the best one.
+
+    Attributes:
+        start: Those without a filter, at the identified widths of Coulomb friction.
+        plain: Those without a filter, widths and delay chosen.
+        filtered: The same with the filter of most evidence.
+        count: Number of filters that were compared.
+    """
+
+    start: JointModel
+    plain: JointModel
+    filtered: JointModel
+    count: int
+
+    def chosen(self, by_errors: Callable[[JointModel], float] = lambda _: 0.0) -> JointModel:
+        """Return the frictions that start every fit, with a filter if the motions show one.
+
+        Args:
+            by_errors: Evidence that errors of the positions alone give the filter of a model.
+        """
+        plain, filtered = (
+            replace(model, regression=model.regression.copy())
+            for model in (self.plain, self.filtered)
+        )
+        for model in (plain, filtered):
+            joint_model.reweight(model.regression)
+        evidence = _evidence(filtered, plain) - np.log(self.count)
+        low_pass = filtered.chain.filter
+        assert low_pass is not None
+        if low_pass.hertz > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE:
+            # noise of the positions is the larger part of fast motion, whose torque a filter
+            # reduces
+            evidence = probability.beyond_errors(evidence, by_errors(filtered))
+            if evidence > MIN_CHAIN_EVIDENCE:
+                return filtered
+        return self.start
+
+
 def first_round(
     identified: Identification,
     motions: Sequence[RecordedMotion],
-    like: LowPass | None = None,
-    by_errors: Callable[[JointModel], float] = lambda _: 0.0,
+    by_errors: Callable[[JointModel], float],
 ) -> JointModel:
     """Return the frictions of all joints at the identified parameters, which start every fit.
 
@@ -51,50 +90,31 @@ def first_round(
     Args:
         identified: The base model.
         motions: The motions to fit.
-        like: A filter to whose kind the search is confined; filters of all kinds if None.
         by_errors: Evidence that errors of the positions alone give the filter of a model.
     """
-    start = without_filter(identified, motions)
-    if start.n == 1:
-        return start  # the filter of a single joint cannot be told from its dynamics
-    plain, filtered = with_and_without_filter(identified, motions, start, like)
-    for model in (plain, filtered):
-        joint_model.reweight(model.regression)
-    evidence = _evidence(filtered, plain) - np.log(len(_filters(like)) * len(CORNERS))
-    low_pass = filtered.chain.filter
-    assert low_pass is not None
-    if low_pass.hertz > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE:
-        # noise of the positions is the larger part of fast motion, whose torque a filter reduces
-        evidence = probability.beyond_errors(evidence, by_errors(filtered))
-        if evidence > MIN_CHAIN_EVIDENCE:
-            return filtered
-    return start
+    if motions[0].n == 1:  # the filter of a single joint cannot be told from its dynamics
+        return without_filter(identified, motions)
+    return compared(identified, motions).chosen(by_errors)
 
 
-def with_and_without_filter(
-    identified: Identification,
-    motions: Sequence[RecordedMotion],
-    start: JointModel,
-    like: LowPass | None = None,
-) -> tuple[JointModel, JointModel]:
-    """Return the frictions of all joints without a filter, and with the best one.
+def compared(
+    identified: Identification, motions: Sequence[RecordedMotion], like: LowPass | None = None
+) -> FilterFits:
+    """Compare the frictions of all joints without a filter with those with every filter.
 
     Args:
         identified: The base model.
         motions: The motions to fit.
-        start: What `without_filter` returns.
         like: A filter to whose kind the search is confined; filters of all kinds if None.
     """
-    search = _Search(identified, motions, start.psi)
-    plain = search.refined(start)
-    return plain, search.best_filter(plain, _filters(like))
-
-
-def _filters(like: LowPass | None) -> list[tuple[LowPass, ...]]:
-    """Filters of all kinds, or of that of one filter."""
-    return [
+    filters = [
         of_kind for of_kind in FILTERS if like is None or like == of_kind[0].with_corner(like.hertz)
     ]
+    start = without_filter(identified, motions)
+    search = _Search(identified, motions, start.psi)
+    plain = search.refined(start)
+    filtered = search.best_filter(plain, filters)
+    return FilterFits(start, plain, filtered, len(filters) * len(CORNERS))
 
 
 def without_filter(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:

@@ -24,6 +24,7 @@ from ..identification.identification import Identification
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..recordings import quantization
 from . import filter_search, joint_model, posterior
+from .filter_search import FilterFits
 from .joint_model import JointModel
 
 NOISE_WINDOW = 2.0
@@ -101,7 +102,7 @@ class PositionErrors:
 
     identified: Identification
     motions: Sequence[RecordedMotion]
-    _starts: dict[LowPass | None, JointModel] = field(default_factory=dict)
+    _filter_fits: dict[LowPass, FilterFits] = field(default_factory=dict)
 
     def evidence(self, shapes: Sequence[CandidateModel], model: JointModel) -> dict[Key, float]:
         """Return the log Bayes factors that the errors give effects, of those that have any.
@@ -128,13 +129,11 @@ class PositionErrors:
         """
         if not self._matter(model):
             return 0.0
-        regression, motions = model.regression, self._disturbed
-        start = filter_search.without_filter(self.identified, motions)
+        assert model.chain.filter is not None
+        fits, regression = self._compared(model.chain.filter), model.regression
         without, with_ = (
             float(np.sum((m.regression.residual() / regression.sigma)[regression.moving] ** 2))
-            for m in filter_search.with_and_without_filter(
-                self.identified, motions, start, model.chain.filter
-            )
+            for m in (fits.plain, fits.filtered)
         )
         return max(0.5 * regression.independent_share * (without - with_), 0.0)
 
@@ -152,14 +151,22 @@ class PositionErrors:
     def _fitted(self, shapes: Sequence[CandidateModel], model: JointModel) -> JointModel:
         """Frictions and some effects of the motions with errors; a filter if the model has one."""
         low_pass = model.chain.filter
-        kind = None if low_pass is None else low_pass.with_corner(1.0)
-        if kind not in self._starts:
-            self._starts[kind] = (
-                filter_search.without_filter(self.identified, self._disturbed)
-                if low_pass is None
-                else filter_search.first_round(self.identified, self._disturbed, low_pass)
+        start = self._without_filter if low_pass is None else self._compared(low_pass).chosen()
+        return joint_model.fit(self.identified, self._disturbed, shapes, start)
+
+    @cached_property
+    def _without_filter(self) -> JointModel:
+        """Frictions of the motions with errors, without a filter."""
+        return filter_search.without_filter(self.identified, self._disturbed)
+
+    def _compared(self, low_pass: LowPass) -> FilterFits:
+        """Frictions of the motions with errors, without a filter and with the best of a kind."""
+        kind = low_pass.with_corner(1.0)
+        if kind not in self._filter_fits:
+            self._filter_fits[kind] = filter_search.compared(
+                self.identified, self._disturbed, low_pass
             )
-        return joint_model.fit(self.identified, self._disturbed, shapes, self._starts[kind])
+        return self._filter_fits[kind]
 
     def _matter(self, model: JointModel) -> bool:
         """Tell whether the errors would be evidence for an effect that explained all they leave."""

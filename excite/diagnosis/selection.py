@@ -164,7 +164,7 @@ class _Search:
         self._identified, self._motions, self._progress = identified, motions, progress
         self._position_errors = position_errors
         self._start = filter_search.first_round(
-            identified, motions, by_errors=position_errors.filter_evidence
+            identified, motions, position_errors.filter_evidence
         )
         self._error_evidence: dict[Key, float] = {}
         self.model = self._fit(())

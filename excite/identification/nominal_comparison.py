@@ -151,9 +151,8 @@ def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
         return []
     gravity, dynamic = nominal_torque(robot, motion)
     comparison = _comparison(torque, motion, gravity, dynamic)
-    dissipates = _friction_dissipates(torque, motion, comparison)
     remarks = [
-        *_sign_doubts(recording, comparison, dissipates),
+        *_sign_doubts(recording, torque, motion, comparison),
         *_scale_doubts(recording, comparison),
     ]
     if not remarks:
@@ -197,31 +196,8 @@ def _comparison(
     return NominalComparison(*parts)
 
 
-def _friction_dissipates(
-    torque: FloatArray, motion: Samples, comparison: NominalComparison
-) -> BoolArray:
-    """Tell whether friction clearly takes out power at each joint, whatever its nominal torque is.
-
-    Torque is fitted by friction, acceleration and nominal torque, of whatever sign and size. Shape
-    (n,).
-    """
-    out = np.zeros(torque.shape[1], bool)
-    for j, (speed, acceleration) in enumerate(zip(motion.dq.T, motion.ddq.T, strict=True)):
-        columns = _friction(speed)
-        count = columns.shape[1]
-        columns = np.column_stack([columns, acceleration, comparison.nominal[:, j]])
-        covariance = np.linalg.pinv(columns.T @ columns)
-        fitted = covariance @ columns.T @ torque[:, j]
-        variance = np.mean((torque[:, j] - columns @ fitted) ** 2)
-        power = np.zeros(len(fitted))
-        power[1:count] = columns[:, 1:count].T @ speed  # an offset takes out none on the way back
-        std = np.sqrt(variance * (power @ covariance @ power))
-        out[j] = power @ fitted > CLEARLY_NEGATIVE * std
-    return out
-
-
 def _sign_doubts(
-    recording: Recording, comparison: NominalComparison, dissipates: BoolArray
+    recording: Recording, torque: FloatArray, motion: Samples, comparison: NominalComparison
 ) -> Iterator[Remark]:
     """Yield a doubt for each joint whose torque has the opposite sign.
 
@@ -230,17 +206,40 @@ def _sign_doubts(
     slope, correlation = comparison.slopes()
     for j in np.flatnonzero(correlation < -MIN_CORRELATION).tolist():
         joint = recording.joints[j]
-        text = (
-            f"joint '{joint}': measured torque is {slope[j]:.3g} times the torque of the nominal "
-            f"model, with a correlation of {correlation[j]:.2f}; "
-        )
-        text += (
+        others = np.column_stack([motion.ddq[:, j], comparison.nominal[:, j]])
+        is_right = _friction_dissipates(torque[:, j], motion.dq[:, j], others)
+        reason = (
             "its friction takes out power, so that its sign is right, and mass or centre of mass "
             "of the links that it moves are wrong in the robot description"
-            if dissipates[j]
+            if is_right
             else "its sign is inverted, turn it"
         )
-        yield Remark(RemarkKind.TORQUE_SIGN, text, joint, doubt=not dissipates[j])
+        text = (
+            f"joint '{joint}': measured torque is {slope[j]:.3g} times the torque of the nominal "
+            f"model, with a correlation of {correlation[j]:.2f}; {reason}"
+        )
+        yield Remark(RemarkKind.TORQUE_SIGN, text, joint, doubt=not is_right)
+
+
+def _friction_dissipates(torque: FloatArray, speed: FloatArray, others: FloatArray) -> bool:
+    """Tell whether the friction of a joint clearly takes out power.
+
+    Args:
+        torque: Its measured torque. Shape (N,) [N m or N].
+        speed: Its speed. Shape (N,) [rad/s or m/s].
+        others: What else its torque is fitted by, of whatever sign and size. Shape (N, k).
+    """
+    friction = _friction(speed)
+    columns = np.column_stack([friction, others])
+    covariance = np.linalg.pinv(columns.T @ columns)
+    fitted = covariance @ columns.T @ torque
+    variance = np.mean((torque - columns @ fitted) ** 2)
+    power = np.zeros(len(fitted))
+    # an offset, the first column, takes out none on the way back
+    power[1 : friction.shape[1]] = friction[:, 1:].T @ speed
+    return bool(
+        power @ fitted > CLEARLY_NEGATIVE * np.sqrt(variance * (power @ covariance @ power))
+    )
 
 
 def _scale_doubts(recording: Recording, comparison: NominalComparison) -> Iterator[Remark]:

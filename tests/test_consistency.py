@@ -108,6 +108,27 @@ def test_no_consistent_neighbour_has_a_smaller_objective(standard, kind):
             assert objective(neighbour) >= objective(estimate.psi) - 1e-4
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("step", [1e-2, 1.0, 100.0])
+def test_an_estimate_does_not_depend_on_where_the_search_starts(standard, seed, step):
+    """Neither on an estimate of similar data, nor on a point outside the consistent set."""
+    rng = np.random.default_rng(seed)
+    root, target = 10.0 * rng.normal(size=(15, standard.count)), 10.0 * rng.normal(size=15)
+    prior = prior_of(standard)
+    expected = consistency.maximum_a_posteriori(standard, root, target, prior)
+    similar = consistency.maximum_a_posteriori(
+        standard, root, target + step * rng.normal(size=15), prior
+    )
+    outside = similar.psi - step * standard.scale @ rng.uniform(size=standard.count)
+    for start in (similar.psi, outside, expected.psi):
+        estimate = consistency.maximum_a_posteriori(standard, root, target, prior, start=start)
+        cost, least = (
+            consistency.map_objective(standard, root, target, prior, psi)
+            for psi in (estimate.psi, expected.psi)
+        )
+        assert abs(cost - least) < 1e-5 and estimate.gap < 1e-6
+
+
 def test_bounds_of_mass_and_centre_are_respected(standard):
     mass = standard.nominal[0]
     box = np.array([[-0.01, -0.01, -0.01], [0.01, 0.01, 0.01]])

@@ -585,4 +585,5 @@ def consistent_estimate(identified: Identification, fitted: JointModel) -> Consi
         target,
         identified.prior,
         identified.options.bounds,
+        start=fitted.psi,
     )

@@ -103,6 +103,7 @@ class PositionErrors:
     identified: Identification
     motions: Sequence[RecordedMotion]
     _filter_fits: dict[LowPass, FilterFits] = field(default_factory=dict)
+    _friction_fits: dict[LowPass | None, JointModel] = field(default_factory=dict)
 
     def evidence(self, shapes: Sequence[CandidateModel], model: JointModel) -> dict[Key, float]:
         """Return the log Bayes factors that the errors give effects, of those that have any.
@@ -151,8 +152,14 @@ class PositionErrors:
     def _fitted(self, shapes: Sequence[CandidateModel], model: JointModel) -> JointModel:
         """Frictions and some effects of the motions with errors; a filter if the model has one."""
         low_pass = model.chain.filter
-        start = self._without_filter if low_pass is None else self._compared(low_pass).chosen()
-        return joint_model.fit(self.identified, self._disturbed, shapes, start)
+        kind = low_pass and low_pass.with_corner(1.0)
+        fitted = None if shapes else self._friction_fits.get(kind)
+        if fitted is None:
+            start = self._without_filter if low_pass is None else self._compared(low_pass).chosen()
+            fitted = joint_model.fit(self.identified, self._disturbed, shapes, start)
+        if not shapes:
+            self._friction_fits[kind] = fitted
+        return replace(fitted, regression=fitted.regression.copy())
 
     @cached_property
     def _without_filter(self) -> JointModel:

@@ -25,6 +25,8 @@ EQUIVALENT_SHARE = 0.05
 """Probability over that of the chosen effect from which another one is its equivalent."""
 TIE = -probability.RARE_TEMPERATURE * float(np.log(EQUIVALENT_SHARE))
 """Difference of log Bayes factors up to which two candidates are equivalent; both are tried."""
+BATCH_SIZE = 64
+"""Models whose columns are computed before they are put together: both are in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,11 @@ class CandidateShapes:
 
     Attributes:
         models: Those whose columns are not zero.
-        batch: Their columns.
+        batches: Their columns, of `BATCH_SIZE` models each.
     """
 
     models: tuple[CandidateModel, ...]
-    batch: CandidateBatch
+    batches: tuple[CandidateBatch, ...]
 
     @classmethod
     def of(cls, joint: JointModel, shapes: Iterable[CandidateModel]) -> CandidateShapes:
@@ -84,14 +86,19 @@ class CandidateShapes:
             shapes: The models.
         """
         computed = ((shape, joint.columns(shape)) for shape in shapes)
-        kept = [(shape, columns) for shape, columns in computed if columns is not None]
-        batch = CandidateBatch.of([columns for _, columns in kept], joint.regression.moving)
-        return cls(tuple(shape for shape, _ in kept), batch)
+        usable = ((shape, columns) for shape, columns in computed if columns is not None)
+        kept: list[CandidateModel] = []
+        batches = []
+        while batch := list(itertools.islice(usable, BATCH_SIZE)):
+            kept += (shape for shape, _ in batch)
+            columns = [columns for _, columns in batch]
+            batches.append(CandidateBatch.of(columns, joint.regression.moving))
+        return cls(tuple(kept), tuple(batches))
 
     def fitted(self, joint: JointModel) -> list[Candidate]:
         """Return the candidates, each fitted alone on top of a joint model of the same motions."""
         regression = joint.regression
-        fits = regression.candidates(self.batch)
+        fits = itertools.chain(*(regression.candidates(batch) for batch in self.batches))
         return [
             Candidate(shape, fit, regression.independent_share)
             for shape, fit in zip(self.models, fits, strict=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -69,23 +70,61 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
         if not np.isfinite(width):
             continue
         low = max(MIN_RIPPLE_ORDER / recorded_motion.radian(fitted.motions, j), MIN_WAVES * width)
-        waves: list[CandidateModel] = []
+        waves: list[_Wave] = []
         present = fitted
         while len(known) + len(waves) < MAX_WAVES:
             order, gain, count = _spectrum_peak(present, j, low)
             gain *= share / float(np.mean(present.regression.residual_of(j)[moving] ** 2))
             evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
-            before = [wave.values["order"] for wave in waves]
+            before = [wave.order for wave in waves]
             if evidence < MIN_RIPPLE_EVIDENCE or _are_near([*known, *before, order], width):
                 break
-            orders = _refined_orders(fitted, j, [*before, order], width)
+            refined = _refined(fitted, j, waves, order, width)
+            orders = [wave.order for wave in refined]
             # of so few periods, a spring; near another one, a part of it
             if min(orders) < low or _are_near([*known, *orders], width):
                 break
-            waves = [torque_ripple.wave_model(fitted.motions, j, order) for order in orders]
-            present = fitted.with_effects(waves)
-        out += waves
+            waves = refined
+            present = fitted.with_effects(_models(fitted, j, waves))
+        out += _models(fitted, j, waves)
     return out
+
+
+@dataclass(frozen=True)
+class _Wave:
+    """A wave over the angle q of a joint.
+
+    Attributes:
+        order: Its spatial frequency k [1/rad].
+        columns: Low-pass cos kq, sin kq, q cos kq and q sin kq, shape (N, 4).
+    """
+
+    order: float
+    columns: FloatArray
+
+    @classmethod
+    def of(cls, motions: Sequence[RecordedMotion], joint: int, order: float) -> _Wave:
+        """Return the wave of an order along some motions."""
+
+        def wave(q: FloatArray) -> FloatArray:
+            cosine, sine = np.cos(order * q), np.sin(order * q)
+            return np.array([cosine, sine, q * cosine, q * sine]).T
+
+        return cls(order, _filtered(motions, joint, wave))
+
+    @property
+    def pair(self) -> FloatArray:
+        """Its cosine and sine, shape (N, 2)."""
+        return self.columns[:, :2]
+
+    def slope(self, c: FloatArray) -> FloatArray:
+        """Return its derivative by the order, shape (N, 1), with coefficients c of the pair."""
+        return c[1] * self.columns[:, 2:3] - c[0] * self.columns[:, 3:]
+
+
+def _models(fitted: JointModel, joint: int, waves: Sequence[_Wave]) -> list[CandidateModel]:
+    """Models of waves at a joint."""
+    return [torque_ripple.wave_model(fitted.motions, joint, wave.order) for wave in waves]
 
 
 def _are_near(orders: Sequence[float], width: float) -> bool:
@@ -109,7 +148,7 @@ def refined_waves(fitted: JointModel) -> list[CandidateModel]:
         ]
         if not waves:
             continue
-        slopes = np.hstack([_order_slope(_wave(fitted.motions, j, k), c) for k, c in waves])
+        slopes = np.hstack([_Wave.of(fitted.motions, j, k).slope(c) for k, c in waves])
         steps = fitted.regression.candidate(_free_columns(j, slopes)).coefficients
         width = _peak_width(fitted.motions, j)
         limit = MAX_ORDER_STEP * width
@@ -223,71 +262,50 @@ def _spectrum_peak(
     return float(orders[wanted][k]), 0.5 * float(power[k]), len(wanted)
 
 
-def _refined_orders(
-    fitted: JointModel, joint: int, orders: Sequence[float], width: float
-) -> list[float]:
+def _refined(
+    fitted: JointModel, joint: int, known: Sequence[_Wave], order: float, width: float
+) -> list[_Wave]:
     """Refine orders by Gauss-Newton steps, jointly with all coefficients of a joint model.
 
     Args:
         fitted: The joint model, without the waves.
         joint: Index of the joint.
-        orders: Their orders; the last one is that of a peak in the order spectrum [1/rad].
+        known: Waves that were refined without the last one.
+        order: Order of the last one, of a peak in the order spectrum [1/rad].
         width: Width of a peak [1/rad].
     """
-
     distances = width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
 
     def near(q: FloatArray) -> FloatArray:
         """Waves of all near orders, by powers of the phasor between two of them."""
-        first, between = orders[-1] - width, distances[1] - distances[0]
-        lowest, step = (np.exp(1j * k * q) for k in (first, between))
+        lowest, step = (np.exp(1j * k * q) for k in (order - width, distances[1] - distances[0]))
         waves = np.cumprod([lowest, *[step] * (NEAR_ORDERS - 1)], axis=0)
         return np.stack([waves.real, waves.imag], axis=1).reshape(-1, len(q)).T
 
     pairs = np.split(_filtered(fitted.motions, joint, near), NEAR_ORDERS, axis=1)
-    others = np.zeros((len(pairs[0]), 0))
-    if len(orders) > 1:
-        known = [_wave(fitted.motions, joint, order)[:, :2] for order in orders[:-1]]
-        others = np.hstack(known)
+    others = [wave.pair for wave in known]
     batch = CandidateBatch.of(
-        [_free_columns(joint, np.hstack([others, pair])) for pair in pairs],
+        [_free_columns(joint, np.hstack([*others, pair])) for pair in pairs],
         fitted.regression.moving,
     )
     gains = [fit.gain for fit in fitted.regression.candidates(batch)]
-    refined = np.array(orders, float)
-    refined[-1] += distances[int(np.argmax(gains))]
-    count, limit = 2 * len(refined), MAX_ORDER_STEP * width
+    nearest = order + float(distances[int(np.argmax(gains))])
+    waves = [*known, _Wave.of(fitted.motions, joint, nearest)]
+    count, limit = 2 * len(waves), MAX_ORDER_STEP * width
     for _ in range(GAUSS_NEWTON_STEPS):
-        waves = [_wave(fitted.motions, joint, order) for order in refined.tolist()]
-        columns = np.hstack([wave[:, :2] for wave in waves])
+        columns = np.hstack([wave.pair for wave in waves])
         c = fitted.regression.candidate(_free_columns(joint, columns)).coefficients
-        slopes = [_order_slope(*part) for part in zip(waves, c.reshape(-1, 2), strict=True)]
+        slopes = [wave.slope(part) for wave, part in zip(waves, c.reshape(-1, 2), strict=True)]
         fit = fitted.regression.candidate(_free_columns(joint, np.hstack([columns, *slopes])))
-        steps = np.clip(fit.coefficients[count:], -limit, limit)
-        refined += steps
-        if np.abs(steps).max() < ORDER_TOLERANCE * width:
+        steps = np.clip(fit.coefficients[count:], -limit, limit).tolist()
+        moved = [abs(step) >= ORDER_TOLERANCE * width for step in steps]
+        if not any(moved):
             break
-    return refined.tolist()
-
-
-def _wave(motions: Sequence[RecordedMotion], joint: int, order: float) -> FloatArray:
-    """Low-pass cos kq, sin kq, q cos kq and q sin kq of one order k, shape (N, 4)."""
-
-    def wave(q: FloatArray) -> FloatArray:
-        cosine, sine = np.cos(order * q), np.sin(order * q)
-        return np.array([cosine, sine, q * cosine, q * sine]).T
-
-    return _filtered(motions, joint, wave)
-
-
-def _order_slope(wave: FloatArray, c: FloatArray) -> FloatArray:
-    """Return the derivative of a wave with coefficients c by its order, shape (N, 1).
-
-    Args:
-        wave: What `_wave` returns.
-        c: Coefficients of its cosine and sine.
-    """
-    return c[1] * wave[:, 2:3] - c[0] * wave[:, 3:]
+        waves = [
+            _Wave.of(fitted.motions, joint, wave.order + step) if is_moved else wave
+            for wave, step, is_moved in zip(waves, steps, moved, strict=True)
+        ]
+    return waves
 
 
 def _filtered(

@@ -304,6 +304,8 @@ class _Search:
             shape: The best shape of the effect.
             ranking: All its shapes.
         """
+        if not self._may_be_needed(shape):
+            return None
         extended = self._fit((*self._shapes, shape))
         if shape.values.get("measured"):
             others = [i for i, m in enumerate(extended.models) if m.key != shape.key]
@@ -314,6 +316,17 @@ class _Search:
             if better.values != shape.values:
                 shape, extended = better, self._fit((*self._shapes, better))
         return self._judged(extended, shape, self.model)
+
+    def _may_be_needed(self, shape: CandidateModel) -> bool:
+        """Tell whether there is evidence for an effect next to the present model.
+
+        Its delay, widths and ripple are not fitted anew, nor is evidence against an effect overcome
+        by that.
+        """
+        extended = self.model.with_effects([shape])
+        joint_model.reweight(extended.regression)
+        is_there = shape.key in posterior.effect_groups(extended)
+        return is_there and posterior.judge(extended, shape.key)[0].log_bayes_factor > 0.0
 
     def _judged(
         self, extended: JointModel, shape: CandidateModel, before: JointModel | None

@@ -31,6 +31,8 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     The force is in the base frame; one column per basis function and component. Shape (N, n, 3 k).
     """
     course = _course(motion, model)
+    if not course.any():
+        return np.zeros((len(motion), motion.n, 3 * course.shape[1]))
     torque = -np.einsum("tk,txj->tjkx", course, motion.link_jacobians[:, model.joint_index])
     return motion.lowpass(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
 

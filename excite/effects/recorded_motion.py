@@ -409,21 +409,31 @@ class RecordedMotion:
         )
         return np.maximum(np.diag(dynamics.mass[0, :6]), 1e-9)
 
+    @memoized_for_all_fits
+    def _link_placements(self) -> tuple[FloatArray, FloatArray]:
+        """Jacobians of a point of the robot at the origin of the base frame, shape (C, 6, nv), and
+        placements [R | p] of the links' joints, shape (C, n links, 3, 4)."""
+        robot, model = self.fitted_robot.robot, self.fitted_robot.model
+        data, bodies = model.createData(), [robot.body_of(joint) for joint in range(robot.n)]
+        jacobians = np.empty((len(self.coarse_samples), 6, model.nv))
+        placements = np.empty((len(self.coarse_samples), robot.n, 3, 4))
+        for t, q in enumerate(robot.expand(self.coarse_samples.q)):
+            jacobians[t] = np.reshape(pin.computeJointJacobians(model, data, q), (6, -1))
+            placements[t] = [data.oMi[body].homogeneous[:3] for body in bodies]
+        return jacobians, placements
+
     @cached_property
     def link_jacobians(self) -> FloatArray:
         """Jacobians of the links' centres of mass in the base frame, shape (C, n links, 3, n)."""
         robot, model = self.fitted_robot.robot, self.fitted_robot.model
-        data = model.createData()
-        joints = [robot.body_of(joint) for joint in range(robot.n)]
+        bodies = [robot.body_of(joint) for joint in range(robot.n)]
         # column v of the Jacobian of joint i is zero unless the joint of v carries joint i
         carries = np.zeros((robot.n, model.nv))
-        for k, joint in enumerate(joints):
-            carries[k, [model.joints[int(i)].idx_v for i in model.supports[joint] if i > 0]] = 1.0
-        jacobians = np.empty((len(self.coarse_samples), 6, model.nv))
-        centres = np.empty((len(self.coarse_samples), robot.n, 3))
-        for t, q in enumerate(robot.expand(self.coarse_samples.q)):
-            jacobians[t] = np.reshape(pin.computeJointJacobians(model, data, q), (6, -1))
-            centres[t] = [data.oMi[joint].act(model.inertias[joint].lever) for joint in joints]
+        for k, body in enumerate(bodies):
+            carries[k, [model.joints[int(i)].idx_v for i in model.supports[body] if i > 0]] = 1.0
+        jacobians, placements = self._link_placements
+        levers = np.array([model.inertias[body].lever for body in bodies])
+        centres = np.einsum("tkxy,ky->tkx", placements[..., :3], levers) + placements[..., 3]
         turning = np.cross(
             jacobians[:, None, 3:], centres[:, :, :, None], axisa=2, axisb=2, axisc=2
         )

@@ -290,6 +290,7 @@ def maximum_a_posteriori(
     prior: Prior,
     bounds: Bounds | None = None,
     *,
+    start: FloatArray | None = None,
     barrier_weights: Sequence[float] = BARRIER_WEIGHTS,
 ) -> ConsistentEstimate:
     """Compute the physically consistent ψ̂ = argmin ½‖root ψ − target‖² + γ d(ψ, ψ₀)².
@@ -300,6 +301,7 @@ def maximum_a_posteriori(
         target: R θ̂. Shape (m,).
         prior: ψ₀, the distance and γ.
         bounds: Bounds of masses and centres of mass.
+        start: Estimate of a similar problem, from which fewer steps lead to this one, shape (P,).
         barrier_weights: Decreasing weights of the barrier, after those that the start needs.
 
     Raises:
@@ -310,23 +312,19 @@ def maximum_a_posteriori(
     """
     rows, levels = _halfspaces(parameters, bounds or Bounds())
     problem = _BarrierProblem(parameters, root, target, prior, rows, levels)
-    psi = _interior_point(parameters, prior.nominal, bounds or Bounds())
+    psi, decrement = _interior_point(parameters, prior.nominal, bounds or Bounds()), np.inf
     if rows.size and float(problem.slack(psi).min()) <= 0.0:
         raise UnusableInput(
             "bounds: no physically consistent body satisfies the bounds of mass and centre; "
             "widen them"
         )
-    decrement = np.inf
-    for weight in (*_first_weights(problem, psi, barrier_weights[0]), *barrier_weights):
-        for _ in range(MAX_NEWTON_STEPS):
-            step, decrement = problem.newton_step(psi, weight)
-            if decrement < (
-                FINAL_NEWTON_DECREMENT
-                if weight == barrier_weights[-1]
-                else NEWTON_DECREMENT * max(weight, 1.0)
-            ):
-                break
-            psi = _line_search(problem, psi, step, decrement, weight)
+    if start is not None and np.isfinite(problem.value(start, 1.0)):
+        near, decrement = _minimised(problem, start, barrier_weights[-1:])
+    if decrement < FINAL_NEWTON_DECREMENT:
+        psi = near
+    else:
+        weights = [*_first_weights(problem, psi, barrier_weights[0]), *barrier_weights]
+        psi, decrement = _minimised(problem, psi, weights)
     if decrement > MAX_GAP * max(problem.value(psi, 0.0), 1.0):
         warnings.warn(
             "the physically consistent parameters are not the best ones: the search for them has "
@@ -344,6 +342,31 @@ def maximum_a_posteriori(
         distance,
         decrement,
     )
+
+
+def _minimised(
+    problem: _BarrierProblem, psi: FloatArray, weights: Sequence[float]
+) -> tuple[FloatArray, float]:
+    """Minimise objective plus barrier for one weight after the other.
+
+    Args:
+        problem: The problem.
+        psi: The start.
+        weights: Decreasing weights of the barrier.
+
+    Returns:
+        ψ and the squared Newton decrement there.
+    """
+    decrement = np.inf
+    for weight in weights:
+        is_last = weight == weights[-1]
+        small = FINAL_NEWTON_DECREMENT if is_last else NEWTON_DECREMENT * max(weight, 1.0)
+        for _ in range(MAX_NEWTON_STEPS):
+            step, decrement = problem.newton_step(psi, weight)
+            if decrement < small:
+                break
+            psi = _line_search(problem, psi, step, decrement, weight)
+    return psi, decrement
 
 
 def _first_weights(problem: _BarrierProblem, psi: FloatArray, last: float) -> list[float]:

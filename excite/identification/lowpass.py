@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import UnusableInput
@@ -290,24 +291,11 @@ def _continuation(
 ) -> tuple[int, int, IntArray, IntArray, FloatArray]:
     """Samples before a signal and of its loop, the samples that both ends reflect, and the fade."""
     head = -(-min_margin // step) * step
-    total = step * _fast_length(-(-(head + count + min_margin) // step))
+    total = step * next_fast_len(-(-(head + count + min_margin) // step), real=True)
     tail = total - head - count
     offsets = np.minimum(np.arange(1, max(head, tail) + 1), count - 1)
     fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, tail + 1) / (tail + 1))
     return head, total, offsets[:head][::-1], count - 1 - offsets[:tail], fade
-
-
-def _fast_length(minimum: int) -> int:
-    """Return the smallest product of powers of 2, 3 and 5 that is not below `minimum`."""
-    best = 1 << (minimum - 1).bit_length()
-    five = 1
-    while five < best:
-        three = five
-        while three < best:
-            best = min(best, three << max(0, (-(-minimum // three) - 1).bit_length()))
-            three *= 3
-        five *= 5
-    return best
 
 
 def friction_speed(

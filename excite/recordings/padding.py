@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from .._types import FloatArray
 
 RESPONSE_PADDING = 32
-"""Rows by which a signal is continued at either end before it passes a filter; the impulse
-responses of a shift by less than a row, and of filters of recorded torque, are shorter [rows]."""
+"""Rows by which a signal is continued at either end before it passes a filter, at least; the
+impulse responses of a shift by less than a row, and of filters of recorded torque, are shorter."""
 
 
 def pad_by_reflection(x: FloatArray, before: int, after: int) -> FloatArray:
@@ -30,6 +31,21 @@ def pad_by_reflection(x: FloatArray, before: int, after: int) -> FloatArray:
     return np.concatenate([head, x, tail])
 
 
+def pad_to_fast_length(x: FloatArray, reach: int) -> tuple[FloatArray, int]:
+    """Continue a signal by odd reflection, to a length with a fast Fourier transform.
+
+    Args:
+        x: Evenly sampled signals. Shape (N, …).
+        reach: Number of rows to add at either end, at least; fewer if the signal has fewer.
+
+    Returns:
+        The signals, and the row at which they begin.
+    """
+    count, head = len(x), min(reach, len(x) - 1)
+    tail = min(next_fast_len(count + 2 * head, real=True) - count - head, count - 1)
+    return pad_by_reflection(x, head, tail), head
+
+
 def with_response(
     x: FloatArray,
     response: Callable[[int], NDArray[np.complex128]],
@@ -45,11 +61,12 @@ def with_response(
     Returns:
         The filtered signals. Shape (N, …).
     """
-    reach = 0 if periodic else min(RESPONSE_PADDING, len(x) - 1)
     columns = x.reshape(len(x), -1)
     nonzero = np.flatnonzero(columns.any(axis=0))  # most of a regressor is zero by structure
-    padded = pad_by_reflection(columns[:, nonzero], reach, reach).T
-    out = np.zeros(columns.shape)
-    passed = np.fft.irfft(np.fft.rfft(padded) * response(padded.shape[1]), padded.shape[1])
-    out[:, nonzero] = passed[:, reach : reach + len(x)].T
+    lines, head = columns[:, nonzero], 0
+    if not periodic:
+        lines, head = pad_to_fast_length(lines, RESPONSE_PADDING)
+    out, count = np.zeros(columns.shape), len(lines)
+    passed = np.fft.irfft(np.fft.rfft(lines.T) * response(count), count)
+    out[:, nonzero] = passed[:, head : head + len(x)].T
     return out.reshape(x.shape)

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from .padding import pad_by_reflection
+from .padding import pad_to_fast_length
 from .recording import MIN_ROWS
 from .time_axis import gap_free_slices
 
@@ -121,9 +121,7 @@ def smoothest_line(read: FloatArray, resolution: float, step: float) -> FloatArr
     from scipy import fft  # slow to import
 
     count = len(read)
-    head = min(count - 1, int(PADDING_TIME / step))
-    tail = min(fft.next_fast_len(count + 2 * head, real=True) - count - head, count - 1)
-    line = pad_by_reflection(read, head, tail)
+    line, head = pad_to_fast_length(read, int(PADDING_TIME / step))
     trend = np.linspace(line[0], line[-1], len(line))
     line = line - trend  # periodic
     corner = FILTER_CORNER * (REFERENCE_RESOLUTION / resolution) ** 0.25

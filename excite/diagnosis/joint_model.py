@@ -185,9 +185,17 @@ class JointModel:
 
 
 def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
-    """Return the friction models of every joint."""
+    """Return the friction models of every joint.
+
+    Far from any rest, presliding hysteresis is Coulomb friction: a joint all of whose rows lie
+    there shows none.
+    """
+    near_rest = np.any([(m.moving & ~m.far_from_rest).any(axis=0) for m in motions], axis=0)
     return [
-        effect.dense_model(motions, j) for j in range(motions[0].n) for effect in FRICTIONS.values()
+        effect.dense_model(motions, j)
+        for j in range(motions[0].n)
+        for effect in FRICTIONS.values()
+        if near_rest[j] or effect is not hysteresis
     ]
 
 

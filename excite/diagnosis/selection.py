@@ -33,6 +33,7 @@ from .rare_candidates import (
     Ranking,
     tuned,
 )
+from .regression import rms
 
 MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
@@ -356,7 +357,7 @@ class _Search:
         is_predictive = cross_validation.gain(extended, replaced, extended, members) > 0.0 and (
             before is None or cross_validation.gain(extended, replaced, before, ()) > -TIE
         )
-        if is_large and is_predictive:
+        if is_large and is_predictive and _is_seen_in_motion(extended, replaced, members):
             return self._beyond_position_errors(_Addition(shape, extended, evidence))
         if not is_large and key[0] not in LAST_RESORTS:
             self._small[key] = replace(
@@ -461,6 +462,31 @@ def _is_same_body(first: CandidateModel, second: CandidateModel) -> bool:
 def _is_of_link(effect: str) -> bool:
     """Tell whether an effect acts on a link."""
     return effect != UNMODELLED and EFFECTS_BY_NAME[effect].of_link
+
+
+def _is_seen_in_motion(
+    model: JointModel, replaced: Collection[int], members: Collection[int]
+) -> bool:
+    """Tell whether an effect explains torque far from any rest of the joints.
+
+    Friction at rest takes any value, and passes from one to another in a time of its own. An effect
+    that explains this alone is worse than none as soon as the joints move. A contact is sought in a
+    short interval, and needs no such rows.
+
+    Args:
+        model: A joint model with the effect.
+        replaced: Numbers of the effects whose place it takes.
+        members: Numbers of the effect.
+    """
+    if any(model.models[number].interval is not None for number in members):
+        return True
+    regression = model.regression
+    far = regression.moving & np.concatenate([motion.far_from_rest for motion in model.motions])
+    present, absent = (
+        np.maximum(rms(regression.residual(regression.without(left_out)), far), 1e-300)
+        for left_out in (replaced, members)
+    )
+    return bool(far.sum(axis=0) @ np.log(absent / present) >= 0.0)
 
 
 def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:

@@ -11,11 +11,11 @@ import numpy as np
 import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import IdentificationModel, filtered_friction, filtered_regressor
 from ..identification.segments import RecordingSegment
-from ..identification.standstill import moving_rows
+from ..identification.standstill import FILTER_REACH, far_from_rest, moving_rows
 from ..robot.dynamics import inverse_dynamics
 from ..robot.inertial_parameters import Parameters, model_with_inertias
 from ..robot.robot import Robot
@@ -24,8 +24,8 @@ from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetr
 
 T = TypeVar("T")
 MIN_MOVING_SHARE = 0.3
-"""Share of the time that a joint must move. A joint that moves less is judged at all times, as
-little would remain."""
+"""Share of the time that a joint must move. A joint that moves less is judged near its stops as
+well, or at all times, as little would remain."""
 
 
 @dataclass(frozen=True)
@@ -227,9 +227,23 @@ class RecordedMotion:
     @memoized_for_all_fits
     def moving(self) -> BoolArray:
         """Rows at which a joint moves, shape (N, n); static friction is not modelled."""
-        rows = np.rint((self.time - self.segment.start) * self.segment.rate).astype(int)
-        moving = moving_rows(self.segment, self.samples.q, self.samples.dq, rows)
-        return moving | (moving.mean(axis=0) <= MIN_MOVING_SHARE)
+        out = np.zeros((len(self), self.n), bool)
+        for reach in (FILTER_REACH / self.band.hertz, 0.0):
+            q, dq = self.samples.q, self.samples.dq
+            moving = moving_rows(self.segment, q, dq, self._row_samples, reach=reach)
+            out = np.where(out.mean(axis=0) > MIN_MOVING_SHARE, out, moving)
+        return out | (out.mean(axis=0) <= MIN_MOVING_SHARE)
+
+    @memoized_for_all_fits
+    def far_from_rest(self) -> BoolArray:
+        """Rows that no friction at rest reaches through the low-pass filter, shape (N, n)."""
+        reach = int(FILTER_REACH / self.band.hertz * self.segment.rate)
+        return far_from_rest(self.samples.dq, self._row_samples, reach)
+
+    @property
+    def _row_samples(self) -> IntArray:
+        """Sample of each row, shape (N,)."""
+        return np.rint((self.time - self.segment.start) * self.segment.rate).astype(int)
 
     @memoized_for_all_fits
     def reversal_dwell(self) -> FloatArray:

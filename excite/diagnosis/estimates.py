@@ -34,8 +34,6 @@ FORM_STD = 0.2
 by the form of the effect."""
 EXCHANGEABLE = ("stribeck", "nonlinear_viscous")
 """Frictions that are one curve with two names: each may take a part of the other."""
-EXCHANGEABLE_STD = 0.4
-"""The same for their torques."""
 LOG_STEP = 0.02
 """Step of the derivative by the logarithm of a nonlinear parameter."""
 MAX_LOG_CHANGE = 1.0
@@ -384,7 +382,7 @@ class _Posterior:
         change[places] = self.solution.coefficients[places]
         torque = self.torque_beyond_base(change)
         severity = float((torque / self.model.regression.sigma).max())
-        form = EXCHANGEABLE_STD if estimate.effect in EXCHANGEABLE else FORM_STD
+        form = posterior.SIZE_SPREAD if estimate.effect in EXCHANGEABLE else FORM_STD
         return replace(
             estimate,
             coefficients=tuple(self.solution.coefficients[slices[e]] for e in effects),

@@ -16,6 +16,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from .._types import FloatArray
 from ..effects.effect import CandidateModel, Key
@@ -30,6 +31,9 @@ DENSE_NAMES = (*FRICTIONS, "torque_ripple")
 """Effects that the joint model has from the start."""
 MIN_SEVERITY = 0.3
 """Growth of the residual without an effect, over the noise, from which it counts."""
+SIZE_SPREAD = 0.4
+"""Standard deviation of the logarithm of a friction's size, by the form of its curve, of which
+another friction may take a part."""
 VARIANCE_FREEDOM = 2.0
 """Degrees of freedom of the prior of the variance during a transient effect, by the scatter of the
 variance over tenths of a recording: 2 to 4 for hobby servos, KR300 and TX40, 8 in the median of 12
@@ -147,8 +151,14 @@ def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Proba
     for name in DENSE_NAMES:
         members = [e for e in evidence if e.name == name]
         shared = shared_probabilities(n, [e.log_bayes_factor for e in members])
-        out |= {e.key: Probability(p) for e, p in zip(members, shared, strict=True)}
+        for entry, p in zip(members, shared, strict=True):
+            out[entry.key] = Probability(p, 1.0 if entry.is_in_model else _may_count(entry.size))
     return out
+
+
+def _may_count(size: float) -> float:
+    """Return the probability that the size of a friction is one that counts."""
+    return float(special.ndtr(np.log(max(size, 1e-9) / MIN_SEVERITY) / SIZE_SPREAD))
 
 
 def shared_probabilities(n: int, log_bayes_factors: Sequence[float]) -> list[float]:

@@ -28,6 +28,8 @@ NAMED_JOINTS = 5
 """Joints that are named before they are only counted."""
 CHANGED_SHARE = 0.5
 """Share of the squared error from which it is mostly a change between the recordings."""
+MAX_UNSEEN_GAIN = 0.995
+"""Gain of a filter that rounds to 1 [1]."""
 MISLED_SHARE = 0.5
 """Share of the squared error that must go without the trusted prior for the prior to be in doubt:
 parameters that are refit without need differ from true ones by less than the noise."""
@@ -85,7 +87,7 @@ def filter_words(document: Mapping[str, Any]) -> str:
         document: The diagnosis as in `diagnosis.json`.
     """
     entry = document[RECORDING_FILTER]
-    if entry is None:
+    if entry is None or min(entry["gain"]) > MAX_UNSEEN_GAIN:
         return ""
     gains = [
         f"{gain:.2f} at {significant(hertz)} Hz"

@@ -43,7 +43,8 @@ def moving_rows(
         dq: Its low-passed velocities. Shape (M, n) [rad/s or m/s].
         rows: Sample of each row. Shape (N,).
         shortest: Duration from which a standstill counts, unless the encoder is coarse [s].
-        reach: Time before and after a stop at which the rows do not count either [s].
+        reach: Time before and after a standstill of more than this time at which the rows do not
+            count either [s].
 
     Returns:
         Shape (N, n).
@@ -76,7 +77,7 @@ def far_from_rest(dq: FloatArray, rows: IntArray, reach: int) -> BoolArray:
     Returns:
         Shape (N, n).
     """
-    at_rest = _is_below(dq, STANDSTILL_SPEED_RATIO)
+    at_rest = _is_still(dq)
     at_rest[1:] |= np.sign(dq[1:]) != np.sign(dq[:-1])
     out = np.empty((len(rows), dq.shape[1]), bool)
     for j, column in enumerate(at_rest.T):
@@ -86,9 +87,9 @@ def far_from_rest(dq: FloatArray, rows: IntArray, reach: int) -> BoolArray:
     return out
 
 
-def _is_below(dq: FloatArray, ratio: float) -> BoolArray:
-    """Samples at which each joint is slower than a share of its largest speed, (M, …)."""
-    return np.asarray(np.abs(dq) < ratio * np.abs(dq).max(axis=0))
+def _is_still(dq: FloatArray) -> BoolArray:
+    """Samples at which each joint stands still, shape (M, …)."""
+    return np.asarray(np.abs(dq) < STANDSTILL_SPEED_RATIO * np.abs(dq).max(axis=0))
 
 
 def _moving(q: FloatArray, dq: FloatArray, standstill: int, reach: int) -> BoolArray:
@@ -98,11 +99,11 @@ def _moving(q: FloatArray, dq: FloatArray, standstill: int, reach: int) -> BoolA
         q: Joint position, shape (M,).
         dq: Joint velocity, shape (M,).
         standstill: Number of samples from which a standstill counts.
-        reach: Number of samples before and after a stop that do not count either.
+        reach: Number of samples before and after a standstill of more than that number which do
+            not count either.
     """
     out, breakaway = np.ones(len(q), bool), BREAKAWAY_TRAVEL_RATIO * float(np.ptp(q))
-    still = _is_below(dq, STANDSTILL_SPEED_RATIO)
-    for start, end in true_runs(still).tolist():
+    for start, end in true_runs(_is_still(dq)).tolist():
         if end - start <= standstill:
             continue
         around = reach if end - start > reach else 0

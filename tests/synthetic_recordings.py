@@ -103,6 +103,11 @@ def rnea_torque(
     )
 
 
+def rest_to_rest(phase: FloatArray) -> FloatArray:
+    """Return a smooth way from 0 to 1 over the phase, at rest at both ends."""
+    return np.asarray(phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2))
+
+
 def random_fourier(n: int, seed: int = 0, period: float = PERIOD) -> FourierSeries:
     """Return a random Fourier series of n joints."""
     rng = np.random.default_rng(seed)

@@ -19,7 +19,7 @@ from diagnosis_cases import (
     findings_of,
     recording_of,
 )
-from synthetic_recordings import pinocchio_model, rnea_torque
+from synthetic_recordings import pinocchio_model, rest_to_rest, rnea_torque
 
 from excite._types import FloatArray
 from excite.diagnosis.diagnosis import Diagnosis
@@ -39,10 +39,9 @@ RESOLUTION = 2.0 * np.pi / 2**16
 """Resolution of the encoders [rad]."""
 
 
-def quintic(count: int) -> FloatArray:
-    """Return a smooth way from 0 to 1, shape (count,)."""
-    u = np.linspace(0.0, 1.0, count)
-    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
+def way(count: int) -> FloatArray:
+    """Return the samples of a move from 0 to 1, shape (count,)."""
+    return rest_to_rest(np.linspace(0.0, 1.0, count))
 
 
 def reference(seed: int) -> FloatArray:
@@ -51,7 +50,7 @@ def reference(seed: int) -> FloatArray:
     poses, parts = rng.uniform(-1.2, 1.2, (MOVES + 1, 2)), []
     for start, end in itertools.pairwise(poses):
         move, dwell = (int(x / STEP) for x in rng.uniform([0.6, 0.3], [1.2, 0.8]))
-        parts += [start + quintic(move)[:, None] * (end - start), np.tile(end, (dwell, 1))]
+        parts += [start + way(move)[:, None] * (end - start), np.tile(end, (dwell, 1))]
     return np.concatenate(parts)
 
 
@@ -110,8 +109,8 @@ def segment_of(q: FloatArray) -> tuple[RecordingSegment, FloatArray]:
 
 
 def test_rows_near_a_stop_do_not_count_and_those_near_a_reversal_do():
-    way = quintic(200)
-    stop = np.concatenate([way, np.ones(100), 1.0 - way])
+    rising = way(200)
+    stop = np.concatenate([rising, np.ones(100), 1.0 - rising])
     swing = np.cos(np.linspace(0.0, 8.0 * np.pi, 1600))
     for q, stands in ((stop, True), (swing, False)):
         segment, dq = segment_of(q)

@@ -12,6 +12,7 @@ from synthetic_recordings import (
     PERIOD,
     perturbed_parameters,
     random_fourier,
+    rest_to_rest,
     rnea_torque,
     synthetic_recording,
     two_link_model,
@@ -75,7 +76,7 @@ def resting_recording(
     """Return a recording of moves between rests, at which friction takes any value up to ±F."""
     rng, rate, moves = np.random.default_rng(seed), 250.0, 40
     phase = np.linspace(0.0, 1.0, 250)[:, None]
-    share = phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
+    share = rest_to_rest(phase)
     poses = rng.uniform(-1.5, 1.5, (moves + 1, model.robot.n))
     if held_joint is not None:
         poses[:, held_joint] = 0.3

@@ -12,6 +12,7 @@ from conftest import states, text_of
 from synthetic_recordings import (
     perturbed_parameters,
     random_fourier,
+    rest_to_rest,
     synthetic_recording,
     two_link_model,
     write_recording,
@@ -154,7 +155,7 @@ def test_torque_is_predicted_at_unix_times(folder, tmp_path):
 )
 def test_a_prediction_warns_of_ends_in_motion(folder, tmp_path, capsys, first, last, times):
     share = np.clip(np.linspace(-0.2, 1.2, 701), 0.0, 1.0)
-    rising = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)  # from rest to rest
+    rising = rest_to_rest(share)
     noise = np.random.default_rng(1).normal(scale=1e-5, size=701)  # of a joint that is held
     table = np.column_stack([0.004 * np.arange(701), rising, noise])[first:last]
     path = tmp_path / "motion.csv"

@@ -14,7 +14,7 @@ from functools import cache
 
 import numpy as np
 
-from .._types import BoolArray, FloatArray
+from .._types import FloatArray
 from ..effects.delay import LowPass
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
@@ -22,7 +22,7 @@ from ..identification.identification import Identification
 from . import joint_model, probability
 from .joint_model import MIN_CHAIN_EVIDENCE, JointModel, renewed_chain
 from .recording_chain import MIN_CORNER, RecordingChain
-from .regression import rms
+from .regression import log_error_ratio
 
 CORNERS = MIN_CORNER * 2.0 ** np.arange(4)
 """Corner frequencies that are compared; a step of Gauss-Newton leads to those between [Hz]."""
@@ -72,8 +72,9 @@ class FilterFits:
         assert low_pass is not None
         # friction at rest passes from one value to another in a time of its own, as if filtered; it
         # is the same at all other times, which a filter would change
-        far = np.concatenate([motion.far_from_rest for motion in plain.motions])
-        against = -float(_gain(filtered, plain, far).sum())
+        without, with_ = (model.regression.residual() for model in (plain, filtered))
+        lost = log_error_ratio(without, with_, plain.far_from_rest)
+        against = plain.regression.independent_share * float(lost.sum())
         if low_pass.hertz > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE > against:
             # noise of the positions is the larger part of fast motion, whose torque a filter
             # reduces
@@ -190,15 +191,11 @@ def _computed_once(model: CandidateModel) -> CandidateModel:
     return replace(model, torque_columns=lambda motion, _: columns(motion))
 
 
-def _gain(model: JointModel, plain: JointModel, rows: BoolArray | None = None) -> FloatArray:
-    """Log likelihood ratio of two models at each joint, shape (n,).
-
-    By all rows, or by some of them, shape (N, n).
-    """
-    moving = plain.regression.moving if rows is None else plain.regression.moving & rows
-    new, old = (np.maximum(rms(m.regression.residual(), moving), 1e-300) for m in (model, plain))
-    count = plain.regression.independent_share * moving.sum(axis=0)
-    return np.asarray(count * np.log(old / new))
+def _gain(model: JointModel, plain: JointModel) -> FloatArray:
+    """Log likelihood ratio of two models at each joint, shape (n,)."""
+    new, old = (np.maximum(m.regression.residual_rms(m.solution), 1e-300) for m in (model, plain))
+    rows = plain.regression.independent_share * plain.regression.moving.sum(axis=0)
+    return np.asarray(rows * np.log(old / new))
 
 
 def _evidence(model: JointModel, plain: JointModel) -> float:

@@ -133,6 +133,12 @@ class JointModel:
         """The solution of the regression."""
         return self.regression.solution
 
+    @property
+    def far_from_rest(self) -> BoolArray:
+        """Rows that count and that no friction at rest reaches, shape (N, n)."""
+        far = np.concatenate([motion.far_from_rest for motion in self.motions])
+        return np.asarray(self.regression.moving & far)
+
     def coefficients(self, effect: int) -> FloatArray:
         """Return the coefficients of an effect, shape (k,)."""
         return np.asarray(self.solution.coefficients[self.regression.slices[effect]])

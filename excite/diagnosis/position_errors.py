@@ -130,8 +130,9 @@ class PositionErrors:
         """
         if not self._matter(model):
             return 0.0
-        assert model.chain.filter is not None
-        fits, regression = self._compared(model.chain.filter), model.regression
+        kind, regression = _kind_of_filter(model), model.regression
+        assert kind is not None
+        fits = self._compared(kind)
         without, with_ = (
             float(np.sum((m.regression.residual() / regression.sigma)[regression.moving] ** 2))
             for m in (fits.plain, fits.filtered)
@@ -151,11 +152,10 @@ class PositionErrors:
 
     def _fitted(self, shapes: Sequence[CandidateModel], model: JointModel) -> JointModel:
         """Frictions and some effects of the motions with errors; a filter if the model has one."""
-        low_pass = model.chain.filter
-        kind = low_pass and low_pass.with_corner(1.0)
+        kind = _kind_of_filter(model)
         fitted = None if shapes else self._friction_fits.get(kind)
         if fitted is None:
-            start = self._without_filter if low_pass is None else self._compared(low_pass).chosen()
+            start = self._without_filter if kind is None else self._compared(kind).chosen()
             fitted = joint_model.fit(self.identified, self._disturbed, shapes, start)
         if not shapes:
             self._friction_fits[kind] = fitted
@@ -166,13 +166,10 @@ class PositionErrors:
         """Frictions of the motions with errors, without a filter."""
         return filter_search.without_filter(self.identified, self._disturbed)
 
-    def _compared(self, low_pass: LowPass) -> FilterFits:
+    def _compared(self, kind: LowPass) -> FilterFits:
         """Frictions of the motions with errors, without a filter and with the best of a kind."""
-        kind = low_pass.with_corner(1.0)
         if kind not in self._filter_fits:
-            self._filter_fits[kind] = filter_search.compared(
-                self.identified, self._disturbed, low_pass
-            )
+            self._filter_fits[kind] = filter_search.compared(self.identified, self._disturbed, kind)
         return self._filter_fits[kind]
 
     def _matter(self, model: JointModel) -> bool:
@@ -203,6 +200,11 @@ class PositionErrors:
             motion.with_torque(_modelled_torque(exact))
             for motion, exact in zip(motions(noisy), motions(smooth), strict=True)
         ]
+
+
+def _kind_of_filter(model: JointModel) -> LowPass | None:
+    """Filter of a model with a corner frequency of 1 Hz; None without one."""
+    return model.chain.filter and model.chain.filter.with_corner(1.0)
 
 
 def _further_noise(motion: RecordedMotion, rng: np.random.Generator) -> FloatArray:

@@ -16,7 +16,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
 from .._types import FloatArray
 from ..effects.effect import CandidateModel, Key
@@ -151,14 +150,12 @@ def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Proba
     for name in DENSE_NAMES:
         members = [e for e in evidence if e.name == name]
         shared = shared_probabilities(n, [e.log_bayes_factor for e in members])
-        for entry, p in zip(members, shared, strict=True):
-            out[entry.key] = Probability(p, 1.0 if entry.is_in_model else _may_count(entry.size))
+        for e, p in zip(members, shared, strict=True):
+            counts = (
+                1.0 if e.is_in_model else probability.by_size(e.size, MIN_SEVERITY, SIZE_SPREAD)
+            )
+            out[e.key] = Probability(p, float(counts))
     return out
-
-
-def _may_count(size: float) -> float:
-    """Return the probability that the size of a friction is one that counts."""
-    return float(special.ndtr(np.log(max(size, 1e-9) / MIN_SEVERITY) / SIZE_SPREAD))
 
 
 def shared_probabilities(n: int, log_bayes_factors: Sequence[float]) -> list[float]:

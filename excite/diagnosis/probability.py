@@ -45,7 +45,8 @@ class Probability:
 
     Attributes:
         evidence: That it is not noise, by its evidence, and that of other joints for a friction.
-        size: That it is large enough to be told from the errors of other forms; 1 for a friction.
+        size: That it is large enough to be told from the errors of other forms; 1 for a friction of
+            the model, and that it counts for any other.
         share: That it, or one of its equivalents, is there, and no other effect in its place.
         known: That it is no part of torque that no effect explains.
         prior: That it is no part of an error of the trusted parameters.
@@ -116,11 +117,17 @@ def by_evidence(log_bayes_factor: float | FloatArray) -> FloatArray:
     )
 
 
-def by_size(size: float | FloatArray) -> FloatArray:
-    """Return the probability that evidence for any other effect is its own, Φ(ln(s/s₀)/w).
+def by_size(
+    size: float | FloatArray, least: float = RARE_SIZE, spread: float = RARE_SPREAD
+) -> FloatArray:
+    """Return the probability that the size of an effect is large enough, Φ(ln(s/s₀)/w).
+
+    By default, for evidence for any effect other than a friction to be its own.
 
     Args:
         size: RMS torque beyond what all other effects could stand for, over the noise.
+        least: Size s₀ at which that is as probable as not.
+        spread: Spread w of the logarithm of the size.
     """
-    size_odds = np.log(np.maximum(np.asarray(size), 1e-9) / RARE_SIZE) / RARE_SPREAD
+    size_odds = np.log(np.maximum(np.asarray(size), 1e-9) / least) / spread
     return np.asarray(special.ndtr(size_odds))

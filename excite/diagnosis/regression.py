@@ -561,6 +561,20 @@ def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(np.where(moving, residual, 0.0) ** 2, axis=0) / count))
 
 
+def log_error_ratio(new: FloatArray, old: FloatArray, rows: BoolArray) -> FloatArray:
+    """Return N ln(r_old/r_new) of each joint, r the RMS of its N rows, shape (n,).
+
+    It is the log likelihood ratio of two models if all rows are independent.
+
+    Args:
+        new: Torque residual of one model, shape (N, n).
+        old: That of the other.
+        rows: Rows that count, shape (N, n).
+    """
+    after, before = (np.maximum(rms(residual, rows), 1e-300) for residual in (new, old))
+    return np.asarray(rows.sum(axis=0) * np.log(before / after))
+
+
 def independent_share(residual: FloatArray, moving: BoolArray) -> float:
     """Return the share ρ of independent rows, 1/(1 + 2 Σ r_k), the median over the joints.
 

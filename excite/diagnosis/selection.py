@@ -33,7 +33,7 @@ from .rare_candidates import (
     Ranking,
     tuned,
 )
-from .regression import rms
+from .regression import log_error_ratio
 
 MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
@@ -481,12 +481,10 @@ def _is_seen_in_motion(
     if any(model.models[number].interval is not None for number in members):
         return True
     regression = model.regression
-    far = regression.moving & np.concatenate([motion.far_from_rest for motion in model.motions])
     present, absent = (
-        np.maximum(rms(regression.residual(regression.without(left_out)), far), 1e-300)
-        for left_out in (replaced, members)
+        regression.residual(regression.without(left_out)) for left_out in (replaced, members)
     )
-    return bool(far.sum(axis=0) @ np.log(absent / present) >= 0.0)
+    return bool(log_error_ratio(present, absent, model.far_from_rest).sum() >= 0.0)
 
 
 def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:

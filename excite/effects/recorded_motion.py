@@ -227,11 +227,12 @@ class RecordedMotion:
     @memoized_for_all_fits
     def moving(self) -> BoolArray:
         """Rows at which a joint moves, shape (N, n); static friction is not modelled."""
-        out = np.zeros((len(self), self.n), bool)
+        out, q, dq = np.zeros((len(self), self.n), bool), self.samples.q, self.samples.dq
         for reach in (FILTER_REACH / self.band.hertz, 0.0):
-            q, dq = self.samples.q, self.samples.dq
-            moving = moving_rows(self.segment, q, dq, self._row_samples, reach=reach)
-            out = np.where(out.mean(axis=0) > MIN_MOVING_SHARE, out, moving)
+            few = out.mean(axis=0) <= MIN_MOVING_SHARE
+            if few.any():
+                moving = moving_rows(self.segment, q, dq, self._row_samples, reach=reach)
+                out[:, few] = moving[:, few]
         return out | (out.mean(axis=0) <= MIN_MOVING_SHARE)
 
     @memoized_for_all_fits

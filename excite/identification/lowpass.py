@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import UnusableInput
@@ -290,6 +289,8 @@ def _continuation(
     count: int, min_margin: int, step: int
 ) -> tuple[int, int, IntArray, IntArray, FloatArray]:
     """Samples before a signal and of its loop, the samples that both ends reflect, and the fade."""
+    from scipy.fft import next_fast_len  # slow to import
+
     head = -(-min_margin // step) * step
     total = step * next_fast_len(-(-(head + count + min_margin) // step), real=True)
     tail = total - head - count

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from .._types import FloatArray
 
@@ -41,6 +40,8 @@ def pad_to_fast_length(x: FloatArray, reach: int) -> tuple[FloatArray, int]:
     Returns:
         The signals, and the row at which they begin.
     """
+    from scipy.fft import next_fast_len  # slow to import
+
     count, head = len(x), min(reach, len(x) - 1)
     tail = min(next_fast_len(count + 2 * head, real=True) - count - head, count - 1)
     return pad_by_reflection(x, head, tail), head

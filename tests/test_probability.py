@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from regression_columns import columns_on_all_joints
 from scipy import stats
 
-from excite.diagnosis import posterior, probability
+from excite.diagnosis import probability
 from excite.diagnosis.regression import JointRegression
 
 ROWS = 40
@@ -98,8 +98,8 @@ def test_log_evidence_is_the_marginal_likelihood(seed):
             stats.multivariate_normal(0.7 * x[:, 0], covariance).logpdf(regression.torque[:, 0])
         )
 
-    factor = posterior.log_evidence(regression, regression.solution) - posterior.log_evidence(
-        regression, regression.without([0])
+    factor = regression.log_evidence(regression.solution) - regression.log_evidence(
+        regression.without([0])
     )
     assert factor == pytest.approx(density(3) - density(1), abs=1e-6)
 
@@ -121,8 +121,8 @@ def test_log_evidence_with_signs_agrees_with_numerical_integration(seed):
     base = -0.5 * np.sum((y - np.outer(theta, x[:, 0])) ** 2, axis=1) / 0.25
     base += stats.norm(0.7, np.sqrt(1.0 / 0.3)).logpdf(theta)
     alone = float(np.log(np.sum(np.exp(base - base.max())) * (theta[1] - theta[0])) + base.max())
-    factor = posterior.log_evidence(regression, regression.solution) - posterior.log_evidence(
-        regression, regression.without([0])
+    factor = regression.log_evidence(regression.solution) - regression.log_evidence(
+        regression.without([0])
     )
     assert factor == pytest.approx(full - alone, abs=0.1)
 
@@ -134,7 +134,6 @@ def test_more_noise_means_less_evidence():
         weaker = dataclasses.replace(regression, independent_share=share)
         weaker.reweighted(np.array([0.5]), share)
         factors.append(
-            posterior.log_evidence(weaker, weaker.solution)
-            - posterior.log_evidence(weaker, weaker.without([0]))
+            weaker.log_evidence(weaker.solution) - weaker.log_evidence(weaker.without([0]))
         )
     assert factors == sorted(factors, reverse=True)

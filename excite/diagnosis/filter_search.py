@@ -20,7 +20,7 @@ from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import joint_model, probability
-from .joint_model import MIN_CHAIN_EVIDENCE, JointModel, renewed_chain
+from .joint_model import MIN_ENTRY_EVIDENCE, JointModel, renewed_chain
 from .recording_chain import MIN_CORNER, RecordingChain
 from .regression import log_error_ratio
 
@@ -75,11 +75,11 @@ class FilterFits:
         without, with_ = (model.regression.residual() for model in (plain, filtered))
         lost = log_error_ratio(without, with_, plain.far_from_rest)
         against = plain.regression.independent_share * float(lost.sum())
-        if low_pass.hertz > MIN_CORNER and evidence > MIN_CHAIN_EVIDENCE > against:
+        if low_pass.hertz > MIN_CORNER and evidence > MIN_ENTRY_EVIDENCE > against:
             # noise of the positions is the larger part of fast motion, whose torque a filter
             # reduces
             evidence = probability.beyond_errors(evidence, by_errors(filtered))
-            if evidence > MIN_CHAIN_EVIDENCE:
+            if evidence > MIN_ENTRY_EVIDENCE:
                 return filtered
         return self.start
 

@@ -9,12 +9,13 @@ at once. All of it is fitted jointly with the base model, before anything is jud
    the filter that the torque has passed, which all columns pass as well;
 4. the spatial frequencies of torque ripple, from the residual of all that;
 5. widths of Coulomb friction, physically consistent base parameters, and with them the load of
-   every joint; again from 1.
+   every joint; whether Stribeck and load friction build up in the presliding elements, as Coulomb
+   friction does; again from 1.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -41,7 +42,7 @@ from .columns import Columns
 from .flexible_models import UNMODELLED
 from .normal_equations import Solution
 from .recording_chain import RecordingChain
-from .regression import JointRegression, independent_share, rms
+from .regression import Condition, JointRegression, independent_share, rms
 
 ROUNDS = 4
 """Rounds of the fit: delay and weights change by less than 1 % after three."""
@@ -49,8 +50,9 @@ RIPPLE_ROUNDS = (1, 2)
 """Rounds that are followed by a search for ripple: not before the first fit of the frictions."""
 MIN_FREEDOM = 0.1
 """Smallest share of rows that counts as degrees of freedom of the residual."""
-MIN_CHAIN_EVIDENCE = 5.0
-"""Log Bayes factor from which the delay, or the filter, of the recording chain enters the model."""
+MIN_ENTRY_EVIDENCE = 5.0
+"""Log Bayes factor from which the delay or the filter of the recording chain enters the model, or
+the build-up of a joint's dry frictions."""
 MIN_LEVEL_SHARE = 0.3
 """Least friction level of a joint, over the median of all joints."""
 MIN_TORQUE_SHARE = 0.1
@@ -64,6 +66,11 @@ FRICTIONS = {
     "load_friction": load_friction,
 }
 """Frictions that are fitted at every joint: name and module with its `dense_model`."""
+BUILDING_UP = {"stribeck": stribeck, "load_friction": load_friction}
+"""Those that may build up in the presliding elements."""
+MIN_BUILT_UP_SHARE = 0.5
+"""Share of Coulomb friction in the presliding elements of a joint from which its other dry
+frictions may build up in them, too: most of it."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +157,17 @@ class JointModel:
             effects: Numbers of the effects, in rising order.
         """
         models = tuple(self.models[i] for i in effects)
-        return replace(self, models=models, regression=self.regression.keeping(effects))
+        regression = self.regression.keeping(effects)
+        regression.conditions = _conditions(models)
+        return replace(self, models=models, regression=regression)
+
+    def built_up(self, joint: int) -> list[int]:
+        """Return the numbers of the frictions of a joint that build up in presliding elements.
+
+        Args:
+            joint: Index of the joint.
+        """
+        return [i for i, m in enumerate(self.models) if m.joint == joint and _is_built_up(m)]
 
     def columns(self, model: CandidateModel) -> Columns | None:
         """Return the columns of a model over all motions; None if they are zero or not finite."""
@@ -187,22 +204,59 @@ class JointModel:
         kept = [model for model, c in zip(models, columns, strict=True) if c is not None]
         regression = self.regression.copy()
         regression.add(*(c for c in columns if c is not None))
-        return replace(self, models=(*self.models, *kept), regression=regression)
+        models = (*self.models, *kept)
+        regression.conditions = _conditions(models)
+        return replace(self, models=models, regression=regression)
 
 
-def dense_models(motions: Sequence[RecordedMotion]) -> list[CandidateModel]:
+def _is_built_up(model: CandidateModel) -> bool:
+    """Tell whether a friction builds up in presliding elements."""
+    return model.effect in BUILDING_UP and "reach" in model.values
+
+
+def _conditions(models: Sequence[CandidateModel]) -> tuple[Condition, ...]:
+    """Return when each form of a friction is used: built up with presliding hysteresis alone.
+
+    The other form of the friction stands in for it without hysteresis.
+
+    Args:
+        models: Models of a regression, in the order of its effects.
+    """
+    numbers = {(m.key, _is_built_up(m)): i for i, m in enumerate(models) if m.effect in FRICTIONS}
+    needs, stands_in = [], []
+    for (key, is_built_up), number in numbers.items():
+        if is_built_up:
+            needs.append(Condition(number, numbers.get((("hysteresis", key[1]), False)), True))
+            if (key, False) in numbers:
+                stands_in.append(Condition(numbers[key, False], number, False))
+    return (*needs, *stands_in)
+
+
+def dense_models(
+    motions: Sequence[RecordedMotion], build_ups: Mapping[int, Mapping[str, float]] | None = None
+) -> list[CandidateModel]:
     """Return the friction models of every joint.
 
     Far from any rest, presliding hysteresis is Coulomb friction: a joint all of whose rows lie
     there shows none.
+
+    Args:
+        motions: The motions.
+        build_ups: How dry frictions build up, by joint; these joints have both forms of them.
     """
     near_rest = np.any([(m.moving & ~m.far_from_rest).any(axis=0) for m in motions], axis=0)
-    return [
+    plain = [
         effect.dense_model(motions, j)
         for j in range(motions[0].n)
         for effect in FRICTIONS.values()
         if near_rest[j] or effect is not hysteresis
     ]
+    built_up = [
+        effect.dense_model(motions, j, build_up)
+        for j, build_up in (build_ups or {}).items()
+        for effect in BUILDING_UP.values()
+    ]
+    return [*plain, *built_up]
 
 
 def fit(
@@ -221,6 +275,7 @@ def fit(
     """
     widths, chain = start.motions[0].widths, start.chain
     waves: list[CandidateModel] = []
+    build_ups: Mapping[int, Mapping[str, float]] | None = None
     fitted = start.with_effects(rare)
     for step in range(ROUNDS - 1):
         reweight(fitted.regression)
@@ -228,6 +283,7 @@ def fit(
         width_steps = fitted.solution.coefficients[len(fitted.free) : fitted.delay_place]
         widths = widths * np.exp(np.clip(width_steps, -MAX_LOG_STEP, MAX_LOG_STEP))
         psi = consistent_parameters(identified, fitted)
+        build_ups = _build_ups(identified, fitted, build_ups)
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
@@ -237,11 +293,48 @@ def fit(
         for motion, torque in zip(present, modelled_torque(fitted), strict=True):
             motion.replace_torques(torque)
         fitted = base_model(identified, present, psi, chain, fitted)
-        fitted = fitted.with_effects([*dense_models(present), *rare, *waves])
+        fitted = fitted.with_effects([*dense_models(present, build_ups), *rare, *waves])
+    stay = _build_ups(identified, fitted, build_ups)
+    leaving = [i for j in build_ups or () if j not in stay for i in fitted.built_up(j)]
+    if leaving:
+        fitted = fitted.keeping([i for i in range(len(fitted.models)) if i not in leaving])
     reweight(fitted.regression)
     for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
         motion.replace_torques(torque, torque)
     return fitted
+
+
+def _build_ups(
+    identified: Identification, fitted: JointModel, among: Collection[int] | None
+) -> dict[int, dict[str, float]]:
+    """Return how the dry frictions of joints build up, by joint; joints where they do not are left
+    out.
+
+    Presliding elements must have most of Coulomb friction, with the other frictions built up in
+    them as well, and there must be evidence for that.
+
+    Args:
+        identified: The base model.
+        fitted: A joint model.
+        among: Joints whose frictions are built up in it; None if it is the first fit.
+    """
+    theta = identified.model.base.matrix @ fitted.psi
+    theta[fitted.free] = fitted.solution.coefficients[: len(fitted.free)]
+    coulomb = {j: float(theta[k]) for k, j in identified.model.friction_columns().items()}
+    regression, out = fitted.regression, {}
+    for number, model in enumerate(fitted.models):
+        j = model.joint
+        if model.effect != "hysteresis" or j is None or (among is not None and j not in among):
+            continue
+        if among is not None:
+            at_once = regression.without(fitted.built_up(j))
+            evidence = regression.log_evidence(fitted.solution) - regression.log_evidence(at_once)
+            if evidence <= MIN_ENTRY_EVIDENCE:
+                continue
+        build_up = hysteresis.build_up(model, fitted.coefficients(number), coulomb.get(j, 0.0))
+        if hysteresis.built_up_share(build_up) > MIN_BUILT_UP_SHARE:
+            out[j] = build_up
+    return out
 
 
 def renewed_chain(fitted: JointModel) -> RecordingChain:
@@ -252,7 +345,7 @@ def renewed_chain(fitted: JointModel) -> RecordingChain:
     """
     x, chain = fitted.solution.coefficients, fitted.chain
     seconds = chain.delay + float(x[fitted.delay_place])
-    if delay_evidence(fitted, seconds)[0] <= MIN_CHAIN_EVIDENCE:
+    if delay_evidence(fitted, seconds)[0] <= MIN_ENTRY_EVIDENCE:
         seconds = 0.0
     step = np.clip(x[fitted.filter_place], -MAX_LOG_STEP, MAX_LOG_STEP)
     return chain.stepped(seconds, float(step))

@@ -24,7 +24,6 @@ from . import probability
 from .joint_model import FRICTIONS, JointModel, transient_rows
 from .normal_equations import Solution
 from .probability import Probability
-from .regression import JointRegression
 
 DENSE_NAMES = (*FRICTIONS, "torque_ripple")
 """Effects that the joint model has from the start."""
@@ -108,21 +107,6 @@ def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
     return groups
 
 
-def log_evidence(regression: JointRegression, solution: Solution) -> float:
-    """Return the log evidence of a solution, up to a constant of the regression."""
-    active = solution.active.copy()
-    # what has either sign in the base model is there in every model
-    active[: regression.base_count] &= regression.nonnegative[: regression.base_count]
-    precision = np.diag(regression.prior_matrix)[active]
-    halves = float(np.log(2.0) * np.count_nonzero(active & regression.nonnegative))
-    return (
-        -solution.objective
-        - 0.5 * solution.log_determinant
-        + 0.5 * float(np.sum(np.log(precision)))
-        + halves
-    )
-
-
 def log_bayes_factor(model: JointModel, reduced: JointModel) -> float:
     """Return the log Bayes factor of a joint model over one with some of its effects.
 
@@ -130,8 +114,8 @@ def log_bayes_factor(model: JointModel, reduced: JointModel) -> float:
         model: The joint model.
         reduced: What `JointModel.keeping` returns of it.
     """
-    return log_evidence(model.regression, model.solution) - log_evidence(
-        reduced.regression, reduced.solution
+    return model.regression.log_evidence(model.solution) - reduced.regression.log_evidence(
+        reduced.solution
     )
 
 
@@ -228,6 +212,8 @@ def _next_to_form_errors(
     for larger, smaller in itertools.pairwise(present):
         alone = regression.without({*gone, *smaller.effects})
         for number in larger.effects:
+            if not alone.coefficients[regression.slices[number]].any():
+                continue
             columns = model.columns(
                 with_form_error(
                     model.models[number],
@@ -347,7 +333,7 @@ def evidence_of(
         none = np.zeros(model.n)
         return EffectEvidence(members, shapes, len(places), -np.inf, none, 0.0)
     reduced = regression.without([*left_out, *members])
-    factor = log_evidence(regression, current) - log_evidence(regression, reduced)
+    factor = regression.log_evidence(current) - regression.log_evidence(reduced)
     factor -= float(sum(np.log(shape.alternatives) for shape in shapes))
     before, after = (regression.residual_rms(s) for s in (reduced, current))
     severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))

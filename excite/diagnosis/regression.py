@@ -63,6 +63,21 @@ class _JointGram:
         )
 
 
+@dataclass(frozen=True)
+class Condition:
+    """An effect that is used only together with another one, or only without it.
+
+    Attributes:
+        effect: Number of the effect.
+        other: Number of the other one; None of one that the regression does not have.
+        together: Whether it is used only together with it.
+    """
+
+    effect: int
+    other: int | None
+    together: bool
+
+
 @dataclass
 class JointRegression:
     """The regression of all joints.
@@ -76,6 +91,7 @@ class JointRegression:
         slices: Coefficients of each effect, in the order in which they were added.
         prior_matrix: Prior information of all coefficients, shape (K, K).
         nonnegative: Coefficients that cannot be negative, shape (K,).
+        conditions: Conditions on the use of effects, that of the other one first where it has one.
     """
 
     torque: FloatArray
@@ -86,6 +102,7 @@ class JointRegression:
     slices: list[slice] = field(default_factory=list)
     prior_matrix: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     nonnegative: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
+    conditions: tuple[Condition, ...] = ()
     _grams: list[_JointGram] = field(default_factory=list)
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
@@ -254,11 +271,38 @@ class JointRegression:
             effects: Numbers of the effects.
             unused: Further coefficients that are left out.
         """
-        used = np.ones(len(self.nonnegative), bool)
-        for e in effects:
-            used[self.slices[e]] = False
+        used = self._used(effects)
         used[list(unused)] = False
         return self._solve(used)
+
+    def _used(self, left_out: Iterable[int]) -> BoolArray:
+        """Coefficients that are used without some effects, shape (K,)."""
+        absent = set(left_out)
+        for condition in self.conditions:
+            is_together = condition.other is not None and condition.other not in absent
+            if is_together is not condition.together:
+                absent.add(condition.effect)
+        used = np.ones(len(self.nonnegative), bool)
+        for e in absent:
+            used[self.slices[e]] = False
+        return used
+
+    def log_evidence(self, solution: Solution) -> float:
+        """Return the log evidence of a solution, up to a constant of the regression.
+
+        In the Laplace approximation, over the coefficients that are not held at zero by their sign.
+        """
+        active = solution.active.copy()
+        # what has either sign in the base model is there in every model
+        active[: self.base_count] &= self.nonnegative[: self.base_count]
+        precision = np.diag(self.prior_matrix)[active]
+        halves = float(np.log(2.0) * np.count_nonzero(active & self.nonnegative))
+        return (
+            -solution.objective
+            - 0.5 * solution.log_determinant
+            + 0.5 * float(np.sum(np.log(precision)))
+            + halves
+        )
 
     def _assembled(self) -> System:
         """Normal equations of the weighted rows and the priors."""
@@ -403,10 +447,7 @@ class JointRegression:
         Returns:
             Sum over the rows of each fold [(N m)²], shape (folds, variants, n).
         """
-        used = np.tile(~unused, (len(variants), 1))
-        for mask, left_out in zip(used, variants, strict=True):
-            for e in left_out:
-                mask[self.slices[e]] = False
+        used = [self._used(left_out) & ~unused for left_out in variants]
         out = np.zeros((len(folds), len(variants), self.n))
         measured = np.where(self.moving, self.torque, 0.0)
         parts = [self._products(fold, measured) for fold in folds]

@@ -19,7 +19,7 @@ from ..designer.isolability_forecast import CONFUSABLE_PAIRS
 from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.form_error import with_form_error
-from . import posterior, probability, rare_candidates
+from . import probability, rare_candidates
 from .columns import Columns
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
@@ -102,7 +102,7 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> di
     log_evidence = {}
     for name in names:
         others = [number for k in names if k != name for number in numbers[k]]
-        log_evidence[name] = posterior.log_evidence(regression, regression.without(others))
+        log_evidence[name] = regression.log_evidence(regression.without(others))
     return log_evidence
 
 

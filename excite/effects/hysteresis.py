@@ -1,8 +1,13 @@
-"""Presliding hysteresis: friction that builds up over a travel after each reversal."""
+"""Presliding hysteresis: friction that builds up over a travel after each reversal.
+
+Coulomb friction builds up in Maxwell-slip elements. So may the other dry frictions of the joint,
+Stribeck and load friction, as in the LuGre model (Canudas de Wit et al. 1995) and in generalised
+Maxwell-slip (Al-Bender, Lampaert & Swevers 2005): `direction`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import accumulate
 
 import numpy as np
@@ -49,18 +54,67 @@ def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     return stroke, np.diff(corners, append=q[-1]), q - corners[stroke]
 
 
+def _elements(motion: RecordedMotion, joint: int, reach: float) -> FloatArray:
+    """Forces of the elements of a joint, the first of which slips at `reach`, shape (M, k)."""
+
+    def compute() -> FloatArray:
+        q, reaches = motion.samples.q[:, joint], reach * REACH_RATIOS
+        return np.column_stack([maxwell_slip(q, d) for d in reaches.tolist()])
+
+    return motion.for_all_fits(f"Maxwell-slip elements of joint {joint} from {reach}", compute)
+
+
+def build_up(model: CandidateModel, c: FloatArray, coulomb: float) -> dict[str, float]:
+    """Return how the dry friction of a joint builds up: the values that `direction` needs.
+
+    The elements have shares of it, and what remains of Coulomb friction needs no travel.
+
+    Args:
+        model: What `dense_model` returns.
+        c: Its coefficients, shape (k,).
+        coulomb: Coulomb friction of the joint [N m].
+    """
+    strengths = c[: len(REACH_RATIOS)]
+    total = max(coulomb, float(strengths.sum()), 1e-300)
+    return {"reach": model.values["reach"]} | {
+        f"share_{i}": strength / total for i, strength in enumerate(strengths.tolist())
+    }
+
+
+def built_up_share(values: Mapping[str, float]) -> float:
+    """Return the share of the dry friction that builds up, of the values of `build_up`."""
+    return sum(value for key, value in values.items() if key.startswith("share_"))
+
+
+def direction(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Return the direction of a dry friction, within -1 and 1, shape (M,).
+
+    It is the smooth sign of the speed, or, if the values of the model say how the friction builds
+    up, the mean of the Maxwell-slip elements.
+
+    Args:
+        motion: The recorded motion.
+        model: A friction of one joint.
+    """
+    j, values = model.joint_index, model.values
+    sign = motion.sign(j)
+    if "share_0" not in values:
+        return sign
+    shares = np.array([values[f"share_{i}"] for i in range(len(REACH_RATIOS))])
+    built_up = _elements(motion, j, values["reach"]) @ shares
+    return np.asarray(built_up + (1.0 - shares.sum()) * sign)
+
+
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Presliding friction minus the smooth sign function that it replaces."""
-    j = model.joint_index
-    reaches = model.values["reach"] * REACH_RATIOS
+    j, reach = model.joint_index, model.values["reach"]
 
     def low_passed() -> FloatArray:
-        q = motion.samples.q[:, j]
-        elements = np.column_stack([maxwell_slip(q, d) for d in reaches.tolist()])
+        elements = _elements(motion, j, reach)
         unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
         return motion.lowpass(np.hstack([elements, unequal]))
 
-    name = f"Maxwell-slip elements of joint {j} from {reaches[0]}"
+    name = f"low-passed Maxwell-slip elements of joint {j} from {reach}"
     columns = motion.for_all_fits(name, low_passed).copy()
     columns[:, : len(REACH_RATIOS)] -= motion.lowpass(motion.sign(j)[:, None])
     return single_joint_rows(motion, j, columns)

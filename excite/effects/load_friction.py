@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, no_candidates, single_joint_columns
+from .hysteresis import direction
 from .recorded_motion import RecordedMotion
 
 EFFICIENCY_DIFFERENCE = 0.1
@@ -19,18 +20,25 @@ PRIOR_COEFFICIENT = 0.2
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """|τ_L| sgn q̇, its square over the scale, and the load."""
     scale, j = model.values["scale"], model.joint_index
-    load, sign = motion.transmitted_torque[:, j], motion.sign(j)
+    load, sign = motion.transmitted_torque[:, j], direction(motion, model)
     share = np.abs(load) / scale
     return single_joint_columns(
         motion, j, scale * np.array([sign * share, sign * share**2, load / scale]).T
     )
 
 
-def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+def dense_model(
+    motions: Sequence[RecordedMotion], joint: int, build_up: Mapping[str, float] | None = None
+) -> CandidateModel:
     """Return friction of a joint that grows with the load and its square.
 
     The last column, of either sign, is the load itself: the efficiency of gears differs by the
     direction of power.
+
+    Args:
+        motions: The recorded motions.
+        joint: Index of the joint.
+        build_up: How it builds up, as of `hysteresis.build_up`; at once if None.
     """
     torque = np.concatenate([motion.transmitted_torque[:, joint] for motion in motions])
     scale, mean = max(float(np.abs(torque).max()), 1e-9), float(np.abs(torque).mean())
@@ -38,7 +46,7 @@ def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel
         "load_friction",
         joint,
         _columns,
-        {"dense": 1.0, "scale": scale},
+        {"dense": 1.0, "scale": scale, **(build_up or {})},
         parameters=lambda c: {"mu": float(c[0] + c[1] * mean / scale)},
         nonnegative=(True, True, False),
         prior_std=PRIOR_COEFFICIENT,

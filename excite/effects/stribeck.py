@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, no_candidates, single_joint_columns
 from .friction import max_speed
+from .hysteresis import direction
 from .recorded_motion import RecordedMotion
 
 DENSE_VELOCITIES = np.geomspace(0.03, 0.3, 4)
@@ -21,11 +22,19 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     velocities = DENSE_VELOCITIES * model.values["top_speed"]
     share = np.abs(motion.samples.dq[:, j]) / velocities[:, None]
     curves = np.vstack([np.exp(-share), np.exp(-(share**2))])
-    return single_joint_columns(motion, j, (motion.sign(j) * curves).T)
+    return single_joint_columns(motion, j, (direction(motion, model) * curves).T)
 
 
-def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
-    """Return a nonnegative combination of exponential and Gaussian Stribeck curves of a joint."""
+def dense_model(
+    motions: Sequence[RecordedMotion], joint: int, build_up: Mapping[str, float] | None = None
+) -> CandidateModel:
+    """Return a nonnegative combination of exponential and Gaussian Stribeck curves of a joint.
+
+    Args:
+        motions: The recorded motions.
+        joint: Index of the joint.
+        build_up: How it builds up, as of `hysteresis.build_up`; at once if None.
+    """
     top_speed = max_speed(motions, joint)
     velocities = np.tile(DENSE_VELOCITIES * top_speed, 2)
     exponents = np.repeat((1.0, 2.0), len(DENSE_VELOCITIES))
@@ -42,7 +51,7 @@ def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel
         "stribeck",
         joint,
         _columns,
-        {"top_speed": top_speed},
+        {"top_speed": top_speed, **(build_up or {})},
         parameters=parameters,
         nonnegative=(True,) * len(velocities),
     )

@@ -78,6 +78,9 @@ HYSTERESIS_ELEMENTS = 16
 """Maxwell-slip elements of presliding hysteresis."""
 UNEQUAL_ELEMENTS = 2
 """Maxwell-slip elements whose branches may be unequal."""
+REACH = Range(1e-12, 1e2, "rad or m")
+BUILD_UP = {"reach": REACH} | {f"share_{i}": SWITCH for i in range(HYSTERESIS_ELEMENTS)}
+"""How a dry friction builds up after a reversal: shares of Maxwell-slip elements."""
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "torque_offset": (EffectForm(),),
     "torque_gain": (EffectForm(),),
@@ -88,12 +91,19 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "asymmetric_viscous": (EffectForm(),),
     "stribeck": (
         EffectForm({"top_speed": FRICTION_SPEED}, coefficients=lambda values: STRIBECK_CURVES),
+        EffectForm(
+            {"top_speed": FRICTION_SPEED, **BUILD_UP},
+            coefficients=lambda values: STRIBECK_CURVES,
+        ),
     ),
     "nonlinear_viscous": (
         EffectForm({"top_speed": FRICTION_SPEED}, coefficients=lambda values: VISCOUS_CURVES),
     ),
     "drag": (EffectForm(),),
-    "load_friction": (EffectForm({"dense": FLAG, "scale": TORQUE}, coefficients=lambda values: 3),),
+    "load_friction": (
+        EffectForm({"dense": FLAG, "scale": TORQUE}, coefficients=lambda values: 3),
+        EffectForm({"dense": FLAG, "scale": TORQUE, **BUILD_UP}, coefficients=lambda values: 3),
+    ),
     "position_friction": (
         EffectForm(
             {"order": SPATIAL_FREQUENCY, "waves": COUNT, "low": POSITION, "high": POSITION},
@@ -105,7 +115,7 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
         EffectForm(
             {
                 "elements": Range(HYSTERESIS_ELEMENTS, HYSTERESIS_ELEMENTS, "1"),
-                "reach": Range(1e-12, 1e2, "rad or m"),
+                "reach": REACH,
             },
             coefficients=lambda values: HYSTERESIS_ELEMENTS + UNEQUAL_ELEMENTS,
         ),

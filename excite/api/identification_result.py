@@ -339,7 +339,11 @@ def identify(
         )
     inertial_bounds = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
     chosen = dataclasses.replace(
-        options, bounds=inertial_bounds, trusted=known.parameters, **choices
+        options,
+        bounds=inertial_bounds,
+        trusted=known.parameters,
+        widths=known.widths,
+        **choices,
     )
     recording_cost.require_identifiable([*train, *held_out], report)
     result = identification.identify(loaded, standard, base, train, held_out, chosen, report)

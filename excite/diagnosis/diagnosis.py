@@ -206,7 +206,9 @@ def diagnose(
             for group in (train, validate)
         )
         pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
-    settings = identification.IdentificationOptions(band=hertz, trusted=options.prior.parameters)
+    settings = identification.IdentificationOptions(
+        band=hertz, trusted=options.prior.parameters, widths=options.prior.widths
+    )
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
     halves = [_motions(identified, group, hertz) for group in pieces]
     errors = PositionErrors(identified, halves[0])
@@ -226,7 +228,7 @@ def diagnose(
     refit: Identification | None = None
     if settings.trusted:
         progress("base model without the trusted parameters")
-        free = replace(settings, trusted={})
+        free = replace(settings, trusted={}, widths=None)
         refit = identification.identify(robot, parameters, base, train, (), free, progress)
         rmse = _rmse(_motions(refit, pieces[0], hertz))
         considered = estimates.with_doubts_about_prior(considered, residual_rms, rmse)

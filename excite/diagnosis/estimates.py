@@ -260,23 +260,25 @@ def with_doubts_about_prior(
 ) -> list[EffectEstimate]:
     """Return estimates whose probabilities take account of errors of the trusted parameters.
 
-    What a refit of the base model absorbs can be a part of other errors of its parameters. It is
-    the whole difference from them only as far as the refit does not leave less torque r₁ than the
-    joint model leaves, r: its probability is reduced by the smallest r₁²/r² of its joints.
+    What a refit of the base model absorbs can be a part of other errors of its parameters. Those
+    are what the joint model leaves, r, beyond what the refit leaves, r₁. By its share in the power
+    of both, Σ s²/r₁² / Σ (s² + max(r² − r₁², 0))/r₁² over the joints on which it acts, an effect
+    that explains torque of size s is more than a part of them.
 
     Args:
         effects: The estimates.
         residual: RMS residual of the joint model, shape (n,) [N m].
         refit: RMS residual of the base model identified without the prior, shape (n,) [N m].
     """
-    left = np.minimum((refit / np.maximum(residual, 1e-300)) ** 2, 1.0)
+    errors = np.maximum(residual**2 - refit**2, 0.0)
 
     def share(estimate: EffectEstimate) -> float:
-        effect = EFFECTS_BY_NAME[estimate.effect]
-        if not effect.prior_only:
+        if not EFFECTS_BY_NAME[estimate.effect].prior_only:
             return 1.0
-        acts_on_all = estimate.joint is None or effect.of_link
-        return float(left.min() if acts_on_all else left[estimate.joint])
+        size = estimate.evidence.severity**2
+        acts = size > 0.0
+        weight = acts / np.maximum(refit, 1e-300) ** 2
+        return float((weight @ size) / max(weight @ (size + errors), 1e-300))
 
     return [replace(e, probable=replace(e.probable, prior=share(e))) for e in effects]
 

@@ -42,7 +42,7 @@ from .columns import Columns
 from .flexible_models import UNMODELLED
 from .normal_equations import Solution
 from .recording_chain import RecordingChain
-from .regression import Condition, JointRegression, independent_share, rms
+from .regression import FIXED_STD, Condition, JointRegression, independent_share, rms
 
 ROUNDS = 4
 """Rounds of the fit: delay and weights change by less than 1 % after three."""
@@ -608,7 +608,7 @@ def _base_prior(
     p, n = len(free), motions[0].n
     others = np.concatenate(
         [
-            np.ones(n),
+            np.full(n, 1.0 if identified.options.widths is None else FIXED_STD),
             recording_chain.PRIOR_STD,
             session_changes.prior_std(motions, change_scale),
         ]

@@ -80,6 +80,8 @@ class IdentificationOptions:
         bounds: Bounds of masses and centres of mass.
         align: Shift torque by the estimated delay.
         trusted: Index in ψ and value of the parameters that are known.
+        widths: Widths of Coulomb friction that are known, shape (n,) [rad/s or m/s]; estimated if
+            None.
         hausman: Test whether instruments are needed.
         simulate: Compute the simulation error.
         refine: Refine the parameters against the simulation error.
@@ -95,6 +97,7 @@ class IdentificationOptions:
     bounds: Bounds = field(default_factory=Bounds)
     align: bool = False
     trusted: Mapping[int, float] = field(default_factory=dict)
+    widths: FloatArray | None = None
     hausman: bool = False
     simulate: bool = False
     refine: bool = False
@@ -420,8 +423,11 @@ def _fit_data(
 ) -> _DataFit:
     """Build the equations with estimated friction widths, and estimate θ from the data alone."""
     leading = segments.leading_segments(parts, friction_width.MAX_WIDTH_SAMPLES)
+    if options.widths is not None:
+        model = dataclasses.replace(model, widths=options.widths)
     equations = regression.build_equations(model, leading, hertz)
-    model = friction_width.fit_widths(model, equations, leading)
+    if options.widths is None:
+        model = friction_width.fit_widths(model, equations, leading)
     complete = sum(map(len, leading)) == sum(map(len, parts))
     equations = (
         friction_width.apply_widths(model, equations, leading)
@@ -431,7 +437,7 @@ def _fit_data(
     # instruments are computed with a first estimate by weighted least squares
     method = Method.WLS if options.method is Method.IV else options.method
     data = estimators.estimate(equations, method, nuisance=width_slopes(model, equations))
-    for _ in range(WIDTH_STEPS if complete else 0):
+    for _ in range(WIDTH_STEPS if complete and options.widths is None else 0):
         model = friction_width.refine_widths(model, data)
         equations = friction_width.apply_widths(model, equations, parts)
         data = estimators.estimate(equations, method, nuisance=width_slopes(model, equations))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
@@ -33,6 +34,14 @@ class TrustedPrior:
 
     parameters: Mapping[int, float] = field(default_factory=dict)
     model: IdentifiedModel | None = None
+
+    @property
+    def widths(self) -> FloatArray | None:
+        """Widths of Coulomb friction, shape (n,) [rad/s or m/s]; None where no model states them.
+
+        They belong to the friction and to the effects of a model: other ones would change both.
+        """
+        return None if self.model is None else self.model.widths
 
     @classmethod
     def of_model(cls, model: IdentifiedModel) -> TrustedPrior:

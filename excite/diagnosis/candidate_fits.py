@@ -17,7 +17,8 @@ class CandidateFit:
 
     Attributes:
         coefficients: Shape (k,).
-        gain: Decrease of the objective, a log-likelihood.
+        gain: Gain of log-likelihood, less the cost of the prior, with the variance that remains at
+            each joint.
         information: Their information after elimination of all other coefficients, shape (k, k).
         prior: Prior precision of each, shape (k,).
     """
@@ -51,9 +52,9 @@ class CandidateGroup:
     squares: FloatArray
     prior: FloatArray
 
-    def fits(
+    def solved(
         self, weights: FloatArray, cross: FloatArray, change: FloatArray, score: FloatArray
-    ) -> list[CandidateFit]:
+    ) -> tuple[FloatArray, FloatArray]:
         """Fit every candidate jointly with the active coefficients of a regression.
 
         Args:
@@ -61,6 +62,10 @@ class CandidateGroup:
             cross: Information shared by the active coefficients and all columns, shape (a, S).
             change: Change of the active coefficients per unit of each column, shape (a, S).
             score: Gradient of the log-likelihood by the coefficient of each column, shape (S,).
+
+        Returns:
+            Coefficients, shape (m, k), and their information after elimination of all other
+            coefficients, shape (m, k, k).
         """
         k = self.places.shape[1]
         square = np.tensordot(weights, self.squares, 1)
@@ -71,15 +76,49 @@ class CandidateGroup:
         values, vectors = np.linalg.eigh(schur)
         largest = np.maximum(np.diagonal(square, 0, 1, 2).max(axis=1), 1e-300)
         kept = values > 1e-9 * largest[:, None]
-        target = score[self.places]
-        along = np.einsum("mkv,mk->mv", vectors, target)
+        along = np.einsum("mkv,mk->mv", vectors, score[self.places])
         along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
-        coefficients = np.einsum("mkv,mv->mk", vectors, along)
-        gains = 0.5 * np.sum(target * coefficients, axis=1)
-        return [
-            CandidateFit(*fit)
-            for fit in zip(coefficients, gains.tolist(), schur, self.prior, strict=True)
-        ]
+        return np.einsum("mkv,mv->mk", vectors, along), schur
+
+
+@dataclass(frozen=True)
+class JointProducts:
+    """Products of the rows of one joint, over its active coefficients and all candidates' columns.
+
+    Attributes:
+        active: Places of the coefficients that act on the joint among all active ones, shape (b,).
+        matrix: AᵀA of their columns A, shape (b, b).
+        score: Aᵀr with the residual r, shape (b,).
+        power: rᵀr.
+        shared: AᵀX with the columns X of the candidates, shape (b, S).
+        target: Xᵀr, shape (S,).
+    """
+
+    active: IntArray
+    matrix: FloatArray
+    score: FloatArray
+    power: float
+    shared: FloatArray
+    target: FloatArray
+
+    def remaining(
+        self, group: CandidateGroup, squares: FloatArray, c: FloatArray, moved: FloatArray
+    ) -> FloatArray:
+        """Return the squared error next to each candidate of a group, shape (m,).
+
+        Args:
+            group: The candidates.
+            squares: Products XᵀX of each on this joint, shape (m, k, k).
+            c: Their coefficients, shape (m, k).
+            moved: By how much the active coefficients fall next to each, shape (a, m).
+        """
+        u = moved[self.active]
+        own = np.einsum("mk,mkl,ml->m", c, squares, c) - 2.0 * np.sum(
+            c * self.target[group.places], axis=1
+        )
+        along = np.einsum("bmk,mk->bm", self.shared[:, group.places], c)
+        others = np.sum(u * (self.matrix @ u - 2.0 * along), axis=0) + 2.0 * self.score @ u
+        return np.asarray(self.power + own + others)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from .._types import BoolArray, FloatArray, IntArray
-from .candidate_fits import CandidateBatch, CandidateFit
+from .candidate_fits import CandidateBatch, CandidateFit, JointProducts
 from .columns import Columns
 from .normal_equations import RIDGE, Elimination, Solution, System
 
@@ -26,6 +26,8 @@ MAX_LAG = 40
 """Lags of the autocorrelation that are summed [rows]."""
 MIN_AUTOCORRELATION = 0.02
 """Autocorrelation at which the sum ends, about two standard errors of 10,000 rows."""
+MIN_REMAINING = 1e-6
+"""Share of a squared error that is not told from rounding."""
 FIXED_STD = 1e-12
 """Prior standard deviation of a coefficient that is held at zero."""
 _Products = tuple[FloatArray, FloatArray, float]
@@ -539,7 +541,7 @@ class JointRegression:
             the information of that coefficient after their elimination.
         """
         batch = CandidateBatch.of([column], self.moving)
-        cross, _ = self._coupling(batch, solution)
+        cross, _ = self._coupling(self._products_with(batch, solution), solution)
         change = -solution.solve(cross)
         square = self.weights @ batch.groups[0].squares[:, 0, 0, 0]
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
@@ -561,38 +563,74 @@ class JointRegression:
         """Fit each of many candidates jointly with the active coefficients.
 
         They have no sign constraints. All products with the columns of the model are formed at
-        once.
+        once. The gain of log-likelihood is that with the variance E/N that remains at each joint,
+        Σ_j ½ ρ N_j ln(E_j/E_j'), with the squared errors E and E' without and with the candidate:
+        by the variance without it, what explains nearly all torque would hardly be better than what
+        explains most.
 
         Args:
             batch: Columns of the candidates.
         """
         solution = self.solution
-        cross, score = self._coupling(batch, solution)
+        products = self._products_with(batch, solution)
+        cross, score = self._coupling(products, solution)
         change = solution.solve(cross)
+        rows = self.independent_share * self.moving.sum(axis=0)
         out: list[CandidateFit | None] = [None] * batch.count
         for group in batch.groups:
-            fits = group.fits(self.weights, cross, change, score)
-            for member, fit in zip(group.members.tolist(), fits, strict=True):
-                out[member] = fit
+            c, information = group.solved(self.weights, cross, change, score)
+            moved = np.einsum("amk,mk->am", change[:, group.places], c)
+            gains = -0.5 * np.sum(group.prior * c**2, axis=1)
+            for part, squares, count in zip(products, group.squares, rows.tolist(), strict=True):
+                if part.power > 0.0:
+                    remaining = part.remaining(group, squares, c, moved) / part.power
+                    gains -= 0.5 * count * np.log(np.maximum(remaining, MIN_REMAINING))
+            for member, *fit in zip(
+                group.members.tolist(), c, gains.tolist(), information, group.prior, strict=True
+            ):
+                out[member] = CandidateFit(*fit)
         return [fit for fit in out if fit is not None]
 
-    def _coupling(self, batch: CandidateBatch, solution: Solution) -> tuple[FloatArray, FloatArray]:
+    def _products_with(self, batch: CandidateBatch, solution: Solution) -> list[JointProducts]:
+        """Products of the active columns, the residual and all columns of a batch, by joint."""
+        position = np.where(solution.active, np.cumsum(solution.active) - 1, -1)
+        total = sum(group.places.size for group in batch.groups)
+        out = []
+        for j, gram in enumerate(self._grams):
+            on = position[gram.places]
+            acting = np.flatnonzero(on >= 0)
+            x, places, c = batch.values[j], batch.places[j], solution.coefficients[gram.places]
+            score = gram.score - gram.matrix @ c
+            shared, target = np.zeros((len(acting), total)), np.zeros(total)
+            if len(places):
+                products = gram.columns.T @ x
+                shared[:, places] = products[acting]
+                target[places] = x.T @ self.torque[:, j] - products.T @ c
+            out.append(
+                JointProducts(
+                    on[acting],
+                    gram.matrix[np.ix_(acting, acting)],
+                    score[acting],
+                    gram.power - float(c @ (gram.score + score)),
+                    shared,
+                    target,
+                )
+            )
+        return out
+
+    def _coupling(
+        self, products: Sequence[JointProducts], solution: Solution
+    ) -> tuple[FloatArray, FloatArray]:
         """Information that the active coefficients share with all columns, and the columns' score.
 
         Returns:
             Shapes (a, S) and (S,).
         """
-        position = np.where(solution.active, np.cumsum(solution.active) - 1, -1)
-        total = sum(group.places.size for group in batch.groups)
+        total = len(products[0].target)
         cross, score = np.zeros((int(solution.active.sum()), total)), np.zeros(total)
-        for j, (gram, weight) in enumerate(zip(self._grams, self.weights.tolist(), strict=True)):
-            x, places, on = batch.values[j], batch.places[j], position[gram.places]
-            if not len(places):
-                continue
-            shared = gram.columns.T @ x
-            cross[np.ix_(on[on >= 0], places)] += weight * shared[on >= 0]
-            residual = x.T @ self.torque[:, j] - shared.T @ solution.coefficients[gram.places]
-            score[places] += weight * residual
+        for part, weight in zip(products, self.weights.tolist(), strict=True):
+            cross[part.active] += weight * part.shared
+            score += weight * part.target
         return cross, score
 
 

@@ -453,6 +453,8 @@ class _Posterior:
         form = EFFECTS_BY_NAME[shape.effect].form_std
         out = {}
         for key, value in values.items():
+            if not np.isfinite(value):
+                continue
             low, high = np.nanpercentile([p[key] for p in cloud], PERCENTILES)
             std = np.hypot(0.5 * (high - low), form.get(key, FORM_STD) * abs(value))
             out[key] = (float(value), float(std))

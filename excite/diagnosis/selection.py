@@ -81,7 +81,7 @@ class RareEffect:
             present: Other effects of the model, which are there and not in its place.
         """
         odds, temperature = probability.RARE_LOG_ODDS, probability.RARE_TEMPERATURE
-        scale = max(self.final / max(self.evidence, 1e-9), 1.0)
+        scale = _scale(self.final, self.evidence)
         instead = {}
         for key, value in self.before.items():
             if key in present:
@@ -271,7 +271,7 @@ class _Search:
         for key, candidate in shapes.items():
             scores[key] += max(candidate.evidence - rankings[key].best.evidence, 0.0)
         best: _Addition | None = None
-        highest = -np.inf
+        factors: dict[Key, float] = {}
         for key in sorted(shapes, key=lambda key: -scores[key]):
             if self._in_vain[_place(key)] >= MAX_REJECTIONS:
                 continue
@@ -289,9 +289,16 @@ class _Search:
                 self._rejected[key] = scores[key]
                 self._in_vain[_place(key)] += 1
             else:
-                factor = addition.evidence.log_bayes_factor - np.log(rankings[key].count)
-                if factor > highest:
-                    best, highest = addition, factor
+                factor = addition.evidence.log_bayes_factor - float(np.log(rankings[key].count))
+                if factor > max(factors.values(), default=-np.inf):
+                    best = addition
+                factors[key] = factor
+        if best is not None:
+            # of those that were fitted completely, that is the evidence
+            chosen = best.shape.key
+            scale = _scale(best.evidence.log_bayes_factor, scores[chosen])
+            for key, factor in factors.items():
+                scores[key] = scores[chosen] + (factor - factors[chosen]) / scale
         # contacts that are tried in vain are no reason to leave out a flexible model
         return self._best(others, scores, rankings) if best is None and others else best
 
@@ -439,6 +446,11 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
         improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
         needed += TIE - improbability * (count - 1)
     return best if best is not None and best.log_bayes_factor > needed else None
+
+
+def _scale(final: float, evidence: float) -> float:
+    """Return how much larger evidence is by the weights of the rows that an effect leaves."""
+    return max(final / max(evidence, 1e-9), 1.0)
 
 
 def _place(key: Key) -> Key:

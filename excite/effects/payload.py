@@ -44,11 +44,28 @@ def _is_physically_consistent(c: FloatArray) -> bool:
     return bool(values[0] > -MAX_INDEFINITENESS * values[-1])
 
 
+def _is_change_of_tool(link: FloatArray, c: FloatArray) -> bool:
+    """Check that a change of a link's parameters is a body more or less, or its tool moved.
+
+    A body may be gone that the model has in part on other links, since recordings do not tell them
+    apart.
+    """
+    changed = link + np.append(c, np.zeros(10 - len(c)))
+    return any(_is_physically_consistent(x) for x in (c, -c, changed))
+
+
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """A point mass, and a body with inertia, on every link."""
+    """A point mass, and a body with inertia, on every link.
+
+    The last link of a chain may also have lost a body, or carry it in another way: its tool.
+    """
 
     def parameters(c: FloatArray) -> dict[str, float]:
-        centre = c[1:4] / c[0] if abs(c[0]) > 1e-9 else np.full(3, np.nan)
+        reach = float(np.linalg.norm(c[1:4]))
+        is_body = c[0] != 0.0 and reach <= MAX_CENTRE_DISTANCE * abs(
+            c[0]
+        )  # not a tool that was moved
+        centre = c[1:4] / c[0] if is_body else np.full(3, np.nan)
         return {
             "mass": float(c[0]),
             "com_x": float(centre[0]),
@@ -56,16 +73,24 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             "com_z": float(centre[2]),
         }
 
-    spread = motions[0].fitted_robot.robot.spread
-    for link in range(len(motions[0].fitted_robot.parameters.links)):
+    fitted = motions[0].fitted_robot
+    spread, carrying = fitted.robot.spread, set(fitted.model.parents)
+    for link in range(len(fitted.parameters.links)):
+        joint = int(np.flatnonzero(spread[link])[0])
+        own = fitted.psi[10 * link : 10 * (link + 1)]
+
+        def is_plausible(c: FloatArray, own: FloatArray = own) -> bool:
+            return _is_change_of_tool(own, c)
+
+        is_last = fitted.robot.body_of(joint) not in carrying
         for count in (4, 10):
             yield CandidateModel(
                 "payload",
-                int(np.flatnonzero(spread[link])[0]),
+                joint,
                 _columns,
                 {"link": float(link), "count": float(count)},
                 parameters=parameters,
-                is_plausible=_is_physically_consistent,
+                is_plausible=is_plausible if is_last else _is_physically_consistent,
             )
 
 

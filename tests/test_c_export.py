@@ -86,7 +86,8 @@ def test_effects_without_memory_are_in_the_c_file(name, tmp_path):
 
 @needs_compiler
 def test_hysteresis_has_a_state_that_is_stepped(tmp_path):
-    effects = (*DENSE, FRICTION_EFFECTS["hysteresis"] | {"joint": "joint_2"})
+    built_up = FRICTION_EFFECTS["stribeck, built up"], FRICTION_EFFECTS["load_friction, built up"]
+    effects = (*DENSE, *built_up, FRICTION_EFFECTS["hysteresis"] | {"joint": "joint_2"})
     path = write_model(tmp_path, "two_link", effects)
     path.write_text(path.read_text(encoding="utf-8").replace("0.005", str(WIDTH)), encoding="utf-8")
     exported = excite.export_model(path, "c")
@@ -101,7 +102,7 @@ def test_hysteresis_has_a_state_that_is_stepped(tmp_path):
     state = (ctypes.c_double * 1000)()  # larger than the struct
     number = ctypes.POINTER(ctypes.c_double)
     library.excite_hysteresis_reset(state, motion.q[0].ctypes.data_as(number))
-    memory = call(partial(library.excite_hysteresis, state), motion.q, motion.dq)
+    memory = call(partial(library.excite_hysteresis, state), motion.q, motion.dq, load)
     without = call(library.excite_friction, motion.q, motion.dq, load)
     np.testing.assert_allclose(without + memory, stated, atol=1e-9)
     # and the torque that `excite predict` has along the same motion
@@ -120,7 +121,7 @@ def test_a_step_at_the_same_position_changes_no_state(tmp_path):
     for rows in (q, np.repeat(q, 2, axis=0)):
         state = (ctypes.c_double * 1000)()
         library.excite_hysteresis_reset(state, rows[0].ctypes.data_as(number))
-        force.append(call(partial(library.excite_hysteresis, state), rows, 0.0 * rows)[:, 0])
+        force.append(call(partial(library.excite_hysteresis, state), rows, 0.0 * rows, rows)[:, 0])
     np.testing.assert_array_equal(force[0], force[1][1::2])
     assert np.sum(0.5 * (force[0][1:] + force[0][:-1]) * np.diff(q[:, 0])) > 0.0
 

@@ -21,10 +21,15 @@ from excite.identification.identified_model import IdentifiedModel
 from excite.recordings import Recording
 from excite.robot.samples import Samples
 
+BUILD_UP = {"reach": 5e-4} | {f"share_{i}": {2: 0.3, 5: 0.5}.get(i, 0.0) for i in range(16)}
+"""How a friction builds up in Maxwell-slip elements, a fifth of it at once."""
 FRICTION_EFFECTS = {
     "asymmetric_viscous": effect_entry("asymmetric_viscous", "joint_2", {}, 0.3),
     "stribeck": effect_entry(
         "stribeck", "joint_1", {"top_speed": 2.0}, *(0.4, 0.0, 0.2, 0.1, 0.0, 0.3, 0.2, 0.1)
+    ),
+    "stribeck, built up": effect_entry(
+        "stribeck", "joint_1", {"top_speed": 2.0} | BUILD_UP, *(0.4, 0, 0.2, 0.1, 0, 0.3, 0.2, 0.1)
     ),
     "nonlinear_viscous": effect_entry(
         "nonlinear_viscous", "joint_2", {"top_speed": 2.0}, *(0.5, 0.2, 0.1, 0.3, 0.1, 0.2, 0.1, 0)
@@ -38,6 +43,9 @@ FRICTION_EFFECTS = {
     "drag": effect_entry("drag", "joint_1", {}, 0.4),
     "load_friction": effect_entry(
         "load_friction", "joint_1", {"dense": 1.0, "scale": 9.0}, 0.1, 0.05, -0.02
+    ),
+    "load_friction, built up": effect_entry(
+        "load_friction", "joint_1", {"dense": 1.0, "scale": 9.0} | BUILD_UP, 0.1, 0.05, -0.02
     ),
     "position_friction": effect_entry(
         "position_friction",

@@ -62,9 +62,8 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
     def parameters(c: FloatArray) -> dict[str, float]:
         reach = float(np.linalg.norm(c[1:4]))
-        is_body = c[0] != 0.0 and reach <= MAX_CENTRE_DISTANCE * abs(
-            c[0]
-        )  # not a tool that was moved
+        # otherwise a tool was moved, which is no body of its own
+        is_body = c[0] != 0.0 and reach <= MAX_CENTRE_DISTANCE * abs(c[0])
         centre = c[1:4] / c[0] if is_body else np.full(3, np.nan)
         return {
             "mass": float(c[0]),

@@ -2,8 +2,9 @@
 
 The expressions are those of `casadi_model` and `friction_runtime`; CasADi writes them as C99
 without dependencies. Wrappers with plain arrays follow, so that a controller needs none of CasADi's
-calling convention. Presliding hysteresis has a state of its own, a struct that the caller holds and
-a step function advances. Nothing is allocated, and all functions are reentrant.
+calling convention. Presliding hysteresis, and dry friction that builds up with it, has a state: a
+struct that the caller holds and a step function advances. Nothing is allocated, and all functions
+are reentrant.
 """
 
 from __future__ import annotations
@@ -25,15 +26,19 @@ FUNCTIONS = {
     "inverse_dynamics": ("q", "dq", "ddq"),
     "friction": ("q", "dq", "load"),
     "gravity": ("q",),
+    "bank_level": ("q", "dq", "load"),
 }
 """Arguments of each function, all of shape (n,)."""
+RESULTS = {"bank_level": "level[EXCITE_BANKS]"}
+"""Result of a function whose result is not the torque of the joints."""
 TEXTS = {
     "inverse_dynamics": "torque of links, rotors, friction and offset [N m or N]",
     "friction": "friction, offset and springs; load: torque of links (inverse dynamics without "
     "rotors) [N m or N]",
     "gravity": "static torque of links [N m or N]",
+    "bank_level": "factor of the force of each Maxwell-slip bank",
 }
-"""Torque that each function returns, with its unit."""
+"""What each function returns, with its unit."""
 
 
 def torque_functions(model: SimulatorModel) -> list[ca.Function]:
@@ -53,10 +58,27 @@ def torque_functions(model: SimulatorModel) -> list[ca.Function]:
         "friction": _friction(model, {**x, "ddq": still}),
         "gravity": casadi_model.link_torque(robot, x["q"], still, still, phi),
     }
-    return [
-        ca.Function(name, [x[key] for key in keys], [ca.densify(outputs[name])], keys, ["tau"])
-        for name, keys in FUNCTIONS.items()
+    table = friction_table(model)
+    levels = [
+        ca.SX(1.0)
+        if term.effect in friction_runtime.WITH_MEMORY
+        else _parts(term, {**x, "ddq": still}, table["widths"])[1]
+        for term in _terms_with_state(model)
     ]
+    if levels:
+        outputs["bank_level"] = ca.vertcat(*levels)
+    return [
+        ca.Function(
+            name, [x[key] for key in FUNCTIONS[name]], [ca.densify(out)], FUNCTIONS[name], ["tau"]
+        )
+        for name, out in outputs.items()
+    ]
+
+
+def _terms_with_state(model: SimulatorModel) -> list[Term]:
+    """Terms that have Maxwell-slip elements."""
+    terms = [Term(**entry) for entry in friction_table(model)["terms"]]
+    return [term for term in terms if friction_runtime.has_state(term)]
 
 
 def _friction(model: SimulatorModel, x: dict[str, ca.SX]) -> ca.SX:
@@ -71,7 +93,13 @@ def _friction(model: SimulatorModel, x: dict[str, ca.SX]) -> ca.SX:
 
 
 def _term_torque(term: Term, x: dict[str, ca.SX], widths: Sequence[float]) -> ca.SX:
-    """Torque of a term at its joint, as an expression."""
+    """Torque of a term at its joint, its dry part at once, as an expression."""
+    smooth, dry = _parts(term, x, widths)
+    return smooth + dry * ca.tanh(x["dq"][term.joint] / float(widths[term.joint]))
+
+
+def _parts(term: Term, x: dict[str, ca.SX], widths: Sequence[float]) -> tuple[ca.SX, ca.SX]:
+    """Smooth part of a term's torque and factor of the sign, as expressions."""
     j, other = term.joint, max(term.other, 0)
     motion = JointMotion(
         x["q"][j],
@@ -83,7 +111,7 @@ def _term_torque(term: Term, x: dict[str, ca.SX], widths: Sequence[float]) -> ca
         float(widths[j]),
     )
     smooth, dry = friction_runtime.stateless(term, motion, ca)
-    return smooth + dry * ca.tanh(motion.dq / motion.width)
+    return ca.SX(smooth), ca.SX(dry)
 
 
 def c_text(model: SimulatorModel) -> str:
@@ -100,9 +128,11 @@ def c_text(model: SimulatorModel) -> str:
     joints = [f" {j}: {name}" for j, name in enumerate(model.joints)]
     lines += ["joints, in the order of all arrays:", *joints]
     n = len(model.joints)
+    banks = [(term.joint, MaxwellSlipBank(term)) for term in _terms_with_state(model)]
     wrappers = [f"#define EXCITE_JOINTS {n}"]
+    if banks:
+        wrappers[0] += f"\n#define EXCITE_BANKS {len(banks)}"
     wrappers += [_wrapper(function, _work_sizes(function)) for function in functions]
-    banks = _slip_banks(model)
     if banks:
         lines += ["torque = excite_inverse_dynamics + excite_hysteresis, which has a state"]
         wrappers.append(_hysteresis(banks, friction_table(model)["widths"]))
@@ -121,24 +151,15 @@ def _wrapper(function: ca.Function, sizes: Sequence[int]) -> str:
     keys = FUNCTIONS[name]
     arguments = ", ".join(f"const double {key}[EXCITE_JOINTS]" for key in keys)
     count, results, integers, numbers = (max(1, int(size)) for size in sizes)
+    result = RESULTS.get(name, "tau[EXCITE_JOINTS]")
     stored = "\n".join(f"  arg[{i}] = {key};" for i, key in enumerate(keys))
     return (
         f"/* {TEXTS[name]} */\n"
-        f"void excite_{name}({arguments}, double tau[EXCITE_JOINTS]) {{\n"
+        f"void excite_{name}({arguments}, double {result}) {{\n"
         f"  const double* arg[{count}];\n  double* res[{results}];\n"
         f"  int iw[{integers}];\n  double w[{numbers}];\n"
-        f"{stored}\n  res[0] = tau;\n  {name}(arg, res, iw, w, 0);\n}}"
+        f"{stored}\n  res[0] = {result.partition('[')[0]};\n  {name}(arg, res, iw, w, 0);\n}}"
     )
-
-
-def _slip_banks(model: SimulatorModel) -> list[tuple[int, MaxwellSlipBank]]:
-    """Return the joints with presliding hysteresis, and their elements."""
-    terms = [Term(**entry) for entry in friction_table(model)["terms"]]
-    return [
-        (term.joint, MaxwellSlipBank(term))
-        for term in terms
-        if term.effect in friction_runtime.WITH_MEMORY
-    ]
 
 
 def _hysteresis(banks: Sequence[tuple[int, MaxwellSlipBank]], widths: Sequence[float]) -> str:
@@ -159,13 +180,12 @@ def _hysteresis(banks: Sequence[tuple[int, MaxwellSlipBank]], widths: Sequence[f
     }
     tables = {
         "distance": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* of slip [rad or m] */",
-        "strength": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* force of a slipping element */",
+        "strength": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* of an element that slips */",
         "unequal": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* factor of |z| - 1 */",
         "width": "[EXCITE_BANKS] = {0}; /* of the sign function [rad/s or m/s] */",
     }
     joints = ", ".join(str(joint) for joint, _ in banks)
     lines = [
-        f"#define EXCITE_BANKS {len(banks)}",
         f"#define EXCITE_ELEMENTS {elements}",
         f"static const int excite_bank_joint[EXCITE_BANKS] = {{{joints}}};",
     ]
@@ -193,11 +213,15 @@ void excite_hysteresis_reset(excite_hysteresis_state* state, const double q[EXCI
   }
 }
 
-/* Advance to a position; tau: torque to add to that of excite_inverse_dynamics or excite_friction
-   [N m or N]. It depends on the path, not on the time between two steps. */
+/* Advance to a position; load: torque of links, as for excite_friction; tau: torque to add to that
+   of excite_inverse_dynamics or excite_friction [N m or N]. It depends on the path, not on the time
+   between two steps. */
 void excite_hysteresis(excite_hysteresis_state* state, const double q[EXCITE_JOINTS],
-                       const double dq[EXCITE_JOINTS], double tau[EXCITE_JOINTS]) {
+                       const double dq[EXCITE_JOINTS], const double load[EXCITE_JOINTS],
+                       double tau[EXCITE_JOINTS]) {
   int i, k;
+  double level[EXCITE_BANKS];
+  excite_bank_level(q, dq, load, level);
   for (i = 0; i < EXCITE_JOINTS; ++i) tau[i] = 0.0;
   for (i = 0; i < EXCITE_BANKS; ++i) {
     const int joint = excite_bank_joint[i];
@@ -210,7 +234,7 @@ void excite_hysteresis(excite_hysteresis_state* state, const double q[EXCITE_JOI
       double z = state->z[i][k] + moved / distance[k];
       z = z > 1.0 ? 1.0 : z < -1.0 ? -1.0 : z;
       state->z[i][k] = z;
-      tau[joint] += strength[k] * (z - sign) + unequal[k] * (fabs(z) - 1.0);
+      tau[joint] += level[i] * strength[k] * (z - sign) + unequal[k] * (fabs(z) - 1.0);
     }
   }
 }"""

@@ -8,8 +8,9 @@ the rigid links and rotors: friction opposes the motion, so that a simulator app
 
 Positions, velocities and loads have the shape (n,), or (environments, n) for many robots at once.
 The load is the torque of the rigid links, without rotors and friction [N m]: inverse dynamics of q,
-dq, ddq. Presliding hysteresis (Maxwell-slip elements) has a state, which `torque` advances by the
-change of q since the last call; `reset` forgets it. The state does not depend on time, so that
+dq, ddq. Presliding hysteresis (Maxwell-slip elements), and other dry friction that builds up in the
+same elements, has a state, which `torque` advances by the change of q since the last call; `reset`
+forgets it. The state does not depend on time, so that
 repeated calls at one position change nothing.
 
 MuJoCo: `install(mujoco, model, friction, beyond="mjcf")` subtracts from the passive forces what the
@@ -208,12 +209,19 @@ _FUNCTIONS = {
 viscous and Coulomb friction of the base model, "base_offset" its offset."""
 WITH_MEMORY = ("hysteresis",)
 """Effects whose torque depends on the past of the position."""
+
+
+def has_state(term: Term) -> bool:
+    """Return whether a term has Maxwell-slip elements: its own, or those in which it builds up."""
+    return term.effect in WITH_MEMORY or "share_0" in term.values
+
+
 KNOWN = (*_FUNCTIONS, *WITH_MEMORY)
 """Effects that this module computes."""
 
 
 class MaxwellSlipBank:
-    """Presliding hysteresis of one joint: Maxwell-slip elements (Iwan 1966).
+    """Maxwell-slip elements of one joint (Iwan 1966), of presliding hysteresis or other friction.
 
     Each element is a spring that slips at its distance d, so that its force is rate-independent:
     z advances by dq/d and stays within -1 and 1. The force of an element with unequal branches also
@@ -221,7 +229,8 @@ class MaxwellSlipBank:
 
     Attributes:
         distances: Deflection at which each element slips, shape (elements,) [rad or m].
-        strengths: Force of each element while it slips, shape (elements,) [N m or N].
+        strengths: Force of each element while it slips, shape (elements,) [N m or N], or its share
+            of the force of a friction that builds up.
         unequal: Factor of |z| - 1 of the elements `UNEQUAL_ELEMENTS` [N m or N].
     """
 
@@ -229,8 +238,12 @@ class MaxwellSlipBank:
         """Begin with relaxed springs."""
         count = len(REACH_RATIOS)
         self.distances = term.values["reach"] * REACH_RATIOS
-        self.strengths = np.array(term.coefficients[:count], float)
-        self.unequal = np.array(term.coefficients[count:], float)
+        if term.effect in WITH_MEMORY:
+            strengths, unequal = term.coefficients[:count], term.coefficients[count:]
+        else:
+            strengths = [term.values[f"share_{i}"] for i in range(count)]
+            unequal = [0.0] * len(UNEQUAL_ELEMENTS)
+        self.strengths, self.unequal = np.array(strengths, float), np.array(unequal, float)
         self.last: Any = None
         self.z: Any = None
 
@@ -263,9 +276,7 @@ class Friction:
     def reset(self) -> None:
         """Forget the past: presliding springs are relaxed at the next position."""
         self.banks = {
-            k: MaxwellSlipBank(term)
-            for k, term in enumerate(self.terms)
-            if term.effect in WITH_MEMORY
+            k: MaxwellSlipBank(term) for k, term in enumerate(self.terms) if has_state(term)
         }
 
     def parts(
@@ -277,15 +288,17 @@ class Friction:
         ddq = np.zeros_like(q) if ddq is None else np.asarray(ddq, float)
         smooth, dry = np.zeros_like(q), np.zeros_like(q)
         for k, term in enumerate(self.terms):
+            level: Any = 1.0
+            if beyond not in term.held_by and term.effect not in WITH_MEMORY:
+                s, level = stateless(term, self._motion(term, q, dq, ddq, load))
+                smooth[..., term.joint] += s
+                dry[..., term.joint] += level
             if k in self.banks:
+                # the elements replace their part of the sign
                 force = self.banks[k].advance(q[..., term.joint])
                 if beyond not in term.held_by:
-                    smooth[..., term.joint] += force
-                    dry[..., term.joint] -= self.banks[k].strengths.sum()
-            elif beyond not in term.held_by:
-                s, d = stateless(term, self._motion(term, q, dq, ddq, load))
-                smooth[..., term.joint] += s
-                dry[..., term.joint] += d
+                    smooth[..., term.joint] += level * force
+                    dry[..., term.joint] -= level * self.banks[k].strengths.sum()
         return smooth, dry
 
     def torque(

@@ -17,14 +17,16 @@ class CandidateFit:
 
     Attributes:
         coefficients: Shape (k,).
-        gain: Gain of log-likelihood, less the cost of the prior, with the variance that remains at
-            each joint.
+        gain: Decrease of the objective, a log-likelihood by the weights of the regression.
+        log_gain: Gain of log-likelihood with the variance that remains at each joint, less the cost
+            of the prior.
         information: Their information after elimination of all other coefficients, shape (k, k).
         prior: Prior precision of each, shape (k,).
     """
 
     coefficients: FloatArray
     gain: float
+    log_gain: float
     information: FloatArray
     prior: FloatArray
 

@@ -42,7 +42,7 @@ from .columns import Columns
 from .flexible_models import UNMODELLED
 from .normal_equations import Solution
 from .recording_chain import RecordingChain
-from .regression import FIXED_STD, Condition, JointRegression, independent_share, rms
+from .regression import Condition, JointRegression, independent_share, rms
 
 ROUNDS = 4
 """Rounds of the fit: delay and weights change by less than 1 % after three."""
@@ -472,10 +472,11 @@ def base_model(
     prior = _base_prior(identified, motions, free, change_scale)
     in_mean = session_changes.weights_in_mean(motions, change_scale, error)
     changes = session_changes.columns(motions, in_mean)
+    of_width = level if identified.options.widths is None else np.zeros_like(level)
     regression = JointRegression.of_base(
         np.concatenate([motion.torque for motion in motions]) - known,
         moving,
-        _base_columns(motions, level, free, modelled, chain, changes),
+        _base_columns(motions, of_width, free, modelled, chain, changes),
         prior,
         error,
         share,
@@ -574,7 +575,7 @@ def identified_motions(
 
 def _base_columns(
     motions: Sequence[RecordedMotion],
-    level: FloatArray,
+    of_width: FloatArray,
     free: IntArray,
     modelled: Sequence[FloatArray],
     chain: RecordingChain,
@@ -582,13 +583,13 @@ def _base_columns(
 ) -> FloatArray:
     """Columns of the base model, shape (N, n, p + n + 2 + s).
 
-    Γ, the change of Coulomb friction by its width, the recording chain, and the changes between
-    recordings.
+    Γ, the change of Coulomb friction by its width (in units of `of_width`, 0 of a known one), the
+    recording chain, and the changes between recordings.
     """
     parts = []
     for motion, torque, changed in zip(motions, modelled, changes, strict=True):
         slopes = np.zeros((len(motion), motion.n, motion.n))
-        slopes[:, range(motion.n), range(motion.n)] = motion.slopes * level
+        slopes[:, range(motion.n), range(motion.n)] = motion.slopes * of_width
         of_chain = recording_chain.columns(motion, torque, chain)
         *base, change = (
             chain.passed(motion, x) for x in (motion.gamma[:, :, free], slopes, changed)
@@ -608,7 +609,7 @@ def _base_prior(
     p, n = len(free), motions[0].n
     others = np.concatenate(
         [
-            np.full(n, 1.0 if identified.options.widths is None else FIXED_STD),
+            np.ones(n),
             recording_chain.PRIOR_STD,
             session_changes.prior_std(motions, change_scale),
         ]

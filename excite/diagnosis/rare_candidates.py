@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import special
 
 from ..effects import EFFECTS
 from ..effects.effect import CandidateModel, Key
@@ -19,8 +20,6 @@ from .posterior import DENSE_NAMES
 
 MIN_CANDIDATE_EVIDENCE = 5.0
 """Log Bayes factor before the weights are renewed from which a candidate is tried."""
-RANKING_SHARE = 0.25
-"""Share of independent rows in the residual of a complete model, at least."""
 EQUIVALENT_SHARE = 0.05
 """Probability over that of the chosen effect from which another one is its equivalent."""
 TIE = -probability.RARE_TEMPERATURE * float(np.log(EQUIVALENT_SHARE))
@@ -36,23 +35,21 @@ class Candidate:
     Attributes:
         model: The candidate.
         fit: Its fit.
-        share: Share of independent rows in the residual. An effect that is left out makes the
-            residual look correlated, so that the evidence is that of usual residuals.
     """
 
     model: CandidateModel
     fit: CandidateFit
-    share: float
 
     @property
     def log_bayes_factor(self) -> float:
-        """Log Bayes factor for the candidate, before the choice among its shapes."""
+        """Log Bayes factor for the candidate, before the choice among its shapes, by the weights of
+        the regression."""
         return self.fit.gain - self._occam
 
     @cached_property
     def evidence(self) -> float:
-        """The same with the share of independent rows that a complete model would have."""
-        return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - self._occam
+        """The same with the variance that remains next to it."""
+        return self.fit.log_gain - self._occam
 
     @property
     def _occam(self) -> float:
@@ -99,10 +96,7 @@ class CandidateShapes:
         """Return the candidates, each fitted alone on top of a joint model of the same motions."""
         regression = joint.regression
         fits = itertools.chain(*(regression.candidates(batch) for batch in self.batches))
-        return [
-            Candidate(shape, fit, regression.independent_share)
-            for shape, fit in zip(self.models, fits, strict=True)
-        ]
+        return [Candidate(shape, fit) for shape, fit in zip(self.models, fits, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -139,11 +133,16 @@ class Ranking:
     @cached_property
     def evidence(self) -> float:
         """Evidence of one effect whose shape is one of those tried; −∞ if none is plausible."""
-        if not self.plausible:
-            return -np.inf
-        evidence = np.array([c.evidence for c in self.plausible])
-        highest = float(evidence.max())
-        return highest + float(np.log(np.exp(evidence - highest).sum() / self.count))
+        return self._of_one([c.evidence for c in self.plausible])
+
+    @cached_property
+    def log_bayes_factor(self) -> float:
+        """The same by the weights of the regression."""
+        return self._of_one([c.log_bayes_factor for c in self.plausible])
+
+    def _of_one(self, of_shapes: Sequence[float]) -> float:
+        """Mean evidence of all shapes, of which none is not plausible."""
+        return float(special.logsumexp(of_shapes) - np.log(self.count)) if of_shapes else -np.inf
 
 
 class CandidateColumns:
@@ -217,8 +216,8 @@ class CandidateColumns:
             # frictions that nothing needs are no merit of what would take their place
             lost = max(posterior.log_bayes_factor(model, reduced), 0.0)
             for key, ranking in self._rankings(reduced, (self._absorbed,)).items():
-                evidence = ranking.evidence - lost
-                if evidence > -TIE and ranking.evidence > MIN_CANDIDATE_EVIDENCE:
+                evidence = ranking.log_bayes_factor - lost
+                if evidence > -TIE and ranking.log_bayes_factor > MIN_CANDIDATE_EVIDENCE:
                     evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))
                 if joint in (None, key[1]) and evidence > scores.get(key, -np.inf):
                     scores[key], rankings[key] = evidence, ranking
@@ -252,12 +251,12 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
 
     def gain(shape: CandidateModel) -> float:
         trial = fitted(shape)
-        return trial.fit.gain if trial is not None and trial.is_plausible else -np.inf
+        return trial.fit.log_gain if trial is not None and trial.is_plausible else -np.inf
 
     current = fitted(candidate.model)
     if current is None or current.model.nonlinear is None:
         return current or candidate
     best = fitted(current.model.nonlinear.optimised(gain))
-    if best is None or not best.is_plausible or best.fit.gain < current.fit.gain:
+    if best is None or not best.is_plausible or best.fit.log_gain < current.fit.log_gain:
         return current
     return best

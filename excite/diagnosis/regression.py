@@ -563,10 +563,9 @@ class JointRegression:
         """Fit each of many candidates jointly with the active coefficients.
 
         They have no sign constraints. All products with the columns of the model are formed at
-        once. The gain of log-likelihood is that with the variance E/N that remains at each joint,
-        Σ_j ½ ρ N_j ln(E_j/E_j'), with the squared errors E and E' without and with the candidate:
-        by the variance without it, what explains nearly all torque would hardly be better than what
-        explains most.
+        once. By the weights of the regression, what explains nearly all torque is hardly better
+        than what explains most. With the variance that remains at each joint the gain is
+        Σ_j ½ ρ N_j ln(E_j/E_j'), E and E' the squared errors without and with the candidate.
 
         Args:
             batch: Columns of the candidates.
@@ -580,15 +579,15 @@ class JointRegression:
         for group in batch.groups:
             c, information = group.solved(self.weights, cross, change, score)
             moved = np.einsum("amk,mk->am", change[:, group.places], c)
-            gains = -0.5 * np.sum(group.prior * c**2, axis=1)
+            gains = 0.5 * np.sum(score[group.places] * c, axis=1)
+            log_gains = -0.5 * np.sum(group.prior * c**2, axis=1)
             for part, squares, count in zip(products, group.squares, rows.tolist(), strict=True):
                 if part.power > 0.0:
                     remaining = part.remaining(group, squares, c, moved) / part.power
-                    gains -= 0.5 * count * np.log(np.maximum(remaining, MIN_REMAINING))
-            for member, *fit in zip(
-                group.members.tolist(), c, gains.tolist(), information, group.prior, strict=True
-            ):
-                out[member] = CandidateFit(*fit)
+                    log_gains -= 0.5 * count * np.log(np.maximum(remaining, MIN_REMAINING))
+            for i, member in enumerate(group.members.tolist()):
+                both = float(gains[i]), float(log_gains[i])
+                out[member] = CandidateFit(c[i], *both, information[i], group.prior[i])
         return [fit for fit in out if fit is not None]
 
     def _products_with(self, batch: CandidateBatch, solution: Solution) -> list[JointProducts]:

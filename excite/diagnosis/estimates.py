@@ -346,9 +346,10 @@ class _Posterior:
         p = regression.base_count
         weighted = solution.information - regression.prior_matrix
         base = np.delete(np.arange(p), [model.delay_place, model.filter_place])
+        base = base[np.diag(weighted)[base] > 0.0]  # that of a known width is nothing
         self._base = base
         self._weighted = weighted
-        a = weighted[np.ix_(base, base)] + 1e-9 * np.diag(np.diag(weighted)[base] + 1e-300)
+        a = weighted[np.ix_(base, base)] + 1e-9 * np.diag(np.diag(weighted)[base])
         self._base_inverse = np.linalg.pinv(a, rcond=1e-12, hermitian=True)
 
     def places(self, effects: Sequence[int]) -> IntArray:

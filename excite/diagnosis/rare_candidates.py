@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import special
 
-from ..effects import EFFECTS
+from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel, Key
 from . import contact_search, posterior, probability, ripple_search
 from .candidate_fits import CandidateBatch, CandidateFit
@@ -20,6 +20,8 @@ from .posterior import DENSE_NAMES
 
 MIN_CANDIDATE_EVIDENCE = 5.0
 """Log Bayes factor before the weights are renewed from which a candidate is tried."""
+RANKING_SHARE = 0.25
+"""Share of independent rows in the residual of a complete model, at least."""
 EQUIVALENT_SHARE = 0.05
 """Probability over that of the chosen effect from which another one is its equivalent."""
 TIE = -probability.RARE_TEMPERATURE * float(np.log(EQUIVALENT_SHARE))
@@ -35,20 +37,27 @@ class Candidate:
     Attributes:
         model: The candidate.
         fit: Its fit.
+        share: Share of independent rows in the residual. An effect that is left out makes the
+            residual look correlated, so that the evidence is that of usual residuals.
     """
 
     model: CandidateModel
     fit: CandidateFit
+    share: float
 
     @property
     def log_bayes_factor(self) -> float:
-        """Log Bayes factor for the candidate, before the choice among its shapes, by the weights of
-        the regression."""
+        """Log Bayes factor for the candidate, before the choice among its shapes."""
         return self.fit.gain - self._occam
 
     @cached_property
     def evidence(self) -> float:
-        """The same with the variance that remains next to it."""
+        """The same with the share of independent rows that a complete model would have."""
+        return max(RANKING_SHARE / self.share, 1.0) * self.fit.gain - self._occam
+
+    @property
+    def log_evidence(self) -> float:
+        """Log Bayes factor with the variance that remains next to it at each joint."""
         return self.fit.log_gain - self._occam
 
     @property
@@ -96,7 +105,10 @@ class CandidateShapes:
         """Return the candidates, each fitted alone on top of a joint model of the same motions."""
         regression = joint.regression
         fits = itertools.chain(*(regression.candidates(batch) for batch in self.batches))
-        return [Candidate(shape, fit) for shape, fit in zip(self.models, fits, strict=True)]
+        return [
+            Candidate(shape, fit, regression.independent_share)
+            for shape, fit in zip(self.models, fits, strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -136,12 +148,12 @@ class Ranking:
         return self._of_one([c.evidence for c in self.plausible])
 
     @cached_property
-    def log_bayes_factor(self) -> float:
-        """The same by the weights of the regression."""
-        return self._of_one([c.log_bayes_factor for c in self.plausible])
+    def log_evidence(self) -> float:
+        """The same with the variance that remains next to each."""
+        return self._of_one([c.log_evidence for c in self.plausible])
 
     def _of_one(self, of_shapes: Sequence[float]) -> float:
-        """Mean evidence of all shapes, of which none is not plausible."""
+        """Mean evidence of all shapes that were tried, of which these are plausible."""
         return float(special.logsumexp(of_shapes) - np.log(self.count)) if of_shapes else -np.inf
 
 
@@ -202,7 +214,7 @@ class CandidateColumns:
         """
         groups = self._shapes, self._absorbed, self._contacts
         rankings = {key: r for key, r in self._rankings(model, groups).items() if r.plausible}
-        scores = {key: ranking.evidence for key, ranking in rankings.items()}
+        scores = _of_links({k: r.evidence for k, r in rankings.items()}, rankings)
         for joint in (None, *range(model.n)) if self._absorbed.models else ():
             kept = [
                 i
@@ -215,13 +227,38 @@ class CandidateColumns:
             reduced = model.keeping(kept)
             # frictions that nothing needs are no merit of what would take their place
             lost = max(posterior.log_bayes_factor(model, reduced), 0.0)
-            for key, ranking in self._rankings(reduced, (self._absorbed,)).items():
-                evidence = ranking.log_bayes_factor - lost
-                if evidence > -TIE and ranking.log_bayes_factor > MIN_CANDIDATE_EVIDENCE:
+            absorbed = self._rankings(reduced, (self._absorbed,))
+            absorbed = {key: r for key, r in absorbed.items() if r.plausible}
+            alone = _of_links({k: r.evidence for k, r in absorbed.items()}, absorbed)
+            for key, ranking in absorbed.items():
+                evidence = alone[key] - lost
+                if evidence > -TIE and alone[key] > MIN_CANDIDATE_EVIDENCE:
                     evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))
                 if joint in (None, key[1]) and evidence > scores.get(key, -np.inf):
                     scores[key], rankings[key] = evidence, ranking
         return scores, rankings
+
+
+def is_of_link(effect: str) -> bool:
+    """Tell whether an effect acts on a link."""
+    return effect in EFFECTS_BY_NAME and EFFECTS_BY_NAME[effect].of_link
+
+
+def _of_links(scores: Mapping[Key, float], rankings: Mapping[Key, Ranking]) -> dict[Key, float]:
+    """Return scores in which effects of links differ by the variance that remains next to each.
+
+    A change of one link explains a part of that of another: of all joints but the last, or most of
+    each. By the weights without it, that is hardly worse than all of it.
+
+    Args:
+        scores: Evidence of every effect at every joint.
+        rankings: Their shapes.
+    """
+    of_links = {key: rankings[key].log_evidence for key in scores if is_of_link(key[0])}
+    if not of_links:
+        return dict(scores)
+    highest, most = max(scores[key] for key in of_links), max(of_links.values())
+    return dict(scores) | {key: highest - (most - value) for key, value in of_links.items()}
 
 
 def tuned(model: JointModel, ranking: Ranking) -> Candidate:
@@ -251,12 +288,12 @@ def optimised(model: JointModel, candidate: Candidate) -> Candidate:
 
     def gain(shape: CandidateModel) -> float:
         trial = fitted(shape)
-        return trial.fit.log_gain if trial is not None and trial.is_plausible else -np.inf
+        return trial.fit.gain if trial is not None and trial.is_plausible else -np.inf
 
     current = fitted(candidate.model)
     if current is None or current.model.nonlinear is None:
         return current or candidate
     best = fitted(current.model.nonlinear.optimised(gain))
-    if best is None or not best.is_plausible or best.fit.log_gain < current.fit.log_gain:
+    if best is None or not best.is_plausible or best.fit.gain < current.fit.gain:
         return current
     return best

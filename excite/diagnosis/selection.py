@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
@@ -31,6 +30,7 @@ from .rare_candidates import (
     CandidateColumns,
     CandidateShapes,
     Ranking,
+    is_of_link,
     tuned,
 )
 from .regression import log_error_ratio
@@ -98,7 +98,7 @@ class RareEffect:
             and key[0] != UNMODELLED
             and (key[1] == self.key[1] or None in (key[1], self.key[1]))
         ]
-        of_link = _is_of_link(self.key[0])
+        of_link = is_of_link(self.key[0])
         other_links = [key for key in instead if of_link and key[0] == self.key[0]]
         total = 1.0 + sum(instead.values())
         weight = 1.0 + sum(instead[key] for key in (*alike, *other_links))
@@ -293,12 +293,12 @@ class _Search:
                 if factor > max(factors.values(), default=-np.inf):
                     best = addition
                 factors[key] = factor
-        if best is not None:
-            # of those that were fitted completely, that is the evidence
+        if best is not None and is_of_link(best.shape.effect):
+            # of other links that were fitted completely, that is the evidence
             chosen = best.shape.key
             scale = _scale(best.evidence.log_bayes_factor, scores[chosen])
-            for key, factor in factors.items():
-                scores[key] = scores[chosen] + (factor - factors[chosen]) / scale
+            for key in (key for key in factors if is_of_link(key[0])):
+                scores[key] = scores[chosen] + (factors[key] - factors[chosen]) / scale
         # contacts that are tried in vain are no reason to leave out a flexible model
         return self._best(others, scores, rankings) if best is None and others else best
 
@@ -463,17 +463,12 @@ def _is_same_body(first: CandidateModel, second: CandidateModel) -> bool:
 
     They may be on different links.
     """
-    if first.effect != second.effect or not _is_of_link(first.effect):
+    if first.effect != second.effect or not is_of_link(first.effect):
         return False
     if first.interval is None or second.interval is None:
         return True
     overlap = first.interval[0] < second.interval[1] and second.interval[0] < first.interval[1]
     return first.source == second.source and overlap
-
-
-def _is_of_link(effect: str) -> bool:
-    """Tell whether an effect acts on a link."""
-    return effect != UNMODELLED and EFFECTS_BY_NAME[effect].of_link
 
 
 def _is_seen_in_motion(

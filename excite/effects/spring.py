@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -31,8 +30,7 @@ FORMS = (*UNBOUNDED_FORMS, *BOUNDED_FORMS)
 WAVES_OVER_RANGE = (0.35, 0.6, 0.9)
 """Periods over the joint's range of the slow wave that is added to a linear spring."""
 KINK_POSITIONS = np.linspace(0.15, 0.85, 8)
-"""Positions, as shares of the joint's range, between whose ends a spring's stiffness may change:
-beyond them too little of a line shows for it to go on outside of the range."""
+"""Positions, as shares of the joint's range, at which a spring's stiffness may change."""
 CURVE_WAVES = (6, 12)
 """Half waves over the joint's range of a curve of any form."""
 CURVE_POINTS = 200
@@ -94,11 +92,10 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             yield from grid_candidates(
                 slow, lambda order: model(order=order, about=0.5 * (low + high), low=low, high=high)
             )
-            kinks = grid_candidates(
+            yield from grid_candidates(
                 ((high - low) * KINK_POSITIONS).tolist(),
                 lambda distance: model(bend=low + distance, low=low, high=high),
             )
-            yield from itertools.islice(kinks, 1, len(KINK_POSITIONS) - 1)
             for waves in CURVE_WAVES:
                 yield model(waves=float(waves), low=low, high=high)
 

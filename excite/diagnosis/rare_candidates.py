@@ -215,6 +215,7 @@ class CandidateColumns:
         groups = self._shapes, self._absorbed, self._contacts
         rankings = {key: r for key, r in self._rankings(model, groups).items() if r.plausible}
         scores = _of_links({k: r.evidence for k, r in rankings.items()}, rankings)
+        hidden: set[Key] = set()
         for joint in (None, *range(model.n)) if self._absorbed.models else ():
             kept = [
                 i
@@ -231,6 +232,9 @@ class CandidateColumns:
             absorbed = {key: r for key, r in absorbed.items() if r.plausible}
             alone = _of_links({k: r.evidence for k, r in absorbed.items()}, absorbed)
             for key, ranking in absorbed.items():
+                if scores.get(key, -np.inf) > MIN_CANDIDATE_EVIDENCE and key not in hidden:
+                    continue  # no friction hides it
+                hidden.add(key)
                 evidence = alone[key] - lost
                 if evidence > -TIE and alone[key] > MIN_CANDIDATE_EVIDENCE:
                     evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -26,6 +27,7 @@ from synthetic_recordings import pinocchio_model
 
 import excite
 from excite._types import FloatArray
+from excite.diagnosis import model_check
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME
@@ -97,6 +99,30 @@ def test_a_torque_gain_is_found():
     result = diagnose(recordings, prior=TRUSTED)
     assert findings_of(result) == [("torque_gain", 1)]
     assert parameters(result, "torque_gain", 1)["gain"][0] == pytest.approx(1.0 / 0.92, rel=0.01)
+
+
+@pytest.mark.parametrize("mass", [-0.3, 0.0])
+def test_a_tool_that_was_taken_off_or_turned_is_a_payload(mass):
+    """The last link lost a body, or carries it elsewhere: only its first moments differ."""
+    moments = mass * np.array([0.05, 0.02, 0.1]) if mass else np.array([0.06, -0.05, 0.0])
+    change = dict(zip(range(10, 14), [mass, *moments], strict=True))
+    result = diagnose(changed(change), prior=TRUSTED)
+    assert findings_of(result) == [("payload", 1)]
+    reported = parameters(result, "payload", 1)
+    assert reported["mass"][0] == pytest.approx(mass, abs=0.05)
+    assert ("com_x" in reported) is (mass != 0.0)
+    assert noise_ratios(result)[1].max() < 1.2
+
+
+def test_a_model_as_prior_keeps_its_widths_of_coulomb_friction():
+    """They belong to its friction: other ones would change the torque that it states."""
+    saved = diagnose(recordings_of(None))
+    model = dataclasses.replace(model_check.read_back(saved.document), widths=np.array([0.05, 0.1]))
+    known = prior.TrustedPrior.of_model(model)
+    result = diagnose(recordings_of(None), prior=known)
+    np.testing.assert_array_equal(result.final.motions[0].widths, model.widths)
+    stated = result.document["coulomb_width"]
+    assert list(stated.values()) == model.widths.tolist()
 
 
 def test_a_payload_is_found_and_trusted_parameters_are_kept():

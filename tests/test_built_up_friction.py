@@ -1,0 +1,104 @@
+"""Dry friction that builds up after a reversal: Stribeck friction in presliding elements."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from diagnosis_cases import (
+    COULOMB,
+    PSI,
+    RATE,
+    SUBJECT,
+    added_torque,
+    at_joint,
+    diagnose,
+    findings_of,
+    friction_sign,
+    maxwell_slip_force,
+    noise_ratios,
+    parameters,
+)
+from synthetic_recordings import random_fourier, synthetic_recording
+
+from excite.diagnosis.columns import Columns
+from excite.diagnosis.diagnosis import Diagnosis
+from excite.diagnosis.regression import Condition, JointRegression
+from excite.effects import hysteresis, stribeck
+
+HEIGHT, VELOCITY = 1.5, 0.3
+REACHES = np.array([0.004, 0.008, 0.016])
+"""Deflections at which the presliding elements slip [rad]."""
+
+
+@cache
+def diagnosed(builds_up: bool) -> Diagnosis:
+    """Return the diagnosis of a joint with presliding, whose Stribeck friction builds up or not."""
+    recordings = []
+    for seed in (2, 5, 7):
+        fourier = random_fourier(2, seed)
+        recording = synthetic_recording(SUBJECT, PSI, fourier, 4, 0.02, RATE)
+        motion = fourier.samples(recording.t)
+        v, direction = motion.dq[:, 0], maxwell_slip_force(motion.q[:, 0], REACHES)
+        sign = friction_sign(v)
+        curve = HEIGHT * np.exp(-np.abs(v) / VELOCITY)
+        friction = COULOMB[0] * (direction - sign) + curve * (direction if builds_up else sign)
+        named = dataclasses.replace(recording, source=f"{seed}.csv")
+        recordings.append(added_torque(named, at_joint(0, friction)))
+    return diagnose(recordings)
+
+
+@pytest.mark.parametrize("builds_up", [True, False])
+def test_stribeck_friction_next_to_presliding_is_found(builds_up):
+    assert set(findings_of(diagnosed(builds_up))) == {("stribeck", 0), ("hysteresis", 0)}
+
+
+def test_friction_that_builds_up_is_predicted_to_the_noise():
+    """With Stribeck friction that follows the sign of the speed, 12 times the noise remain."""
+    result = diagnosed(True)
+    assert noise_ratios(result)[1].max() < 1.3
+    assert parameters(result, "stribeck", 0)["amplitude"][0] == pytest.approx(HEIGHT, rel=0.1)
+
+
+@pytest.mark.parametrize("builds_up", [True, False])
+def test_the_saved_friction_builds_up_only_where_the_recordings_say_so(builds_up):
+    saved = [e.shape for e in diagnosed(builds_up).final.effects if e.shape.effect == "stribeck"]
+    assert [("share_0" in shape.values) for shape in saved] == [builds_up]
+
+
+def test_friction_that_builds_up_has_the_direction_of_its_elements():
+    motions = diagnosed(True).model.motions
+    bristles = hysteresis.dense_model(motions, 0)
+    c = np.zeros(len(hysteresis.REACH_RATIOS) + len(hysteresis.UNEQUAL_ELEMENTS))
+    c[[2, 4]] = 0.3, 0.1
+    shape = stribeck.dense_model(motions, 0, hysteresis.build_up(bristles, c, 1.0))
+    q = motions[0].samples.q[:, 0]
+    reaches = bristles.values["reach"] * hysteresis.REACH_RATIOS
+    elements = [hysteresis.maxwell_slip(q, reaches[i]) for i in (2, 4)]
+    expected = 0.3 * elements[0] + 0.1 * elements[1] + 0.6 * motions[0].sign(0)
+    np.testing.assert_allclose(hysteresis.direction(motions[0], shape), expected, atol=1e-12)
+    plain = stribeck.dense_model(motions, 0)
+    np.testing.assert_array_equal(hysteresis.direction(motions[0], plain), motions[0].sign(0))
+
+
+def test_one_form_of_an_effect_stands_in_for_the_other():
+    """Effect 1 needs effect 0; effect 2 is used only without effect 1."""
+    rng = np.random.default_rng(1)
+    base, torque = rng.normal(size=(50, 1, 1)), rng.normal(size=(50, 1))
+    prior = np.zeros(1), np.eye(1)
+    regression = JointRegression.of_base(
+        torque, np.ones((50, 1), bool), base, prior, np.ones(1), 1.0
+    )
+    for _ in range(3):
+        x = rng.normal(size=(50, 1))
+        regression.add(Columns((0,), (x,), np.zeros(1, bool), np.ones(1)))
+    regression.conditions = (Condition(1, 0, True), Condition(2, 1, False))
+    used = [regression.without(out).active.tolist() for out in ((), (0,), (1,), (1, 2))]
+    assert used == [
+        [True, True, True, False],
+        [True, False, False, True],
+        [True, True, False, True],
+        [True, True, False, False],
+    ]

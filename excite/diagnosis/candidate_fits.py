@@ -115,12 +115,12 @@ class JointProducts:
             moved: By how much the active coefficients fall next to each, shape (a, m).
         """
         u = moved[self.active]
-        own = np.einsum("mk,mkl,ml->m", c, squares, c) - 2.0 * np.sum(
+        candidates = np.einsum("mk,mkl,ml->m", c, squares, c) - 2.0 * np.sum(
             c * self.target[group.places], axis=1
         )
         along = np.einsum("bmk,mk->bm", self.shared[:, group.places], c)
         others = np.sum(u * (self.matrix @ u - 2.0 * along), axis=0) + 2.0 * self.score @ u
-        return np.asarray(self.power + own + others)
+        return np.asarray(self.power + candidates + others)
 
 
 @dataclass(frozen=True)

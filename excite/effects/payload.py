@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -76,10 +77,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     spread, carrying = fitted.robot.spread, set(fitted.model.parents)
     for link in range(len(fitted.parameters.links)):
         joint = int(np.flatnonzero(spread[link])[0])
-        own = fitted.psi[10 * link : 10 * (link + 1)]
-
-        def is_plausible(c: FloatArray, own: FloatArray = own) -> bool:
-            return _is_change_of_tool(own, c)
+        plausible_change = partial(_is_change_of_tool, fitted.psi[10 * link : 10 * (link + 1)])
 
         is_last = fitted.robot.body_of(joint) not in carrying
         for count in (4, 10):
@@ -89,7 +87,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 _columns,
                 {"link": float(link), "count": float(count)},
                 parameters=parameters,
-                is_plausible=is_plausible if is_last else _is_physically_consistent,
+                is_plausible=plausible_change if is_last else _is_physically_consistent,
             )
 
 

@@ -15,7 +15,7 @@ at once. All of it is fitted jointly with the base model, before anything is jud
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -251,12 +251,18 @@ def dense_models(
         for effect in FRICTIONS.values()
         if near_rest[j] or effect is not hysteresis
     ]
-    built_up = [
+    return [*plain, *_built_up_models(motions, build_ups or {})]
+
+
+def _built_up_models(
+    motions: Sequence[RecordedMotion], build_ups: Mapping[int, Mapping[str, float]]
+) -> list[CandidateModel]:
+    """Return the frictions that build up, by joint."""
+    return [
         effect.dense_model(motions, j, build_up)
-        for j, build_up in (build_ups or {}).items()
+        for j, build_up in build_ups.items()
         for effect in BUILDING_UP.values()
     ]
-    return [*plain, *built_up]
 
 
 def fit(
@@ -305,7 +311,9 @@ def fit(
 
 
 def _build_ups(
-    identified: Identification, fitted: JointModel, among: Collection[int] | None
+    identified: Identification,
+    fitted: JointModel,
+    among: Mapping[int, Mapping[str, float]] | None,
 ) -> dict[int, dict[str, float]]:
     """Return how the dry frictions of joints build up, by joint; joints where they do not are left
     out.
@@ -316,24 +324,39 @@ def _build_ups(
     Args:
         identified: The base model.
         fitted: A joint model.
-        among: Joints whose frictions are built up in it; None if it is the first fit.
+        among: How frictions are built up in it; None if none is yet.
+    """
+    if among is None:
+        among = _shares_of_elements(identified, fitted)
+        fitted = fitted.with_effects(_built_up_models(fitted.motions, among))
+    regression, out = fitted.regression, {}
+    for j, build_up in _shares_of_elements(identified, fitted).items():
+        if j not in among:
+            continue
+        at_once = regression.without(fitted.built_up(j))
+        evidence = regression.log_evidence(fitted.solution) - regression.log_evidence(at_once)
+        if evidence > MIN_ENTRY_EVIDENCE:
+            out[j] = build_up
+    return out
+
+
+def _shares_of_elements(
+    identified: Identification, fitted: JointModel
+) -> dict[int, dict[str, float]]:
+    """Return how friction would build up in the presliding elements of a fit, by joint.
+
+    Joints whose elements do not have most of Coulomb friction are left out.
     """
     theta = identified.model.base.matrix @ fitted.psi
     theta[fitted.free] = fitted.solution.coefficients[: len(fitted.free)]
     coulomb = {j: float(theta[k]) for k, j in identified.model.friction_columns().items()}
-    regression, out = fitted.regression, {}
+    out = {}
     for number, model in enumerate(fitted.models):
-        j = model.joint
-        if model.effect != "hysteresis" or j is None or (among is not None and j not in among):
-            continue
-        if among is not None:
-            at_once = regression.without(fitted.built_up(j))
-            evidence = regression.log_evidence(fitted.solution) - regression.log_evidence(at_once)
-            if evidence <= MIN_ENTRY_EVIDENCE:
-                continue
-        build_up = hysteresis.build_up(model, fitted.coefficients(number), coulomb.get(j, 0.0))
-        if hysteresis.built_up_share(build_up) > MIN_BUILT_UP_SHARE:
-            out[j] = build_up
+        if model.effect == "hysteresis":
+            j = model.joint_index
+            build_up = hysteresis.build_up(model, fitted.coefficients(number), coulomb.get(j, 0.0))
+            if hysteresis.built_up_share(build_up) > MIN_BUILT_UP_SHARE:
+                out[j] = build_up
     return out
 
 

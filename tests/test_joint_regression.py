@@ -156,6 +156,19 @@ def test_candidate_gains_what_the_refit_gains():
     assert regression.without([effect]).objective == pytest.approx(before)
 
 
+def test_candidate_gains_by_the_variance_that_remains():
+    regression, _ = random_regression(3, nonnegative=False)
+    columns = columns_on_all_joints(
+        np.random.default_rng(8).normal(size=(60, 2, 2)), np.zeros(2, bool), np.full(2, 5.0)
+    )
+    fit, before = regression.candidate(columns), regression.residual_rms(regression.solution)
+    regression.add(columns)
+    after = regression.residual_rms(regression.solution)
+    prior = 0.5 * np.sum(fit.coefficients**2 / 5.0**2)
+    expected = regression.independent_share * 60 * np.log(before / after).sum() - prior
+    assert fit.log_gain == pytest.approx(expected, rel=1e-6)
+
+
 def test_candidates_of_a_batch_are_fitted_one_by_one():
     """Candidates of different sizes, on one joint or on both, do not see each other."""
     rng = np.random.default_rng(4)

@@ -249,16 +249,20 @@ def is_of_link(effect: str) -> bool:
 
 
 def _of_links(scores: Mapping[Key, float], rankings: Mapping[Key, Ranking]) -> dict[Key, float]:
-    """Return scores in which effects of links differ by the variance that remains next to each.
+    """Return scores in which changes of links differ by the variance that remains next to each.
 
-    A change of one link explains a part of that of another: of all joints but the last, or most of
-    each. By the weights without it, that is hardly worse than all of it.
+    A change of one link, as a payload, explains a part of that of another: of all joints but the
+    last, or most of each. By the weights without it, that is hardly worse than all of it.
 
     Args:
         scores: Evidence of every effect at every joint.
         rankings: Their shapes.
     """
-    of_links = {key: rankings[key].log_evidence for key in scores if is_of_link(key[0])}
+    of_links = {
+        key: rankings[key].log_evidence
+        for key in scores
+        if is_of_link(key[0]) and EFFECTS_BY_NAME[key[0]].prior_only
+    }
     if not of_links:
         return dict(scores)
     highest, most = max(scores[key] for key in of_links), max(of_links.values())

@@ -213,7 +213,7 @@ def _next_to_form_errors(
         alone = regression.without({*gone, *smaller.effects})
         for number in larger.effects:
             if not alone.coefficients[regression.slices[number]].any():
-                continue
+                continue  # a form that is not used here
             columns = model.columns(
                 with_form_error(
                     model.models[number],

@@ -144,7 +144,7 @@ class Ranking:
 
     @cached_property
     def evidence(self) -> float:
-        """Evidence of one effect whose shape is one of those tried; −∞ if none is plausible."""
+        """Evidence of one effect whose shape is one of those tried."""
         return self._of_one([c.evidence for c in self.plausible])
 
     @cached_property
@@ -154,7 +154,7 @@ class Ranking:
 
     def _of_one(self, of_shapes: Sequence[float]) -> float:
         """Mean evidence of all shapes that were tried, of which these are plausible."""
-        return float(special.logsumexp(of_shapes) - np.log(self.count)) if of_shapes else -np.inf
+        return float(special.logsumexp(of_shapes) - np.log(self.count))
 
 
 class CandidateColumns:
@@ -199,7 +199,7 @@ class CandidateColumns:
             counts[key] = counts.get(key, 0) + 1
             if candidate.is_plausible:
                 plausible.setdefault(key, []).append(candidate)
-        return {key: Ranking(tuple(plausible.get(key, ())), count) for key, count in counts.items()}
+        return {key: Ranking(tuple(shapes), counts[key]) for key, shapes in plausible.items()}
 
     def scored(self, model: JointModel) -> tuple[dict[Key, float], dict[Key, Ranking]]:
         """Return the evidence of every effect at every joint, and the ranking of its shapes.
@@ -213,8 +213,8 @@ class CandidateColumns:
             model: The joint model on top of which they are fitted.
         """
         groups = self._shapes, self._absorbed, self._contacts
-        rankings = {key: r for key, r in self._rankings(model, groups).items() if r.plausible}
-        scores = _of_links({k: r.evidence for k, r in rankings.items()}, rankings)
+        rankings = self._rankings(model, groups)
+        scores = _scores(rankings)
         hidden: set[Key] = set()
         for joint in (None, *range(model.n)) if self._absorbed.models else ():
             kept = [
@@ -229,8 +229,7 @@ class CandidateColumns:
             # frictions that nothing needs are no merit of what would take their place
             lost = max(posterior.log_bayes_factor(model, reduced), 0.0)
             absorbed = self._rankings(reduced, (self._absorbed,))
-            absorbed = {key: r for key, r in absorbed.items() if r.plausible}
-            alone = _of_links({k: r.evidence for k, r in absorbed.items()}, absorbed)
+            alone = _scores(absorbed)
             for key, ranking in absorbed.items():
                 if scores.get(key, -np.inf) > MIN_CANDIDATE_EVIDENCE and key not in hidden:
                     continue  # no friction hides it
@@ -248,25 +247,21 @@ def is_of_link(effect: str) -> bool:
     return effect in EFFECTS_BY_NAME and EFFECTS_BY_NAME[effect].of_link
 
 
-def _of_links(scores: Mapping[Key, float], rankings: Mapping[Key, Ranking]) -> dict[Key, float]:
-    """Return scores in which changes of links differ by the variance that remains next to each.
+def _scores(rankings: Mapping[Key, Ranking]) -> dict[Key, float]:
+    """Return the evidence of every effect at every joint.
 
-    A change of one link, as a payload, explains a part of that of another: of all joints but the
-    last, or most of each. By the weights without it, that is hardly worse than all of it.
+    Changes of links differ by the variance that remains next to each: that of one link, as a
+    payload, explains a part of that of another, of all joints but the last, or most of each. By the
+    weights without it, that is hardly worse than all of it.
 
     Args:
-        scores: Evidence of every effect at every joint.
-        rankings: Their shapes.
+        rankings: The shapes of each.
     """
-    of_links = {
-        key: rankings[key].log_evidence
-        for key in scores
-        if is_of_link(key[0]) and EFFECTS_BY_NAME[key[0]].prior_only
-    }
-    if not of_links:
-        return dict(scores)
-    highest, most = max(scores[key] for key in of_links), max(of_links.values())
-    return dict(scores) | {key: highest - (most - value) for key, value in of_links.items()}
+    scores = {key: ranking.evidence for key, ranking in rankings.items()}
+    changes = [key for key in scores if is_of_link(key[0]) and EFFECTS_BY_NAME[key[0]].prior_only]
+    highest = max((scores[key] for key in changes), default=0.0)
+    most = max((rankings[key].log_evidence for key in changes), default=0.0)
+    return scores | {key: highest - (most - rankings[key].log_evidence) for key in changes}
 
 
 def tuned(model: JointModel, ranking: Ranking) -> Candidate:

@@ -38,7 +38,7 @@ TEXTS = {
     "gravity": "static torque of links [N m or N]",
     "bank_level": "factor of the force of each Maxwell-slip bank",
 }
-"""What each function returns, with its unit."""
+"""Result of each function and its unit."""
 
 
 def torque_functions(model: SimulatorModel) -> list[ca.Function]:
@@ -53,17 +53,18 @@ def torque_functions(model: SimulatorModel) -> list[ca.Function]:
     still = ca.SX.zeros(n)
     rigid = casadi_model.link_torque(robot, x["q"], x["dq"], x["ddq"], phi)
     rotors = ca.SX(model.torques.rotor_inertia) * x["ddq"]
+    terms, widths = _terms(model)
     outputs = {
-        "inverse_dynamics": rigid + rotors + _friction(model, {**x, "load": rigid}),
-        "friction": _friction(model, {**x, "ddq": still}),
+        "inverse_dynamics": rigid + rotors + _friction(terms, widths, {**x, "load": rigid}),
+        "friction": _friction(terms, widths, {**x, "ddq": still}),
         "gravity": casadi_model.link_torque(robot, x["q"], still, still, phi),
     }
-    table = friction_table(model)
     levels = [
         ca.SX(1.0)
         if term.effect in friction_runtime.WITH_MEMORY
-        else _parts(term, {**x, "ddq": still}, table["widths"])[1]
-        for term in _terms_with_state(model)
+        else _parts(term, {**x, "ddq": still}, widths)[1]
+        for term in terms
+        if friction_runtime.has_state(term)
     ]
     if levels:
         outputs["bank_level"] = ca.vertcat(*levels)
@@ -75,20 +76,18 @@ def torque_functions(model: SimulatorModel) -> list[ca.Function]:
     ]
 
 
-def _terms_with_state(model: SimulatorModel) -> list[Term]:
-    """Terms that have Maxwell-slip elements."""
-    terms = [Term(**entry) for entry in friction_table(model)["terms"]]
-    return [term for term in terms if friction_runtime.has_state(term)]
-
-
-def _friction(model: SimulatorModel, x: dict[str, ca.SX]) -> ca.SX:
-    """Torque of all terms without memory, as an expression. Shape (n,)."""
+def _terms(model: SimulatorModel) -> tuple[list[Term], list[float]]:
+    """Terms of the friction, and the widths of the sign function of each joint."""
     table = friction_table(model)
-    out = ca.SX.zeros(model.model.robot.n)
-    for entry in table["terms"]:
-        term = Term(**entry)
+    return [Term(**entry) for entry in table["terms"]], table["widths"]
+
+
+def _friction(terms: Sequence[Term], widths: Sequence[float], x: dict[str, ca.SX]) -> ca.SX:
+    """Torque of all terms without memory, as an expression. Shape (n,)."""
+    out = ca.SX.zeros(len(widths))
+    for term in terms:
         if term.effect not in friction_runtime.WITH_MEMORY:
-            out[term.joint] += _term_torque(term, x, table["widths"])
+            out[term.joint] += _term_torque(term, x, widths)
     return out
 
 
@@ -128,14 +127,17 @@ def c_text(model: SimulatorModel) -> str:
     joints = [f" {j}: {name}" for j, name in enumerate(model.joints)]
     lines += ["joints, in the order of all arrays:", *joints]
     n = len(model.joints)
-    banks = [(term.joint, MaxwellSlipBank(term)) for term in _terms_with_state(model)]
+    terms, widths = _terms(model)
+    banks = [
+        (term.joint, MaxwellSlipBank(term)) for term in terms if friction_runtime.has_state(term)
+    ]
     wrappers = [f"#define EXCITE_JOINTS {n}"]
     if banks:
         wrappers[0] += f"\n#define EXCITE_BANKS {len(banks)}"
     wrappers += [_wrapper(function, _work_sizes(function)) for function in functions]
     if banks:
         lines += ["torque = excite_inverse_dynamics + excite_hysteresis, which has a state"]
-        wrappers.append(_hysteresis(banks, friction_table(model)["widths"]))
+        wrappers.append(_hysteresis(banks, widths))
     comment = "\n".join(f" * {line}" for line in lines)
     return f"/*\n{comment}\n */\n{generator.dump()}\n" + "\n\n".join(wrappers) + "\n"
 

@@ -28,21 +28,6 @@ from excite.identification.lowpass import Grid, LowPassFilter
 
 
 @pytest.mark.parametrize("periodic", [True, False])
-def test_a_signal_below_the_cutoff_is_delayed_exactly(periodic):
-    t, seconds = np.arange(4000) / 500.0, 0.0137
-    lowpass = LowPassFilter(20.0, 500.0, len(t), periodic)
-
-    def wave(t):
-        return np.sin(2.0 * np.pi * 3.0 * t) + 0.3 * np.cos(2.0 * np.pi * 11.25 * t + 1.0)
-
-    moved = lowpass.transform(wave(t)).filter(Grid.RECORDED, delay=seconds)
-    kept = slice(lowpass.margin, len(t) - lowpass.margin)
-    np.testing.assert_allclose(
-        moved[kept], wave(t - seconds)[kept], atol=1e-9 if periodic else 2e-3
-    )
-
-
-@pytest.mark.parametrize("periodic", [True, False])
 def test_a_signal_below_the_cutoff_passes_a_first_order_filter(periodic):
     t, lag = np.arange(4000) / 500.0, 0.0137
     lowpass = LowPassFilter(20.0, 500.0, len(t), periodic)

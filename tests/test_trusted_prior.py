@@ -94,11 +94,14 @@ def test_a_rotor_inertia_is_found_that_a_refit_absorbs():
     assert parameters(result, "rotor_inertia", 0)["inertia"][0] == pytest.approx(0.2, rel=0.05)
 
 
-def test_a_torque_gain_is_found():
-    recordings = recordings_of(lambda t, q, dq, tau: at_joint(1, -0.08 * tau[:, 1]))
+@pytest.mark.parametrize("change", [-0.08, 0.25])
+def test_a_torque_gain_is_found_and_predicted(change):
+    recordings = recordings_of(lambda t, q, dq, tau: at_joint(1, change * tau[:, 1]))
     result = diagnose(recordings, prior=TRUSTED)
     assert findings_of(result) == [("torque_gain", 1)]
-    assert parameters(result, "torque_gain", 1)["gain"][0] == pytest.approx(1.0 / 0.92, rel=0.01)
+    gain = 1.0 / (1.0 + change)
+    assert parameters(result, "torque_gain", 1)["gain"][0] == pytest.approx(gain, rel=0.01)
+    assert noise_ratios(result)[1].max() < 1.2
 
 
 @pytest.mark.parametrize("mass", [-0.3, 0.0])

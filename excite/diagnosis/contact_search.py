@@ -120,6 +120,7 @@ class _WindowedForces:
         """Return windows of all lengths, each half overlapping the next, shape (w, 2)."""
         blocks = len(self.edges) - 1
         lengths = max(blocks // WINDOWS, 2) * 2 ** np.arange(DOUBLINGS)
+        lengths = lengths[lengths <= MAX_SHARE * blocks]
         return np.array(
             [
                 (start, start + length)

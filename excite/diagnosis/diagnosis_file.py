@@ -127,7 +127,7 @@ def _joint_entry(floor: float, method: str, before: float, after: float) -> dict
         before: Held-out RMSE of the base model [N m].
         after: That of the saved model [N m].
     """
-    shares = [max(1.0 - (floor / max(rmse, 1e-300)) ** 2, 0.0) for rmse in (before, after)]
+    shares = [1.0 - (floor / rmse) ** 2 if rmse > floor else 0.0 for rmse in (before, after)]
     return {
         "noise_floor": floor,
         "noise_floor_method": method,

@@ -271,14 +271,14 @@ def with_doubts_about_prior(
         refit: RMS residual of the base model identified without the prior, shape (n,) [N m].
     """
     errors = np.maximum(residual**2 - refit**2, 0.0)
+    weights = 1.0 / np.maximum(refit**2, 1e-300)
 
     def share(estimate: EffectEstimate) -> float:
         if not EFFECTS_BY_NAME[estimate.effect].prior_only:
             return 1.0
         size = estimate.evidence.severity**2
-        acts = size > 0.0
-        weight = acts / np.maximum(refit, 1e-300) ** 2
-        return float((weight @ size) / max(weight @ (size + errors), 1e-300))
+        weight = np.where(size > 0.0, weights, 0.0)
+        return float(weight @ size) / max(float(weight @ (size + errors)), 1e-300)
 
     return [replace(e, probable=replace(e.probable, prior=share(e))) for e in effects]
 

@@ -174,12 +174,11 @@ class _Search:
     def refined(self, model: JointModel) -> JointModel:
         """Return a model after a choice of its widths and steps of its recording chain."""
         chain = renewed_chain(model)
-        others = WIDTHS.tolist() if self.identified.options.widths is None else []
-        candidates = np.array(
-            [np.full(model.n, width) for width in others] + [model.motions[0].widths]
-        )
-        gains = [_gain(self.fitted(chain, widths), model) for widths in candidates]
-        widths = candidates[np.argmax(gains, axis=0), range(model.n)]
+        widths = model.motions[0].widths
+        if self.identified.options.widths is None:
+            candidates = np.array([*(np.full(model.n, width) for width in WIDTHS), widths])
+            gains = [_gain(self.fitted(chain, widths), model) for widths in candidates]
+            widths = candidates[np.argmax(gains, axis=0), range(model.n)]
         for _ in range(STEPS):
             model = self.fitted(chain, widths)
             chain = renewed_chain(model)

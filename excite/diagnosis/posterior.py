@@ -327,11 +327,12 @@ def evidence_of(
         left_out: Numbers of the effects that are left out.
     """
     regression, current = model.regression, model.regression.without(left_out)
-    places = np.concatenate([np.arange(len(current.active))[regression.slices[e]] for e in members])
+    coefficients = [current.coefficients[regression.slices[e]] for e in members]
+    used = [len(c) for c in coefficients if c.any()]  # of two forms of a friction one acts
     shapes = tuple(model.models[e] for e in members)
-    if not current.coefficients[places].any():
+    if not used:
         none = np.zeros(model.n)
-        return EffectEvidence(members, shapes, len(places), -np.inf, none, 0.0)
+        return EffectEvidence(members, shapes, sum(map(len, coefficients)), -np.inf, none, 0.0)
     reduced = regression.without([*left_out, *members])
     factor = regression.log_evidence(current) - regression.log_evidence(reduced)
     factor -= float(sum(np.log(shape.alternatives) for shape in shapes))
@@ -343,4 +344,4 @@ def evidence_of(
         factor += gain - (reduced.objective - current.objective)
     by_errors = model.error_evidence.get(shapes[0].key, 0.0)
     factor = probability.beyond_errors(factor, by_errors)
-    return EffectEvidence(members, shapes, len(places), factor, severity, size, by_errors=by_errors)
+    return EffectEvidence(members, shapes, sum(used), factor, severity, size, by_errors=by_errors)

@@ -215,7 +215,7 @@ class CandidateColumns:
         groups = self._shapes, self._absorbed, self._contacts
         rankings = self._rankings(model, groups)
         scores = _scores(rankings)
-        hidden: set[Key] = set()
+        is_seen = {key for key, score in scores.items() if score > MIN_CANDIDATE_EVIDENCE}
         for joint in (None, *range(model.n)) if self._absorbed.models else ():
             kept = [
                 i
@@ -231,9 +231,8 @@ class CandidateColumns:
             absorbed = self._rankings(reduced, (self._absorbed,))
             alone = _scores(absorbed)
             for key, ranking in absorbed.items():
-                if scores.get(key, -np.inf) > MIN_CANDIDATE_EVIDENCE and key not in hidden:
+                if key in is_seen:
                     continue  # no friction hides it
-                hidden.add(key)
                 evidence = alone[key] - lost
                 if evidence > -TIE and alone[key] > MIN_CANDIDATE_EVIDENCE:
                     evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .._types import FloatArray
 from ..effects.delay import LowPass
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import RecordedMotion, interpolated
 from ..identification.lowpass import Grid
 from ..recordings.padding import with_response
 
@@ -62,8 +62,8 @@ class RecordingChain:
         """
         if not self.delay:
             return motion
-        t = motion.times
-        return motion.with_torque(motion.torque_spline(np.clip(t + self.delay, t[0], t[-1])))
+        at = motion.times + self.delay
+        return motion.with_torque(interpolated(at, motion.times, motion.segment.torque))
 
     def without_filter(self, motion: RecordedMotion, torque: FloatArray) -> FloatArray:
         """Return torque at every sample of a motion without the filter, shape (M, n) [N m].

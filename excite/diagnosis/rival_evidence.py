@@ -20,7 +20,6 @@ from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.form_error import with_form_error
 from . import probability, rare_candidates
-from .columns import Columns
 from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .joint_model import JointModel
@@ -88,20 +87,20 @@ def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> di
     excluded = {id(m) for group in members.values() for m in group}
     kept = [i for i, m in enumerate(model.models) if m.key in needed and id(m) not in excluded]
     reduced = model.keeping(kept)
-    regression = reduced.regression
     present = {
         name: CandidateShapes.of(reduced, (m.exact or m for m in group)).fitted(reduced)
         for name, group in members.items()
     }
     strongest = max((c.evidence for group in present.values() for c in group), default=0.0)
-    columns_of = {
+    varied = {
         name: _varied(reduced, group or _best_form(reduced, name, joint, strongest))
         for name, group in present.items()
     }
-    numbers = {name: regression.add(*group) for name, group in columns_of.items()}
+    together = reduced.with_effects([m for group in varied.values() for m in group])
+    regression = together.regression
     log_evidence = {}
-    for name in names:
-        others = [number for k in names if k != name for number in numbers[k]]
+    for name, group in varied.items():
+        others = [i for i, m in enumerate(together.models) if i >= len(kept) and m not in group]
         log_evidence[name] = regression.log_evidence(regression.without(others))
     return log_evidence
 
@@ -130,8 +129,8 @@ def _best_form(
     return [rare_candidates.optimised(reduced, best)]
 
 
-def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[Columns]:
-    """Return the columns of an effect with the discrepancy of its form.
+def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[CandidateModel]:
+    """Return the models of an effect with the discrepancy of its form.
 
     All members have it, so that none is preferred because it is more flexible.
     """
@@ -143,7 +142,5 @@ def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[Columns]:
             bounded = shape.nonnegative or (False,) * len(c)
             c = np.where(bounded, np.maximum(c, 0.0), c)
             varied = with_form_error(shape, reduced.motions, c)
-        columns = reduced.columns(varied) or reduced.columns(shape)
-        assert columns is not None  # it was fitted
-        out.append(columns)
+        out.append(varied if reduced.columns(varied) is not None else shape)
     return out

@@ -186,7 +186,7 @@ class _Search:
         while len(self._shapes) < MAX_RARE_EFFECTS:
             scores, rankings = candidates.scored(self.model)
             if self.effects:
-                self.effects[-1] = replace(self.effects[-1], after=scores)
+                self.effects[-1] = replace(self.effects[-1], after=dict(scores))
                 self._keep_small(scores)
             chosen = self._best(self._promising(scores, rankings, False), scores, rankings)
             if chosen is None:

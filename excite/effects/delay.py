@@ -19,12 +19,14 @@ from .effect import (
     named_coefficients,
     single_joint_rows,
 )
-from .recorded_motion import RecordedMotion
+from .recorded_motion import RecordedMotion, interpolated
 
 DELAYS = (0.003, 0.008, 0.02)
-"""Grid of delays and time constants [s]."""
+"""Grid of delays [s]."""
 MAX_LINEAR_DELAY = 0.05
-"""Largest delay that the derivative of the torque describes [s]."""
+"""Largest delay and time constant that are sought by the derivative of the torque [s]."""
+MIN_LAG = 0.0015
+"""Smallest time constant that is sought [s]."""
 MIN_DELAY_DWELL = 0.1
 """Smallest delay of the torque over the time that a joint dwells in one encoder step at a reversal.
 Positions smoothed within the encoder's steps reverse late where friction is large, so that torque
@@ -36,33 +38,25 @@ MIN_LEAD_DWELL = 0.3
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Change of the torque by a delay, per second.
 
-    −τ̇ for a small delay; else (τ(t − d) − τ)/d, or the same for a first-order lag.
+    −τ̇ of the measured torque for a first-order lag, and for a small delay; else (τ − τ(t + d))/d.
     """
-    seconds = model.values.get("seconds", 0.0)
     joints = slice(None) if model.joint is None else [model.joint]
-    torque = motion.motor_torque
     if is_recording_filter(model.values):
+        torque = motion.motor_torque
         change = _filter_of(model.values).passed(motion, torque) - torque
         return motion.lowpass(change)[:, :, None]
-    if not seconds:
-        torque = motion.measured_torque if model.values["measured"] else torque
-        spectrum = motion.band.transform(torque[:, joints])
-        return _at_joint(motion, model, -spectrum.filter(motion.grid, 1)[motion.kept])
+    torque = motion.measured_torque if model.values["measured"] else motion.motor_torque
     torque = torque[:, joints]
-    if "lagging" in model.values:
-        spectrum = motion.band.transform(torque)
-        change = spectrum.filter(motion.grid, time_constant=seconds) - spectrum.filter(motion.grid)
-        return _at_joint(motion, model, change[motion.kept] / seconds)
-    return _at_joint(
-        motion, model, motion.lowpass((_delayed(motion, torque, seconds) - torque) / seconds)
-    )
+    if seconds := model.values.get("seconds", 0.0):
+        change = (torque - _delayed(motion, torque, -seconds)) / seconds
+        return _at_joint(motion, model, motion.lowpass(change))
+    slope = motion.band.transform(torque).filter(motion.grid, 1)
+    return _at_joint(motion, model, -slope[motion.kept])
 
 
 def _delayed(motion: RecordedMotion, torque: FloatArray, seconds: float) -> FloatArray:
     """Torque that comes later, shape (M, k)."""
-    return np.column_stack(
-        [np.interp(motion.times - seconds, motion.times, column) for column in torque.T]
-    )
+    return interpolated(motion.times - seconds, motion.times, torque)
 
 
 def clock_delay() -> CandidateModel:
@@ -157,7 +151,13 @@ def _predicted_torque(
     if is_recording_filter(model.values):
         return float(c[0]) * (_filter_of(model.values).passed(motion, produced) - produced)
     joints, out = slice(None) if model.joint is None else [model.joint], np.zeros_like(produced)
-    out[:, joints] = _delayed(motion, produced[:, joints], float(c[0])) - produced[:, joints]
+    torque, seconds = produced[:, joints], float(c[0])
+    if "lagging" in model.values:
+        low = motion.band.transform(torque)
+        lagging = low.filter(Grid.RECORDED, time_constant=seconds) - low.filter(Grid.RECORDED)
+        out[:, joints] = lagging
+    else:
+        out[:, joints] = _delayed(motion, torque, seconds) - torque
     return out
 
 
@@ -169,20 +169,22 @@ def _at_joint(motion: RecordedMotion, model: CandidateModel, torque: FloatArray)
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Delays of one joint: small ones to first order, of either sign, and larger ones and lags."""
+    """Delays of one joint: small ones to first order, of either sign, larger ones, and lags."""
 
-    def family(joint: int, kind: Mapping[str, float]) -> Callable[[float], CandidateModel]:
-        def model(seconds: float) -> CandidateModel:
-            return CandidateModel(
-                "delay",
-                joint,
-                _columns,
-                {"seconds": seconds, **kind},
-                parameters=named_coefficients("seconds"),
-                is_plausible=is_between(0.5 * seconds, 2.0 * seconds),
-            )
+    def model(
+        joint: int, is_plausible: Callable[[FloatArray], bool], **kind: float
+    ) -> CandidateModel:
+        return CandidateModel(
+            "delay",
+            joint,
+            _columns,
+            {"measured": 1.0, **kind},
+            parameters=named_coefficients("seconds"),
+            is_plausible=is_plausible,
+        )
 
-        return model
+    def family(joint: int) -> Callable[[float], CandidateModel]:
+        return lambda d: model(joint, is_between(0.5 * d, 2.0 * d), seconds=d)
 
     dwell = min(
         (
@@ -192,18 +194,13 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         ),
         default=0.0,
     )
-    is_plausible = _is_resolved(MIN_DELAY_DWELL * dwell, MIN_LEAD_DWELL * dwell)
+    min_delay = MIN_DELAY_DWELL * dwell
+    is_plausible = _is_resolved(min_delay, MIN_LEAD_DWELL * dwell)
     for joint in range(motions[0].n):
-        yield CandidateModel(
-            "delay",
-            joint,
-            _columns,
-            {"measured": 1.0},
-            parameters=named_coefficients("seconds"),
-            is_plausible=is_plausible,
-        )
-        for kind in ({}, {"lagging": 1.0}):
-            yield from grid_candidates(DELAYS, family(joint, kind))
+        # of the same columns: a lag, but for delays so small that both are alike
+        yield model(joint, is_between(max(MIN_LAG, min_delay), MAX_LINEAR_DELAY), lagging=1.0)
+        yield model(joint, is_plausible)
+        yield from grid_candidates(DELAYS, family(joint))
 
 
 def _is_resolved(min_delay: float, min_lead: float) -> Callable[[FloatArray], bool]:

@@ -78,8 +78,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for link in range(len(fitted.parameters.links)):
         joint = int(np.flatnonzero(spread[link])[0])
         plausible_change = partial(_is_change_of_tool, fitted.psi[10 * link : 10 * (link + 1)])
-
-        is_last = fitted.robot.body_of(joint) not in carrying
+        is_last = link + 1 not in carrying  # body 0 is the base
         for count in (4, 10):
             yield CandidateModel(
                 "payload",

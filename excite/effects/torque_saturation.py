@@ -19,6 +19,9 @@ MAX_LEVEL_COEFFICIENT = 1.1
 """Largest coefficient of a torque that levels off; with 1 it never exceeds the level."""
 MAX_USUAL_LOSS = 0.3
 """Largest loss at a usual torque."""
+MAX_LOSS = 0.5
+"""Largest loss at the largest torque: magnetic saturation costs 10-30 % at peak current, and a drive
+that clips at half of what it records would be noticed."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -84,14 +87,14 @@ def _loss(
     usual_loss, largest_loss = (
         lost_torque(fixed, np.array([usual, largest])) / [usual, largest]
     ).tolist()
-    highest = min(max_coefficient, MAX_USUAL_LOSS / max(usual_loss, 1e-9))
+    bounds = max_coefficient, MAX_USUAL_LOSS / max(usual_loss, 1e-9), MAX_LOSS / largest_loss
     return CandidateModel(
         "torque_saturation",
         joint,
         _columns,
         fixed,
         parameters=lambda c: {"loss": largest_loss * float(c[0])},
-        is_plausible=is_between(0.0, highest),
+        is_plausible=is_between(0.0, min(bounds)),
     )
 
 

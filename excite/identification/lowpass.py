@@ -219,14 +219,12 @@ class SignalSpectrum:
         to: Grid,
         order: int = 0,
         bandwidth_ratio: float = 1.0,
-        delay: float = 0.0,
         time_constant: float = 0.0,
         response: Callable[[FloatArray], NDArray[np.complex128]] | None = None,
     ) -> FloatArray:
         """Filter and differentiate the signals; arguments as in `LowPassFilter.filter`.
 
         Args:
-            delay: Time by which the result is delayed [s].
             time_constant: Time constant of an additional first-order lag [s].
             response: Frequency response of an additional filter, a function of frequencies [Hz].
         """
@@ -239,9 +237,9 @@ class SignalSpectrum:
         bins = target // 2 + 1
         cutoff = min(bandwidth_ratio * self.band.hertz, 0.5 * rate)
         factor = _response(self.band, bins, rate / self.length, cutoff, order)
-        if delay or time_constant:
+        if time_constant:
             s = 2j * np.pi * np.arange(bins) * (rate / self.length)
-            factor = factor * np.exp(-delay * s) / (1.0 + time_constant * s)
+            factor = factor / (1.0 + time_constant * s)
         if response is not None:
             factor = factor * response(np.asarray(np.arange(bins) * (rate / self.length)))
         factor = factor * (target / self.length)

@@ -83,7 +83,7 @@ BUILD_UP = {"reach": REACH} | {f"share_{i}": SWITCH for i in range(HYSTERESIS_EL
 """How a dry friction builds up after a reversal: shares of Maxwell-slip elements."""
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "torque_offset": (EffectForm(),),
-    "torque_gain": (EffectForm(),),
+    "torque_gain": (EffectForm({}, {"measured": SWITCH}),),
     "torque_saturation": (
         EffectForm({"power": EXPONENT, "largest": TORQUE}, {"measured": SWITCH}),
         EffectForm({"level": TORQUE, "bend": EXPONENT, "largest": TORQUE}, {"measured": SWITCH}),
@@ -173,7 +173,8 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
             },
             joint=False,
         ),
-        EffectForm({"seconds": Range(1e-9, 10.0, "s")}, {"lagging": FLAG}),
+        EffectForm({"measured": SWITCH, "seconds": Range(1e-9, 10.0, "s")}),
+        EffectForm({"measured": SWITCH, "lagging": FLAG}),
     ),
     "payload": (
         EffectForm(

@@ -20,8 +20,8 @@ MAX_LEVEL_COEFFICIENT = 1.1
 MAX_USUAL_LOSS = 0.3
 """Largest loss at a usual torque."""
 MAX_LOSS = 0.5
-"""Largest loss at the largest torque: magnetic saturation costs 10-30 % at peak current, and a drive
-that clips at half of what it records would be noticed."""
+"""Largest loss at the largest torque: magnetic saturation costs 10-30 % at peak current, and of a
+drive that records what it is told and clips it, no one would let half get lost."""
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:

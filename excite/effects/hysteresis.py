@@ -16,13 +16,20 @@ from .._types import FloatArray, IntArray
 from .effect import CandidateModel, Effect, no_candidates, single_joint_rows
 from .recorded_motion import RecordedMotion, radian
 
-DENSE_REACH = 1e-3
+import os
+N=int(os.environ.get("EX_N","10")); ND=int(os.environ.get("EX_D","5")); LO=float(os.environ.get("EX_LO","2.5e-4"))
+DENSE_REACH = LO
 """Deflection at which the first element of `dense_model` slips [rad], see `recorded_motion.radian`.
 """
-REACH_RATIOS = 2.0 ** np.arange(0.0, 8.0, 0.5)
+REACH_RATIOS = np.arange(float(N))
+LAST_REACH = 0.128
 """Deflections at which all of them slip, over that of the first."""
-UNEQUAL_ELEMENTS = [6, 10]
+UNEQUAL_ELEMENTS = [int(.56*N), int(.78*N)]
 """Elements of `dense_model` that may have unequal branches."""
+DAMPED_ELEMENTS = [i*N//ND for i in range(ND)]
+"""Elements of `dense_model` that may be damped while they stick."""
+DAMPING_TIME = 0.01
+"""Damping over stiffness of an element that a damping coefficient is the force of [s]."""
 
 
 def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:
@@ -54,14 +61,18 @@ def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     return stroke, np.diff(corners, append=q[-1]), q - corners[stroke]
 
 
-def _elements(motion: RecordedMotion, joint: int, reach: float) -> FloatArray:
+def reaches_of(values):
+    return np.geomspace(values["reach"], values["last_reach"], N)
+
+
+def _elements(motion: RecordedMotion, joint: int, values) -> FloatArray:
     """Forces of the elements of a joint, the first of which slips at `reach`, shape (M, k)."""
 
     def compute() -> FloatArray:
-        q, reaches = motion.samples.q[:, joint], reach * REACH_RATIOS
+        q, reaches = motion.samples.q[:, joint], reaches_of(values)
         return np.column_stack([maxwell_slip(q, d) for d in reaches.tolist()])
 
-    return motion.for_all_fits(f"Maxwell-slip elements of joint {joint} from {reach}", compute)
+    return motion.for_all_fits(f"Maxwell-slip elements of joint {joint} from {values['reach']}", compute)
 
 
 def build_up(model: CandidateModel, c: FloatArray, coulomb: float) -> dict[str, float]:
@@ -76,7 +87,7 @@ def build_up(model: CandidateModel, c: FloatArray, coulomb: float) -> dict[str, 
     """
     strengths = c[: len(REACH_RATIOS)]
     total = max(coulomb, float(strengths.sum()), 1e-300)
-    return {"reach": model.values["reach"]} | {
+    return {k: model.values[k] for k in ("reach", "last_reach")} | {
         f"share_{i}": strength / total for i, strength in enumerate(strengths.tolist())
     }
 
@@ -101,7 +112,7 @@ def direction(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     if "share_0" not in values:
         return sign
     shares = np.array([values[f"share_{i}"] for i in range(len(REACH_RATIOS))])
-    built_up = _elements(motion, j, values["reach"]) @ shares
+    built_up = _elements(motion, j, values) @ shares
     return np.asarray(built_up + (1.0 - shares.sum()) * sign)
 
 
@@ -110,9 +121,12 @@ def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     j, reach = model.joint_index, model.values["reach"]
 
     def low_passed() -> FloatArray:
-        elements = _elements(motion, j, reach)
+        elements = _elements(motion, j, model.values)
         unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
-        return motion.lowpass(np.hstack([elements, unequal]))
+        damped = elements[:, DAMPED_ELEMENTS]
+        rates = motion.samples.dq[:, [j]] / reaches_of(model.values)[DAMPED_ELEMENTS]
+        damping = np.where(np.abs(damped) < 1.0, DAMPING_TIME * rates, 0.0)
+        return motion.lowpass(np.hstack([elements, unequal, damping]))
 
     name = f"low-passed Maxwell-slip elements of joint {j} from {reach}"
     columns = motion.for_all_fits(name, low_passed).copy()
@@ -125,18 +139,22 @@ def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel
 
     The last columns, of either sign, make the two branches of the loop unequal.
     """
-    count, reach = len(REACH_RATIOS), DENSE_REACH * radian(motions, joint)
-    reaches = reach * REACH_RATIOS
+    count, unit = len(REACH_RATIOS), radian(motions, joint)
+    step = max(float(motion.steps[joint]) for motion in motions)
+    values = {"elements": float(count), "reach": min(max(DENSE_REACH * unit, step), 0.03*unit), "last_reach": LAST_REACH * unit}
+    reaches = reaches_of(values)
     return CandidateModel(
         "hysteresis",
         joint,
         _columns,
-        {"elements": float(count), "reach": reach},
+        values,
         parameters=lambda c: {
             "amplitude": float(c[:count].sum()),
             "stiffness": float(np.sum(c[:count] / reaches)),
         },
-        nonnegative=(True,) * count + (False,) * len(UNEQUAL_ELEMENTS),
+        nonnegative=(True,) * count
+        + (False,) * len(UNEQUAL_ELEMENTS)
+        + (True,) * len(DAMPED_ELEMENTS),
     )
 
 

@@ -74,12 +74,13 @@ STRIBECK_CURVES = 8
 """Curves of friction that falls with speed, over a joint's largest speed."""
 VISCOUS_CURVES = 8
 """Curves of friction that is not linear in speed, over a joint's largest speed."""
-HYSTERESIS_ELEMENTS = 16
+import os
+HYSTERESIS_ELEMENTS = int(os.environ.get("EX_N","10"))
 """Maxwell-slip elements of presliding hysteresis."""
 UNEQUAL_ELEMENTS = 2
 """Maxwell-slip elements whose branches may be unequal."""
 REACH = Range(1e-12, 1e2, "rad or m")
-BUILD_UP = {"reach": REACH} | {f"share_{i}": SWITCH for i in range(HYSTERESIS_ELEMENTS)}
+BUILD_UP = {"reach": REACH, "last_reach": REACH} | {f"share_{i}": SWITCH for i in range(HYSTERESIS_ELEMENTS)}
 """How a dry friction builds up after a reversal: shares of Maxwell-slip elements."""
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "torque_offset": (EffectForm(),),
@@ -116,8 +117,9 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
             {
                 "elements": Range(HYSTERESIS_ELEMENTS, HYSTERESIS_ELEMENTS, "1"),
                 "reach": REACH,
+                "last_reach": REACH,
             },
-            coefficients=lambda values: HYSTERESIS_ELEMENTS + UNEQUAL_ELEMENTS,
+            coefficients=lambda values: HYSTERESIS_ELEMENTS + UNEQUAL_ELEMENTS + int(os.environ.get("EX_D","5")),
         ),
     ),
     "thermal_drift": (

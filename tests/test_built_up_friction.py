@@ -1,4 +1,4 @@
-"""Dry friction that builds up after a reversal: Stribeck friction in presliding elements."""
+"""Dry friction that builds up after a reversal: damped bristles, Stribeck friction in presliding."""
 
 from __future__ import annotations
 
@@ -23,14 +23,59 @@ from diagnosis_cases import (
 )
 from synthetic_recordings import random_fourier, synthetic_recording
 
+from excite._types import FloatArray
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.regression import Condition, JointRegression
 from excite.effects import hysteresis, stribeck
 
 HEIGHT, VELOCITY = 1.5, 0.3
+BRISTLE_REACH = 0.002
+"""Coulomb friction over the stiffness of a bristle [rad]."""
 REACHES = np.array([0.004, 0.008, 0.016])
 """Deflections at which the presliding elements slip [rad]."""
+
+
+def bristle_friction(v: FloatArray, seconds: float) -> FloatArray:
+    """Return the friction of a bristle over Coulomb friction [1], z + (σ₁/σ₀) ż (LuGre).
+
+    Args:
+        v: Velocity, shape (M,) [rad/s].
+        seconds: Damping over stiffness of the bristle, σ₁/σ₀ [s].
+    """
+    z, substeps = 0.0, 20
+    out = np.empty(len(v))
+    for k, speed in enumerate(v.tolist()):
+        for _ in range(substeps if k else 0):
+            rate = (speed - abs(speed) * z) / BRISTLE_REACH
+            z += rate / (substeps * RATE)
+        out[k] = z + seconds * (speed - abs(speed) * z) / BRISTLE_REACH
+    return out
+
+
+@cache
+def of_bristle(seconds: float) -> Diagnosis:
+    """Return the diagnosis of a joint whose dry friction is that of a bristle."""
+    recordings = []
+    for seed in (2, 5, 7):
+        fourier = random_fourier(2, seed)
+        recording = synthetic_recording(SUBJECT, PSI, fourier, 4, 0.02, RATE)
+        v = fourier.samples(recording.t).dq[:, 0]
+        friction = COULOMB[0] * (bristle_friction(v, seconds) - friction_sign(v))
+        named = dataclasses.replace(recording, source=f"{seed}.csv")
+        recordings.append(added_torque(named, at_joint(0, friction)))
+    return diagnose(recordings)
+
+
+def test_a_bristle_is_presliding_alone():
+    """With a first element of 1 mrad, Stribeck and nonlinear viscous friction were found as well."""
+    assert findings_of(of_bristle(0.0)) == [("hysteresis", 0)]
+
+
+@pytest.mark.parametrize(("seconds", "largest"), [(0.0, 1.3), (0.005, 2.0)])
+def test_a_damped_bristle_is_predicted_nearly_to_the_noise(seconds, largest):
+    """Without damping and with a first element of 1 mrad, 18 times the noise remain of the first."""
+    assert noise_ratios(of_bristle(seconds))[1].max() < largest
 
 
 @cache
@@ -71,11 +116,11 @@ def test_the_saved_friction_builds_up_only_where_the_recordings_say_so(builds_up
 def test_friction_that_builds_up_has_the_direction_of_its_elements():
     motions = diagnosed(True).model.motions
     bristles = hysteresis.dense_model(motions, 0)
-    c = np.zeros(len(hysteresis.REACH_RATIOS) + len(hysteresis.UNEQUAL_ELEMENTS))
+    c = np.zeros(len(bristles.nonnegative))
     c[[2, 4]] = 0.3, 0.1
     shape = stribeck.dense_model(motions, 0, hysteresis.build_up(bristles, c, 1.0))
     q = motions[0].samples.q[:, 0]
-    reaches = bristles.values["reach"] * hysteresis.REACH_RATIOS
+    reaches = hysteresis.reaches(bristles.values)
     elements = [hysteresis.maxwell_slip(q, reaches[i]) for i in (2, 4)]
     expected = 0.3 * elements[0] + 0.1 * elements[1] + 0.6 * motions[0].sign(0)
     np.testing.assert_allclose(hysteresis.direction(motions[0], shape), expected, atol=1e-12)

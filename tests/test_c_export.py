@@ -87,7 +87,8 @@ def test_effects_without_memory_are_in_the_c_file(name, tmp_path):
 @needs_compiler
 def test_hysteresis_has_a_state_that_is_stepped(tmp_path):
     built_up = FRICTION_EFFECTS["stribeck, built up"], FRICTION_EFFECTS["load_friction, built up"]
-    effects = (*DENSE, *built_up, FRICTION_EFFECTS["hysteresis"] | {"joint": "joint_2"})
+    plain = FRICTION_EFFECTS["hysteresis"] | {"joint": "joint_2"}
+    effects = (*DENSE, *built_up, plain)
     path = write_model(tmp_path, "two_link", effects)
     path.write_text(path.read_text(encoding="utf-8").replace("0.005", str(WIDTH)), encoding="utf-8")
     exported = excite.export_model(path, "c")

@@ -21,7 +21,8 @@ from excite.identification.identified_model import IdentifiedModel
 from excite.recordings import Recording
 from excite.robot.samples import Samples
 
-BUILD_UP = {"reach": 5e-4} | {f"share_{i}": {2: 0.3, 5: 0.5}.get(i, 0.0) for i in range(16)}
+BUILD_UP = {"reach": 5e-4, "last_reach": 0.1}
+BUILD_UP |= {f"share_{i}": {2: 0.3, 5: 0.5}.get(i, 0.0) for i in range(20)}
 """How a friction builds up in Maxwell-slip elements, a fifth of it at once."""
 FRICTION_EFFECTS = {
     "asymmetric_viscous": effect_entry("asymmetric_viscous", "joint_2", {}, 0.3),
@@ -78,9 +79,16 @@ FRICTION_EFFECTS = {
     "hysteresis": effect_entry(
         "hysteresis",
         "joint_1",
-        {"elements": 16.0, "reach": 5e-4},
-        *(0.1, 0, 0, 0.2, 0, 0, 0.3, 0, 0.2, 0, 0.1, 0, 0.2, 0, 0, 0.1),
-        *(0.05, -0.03),
+        BUILD_UP,
+        *(0.1, 0.2, 0, 0.3, 0.2, 0, 0.1, 0.2, 0, 0.1, 0, 0.1, 0, 0, 0, 0, 0, 0, 0, 0),
+        *(0.05, -0.03, 0.0),
+    ),
+    "hysteresis, damped": effect_entry(
+        "hysteresis",
+        "joint_1",
+        BUILD_UP,
+        *(0, 0, 0.3, 0, 0, 0.5, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0),
+        *(0.05, -0.03, 0.07),
     ),
 }
 """Effects of every form that is a torque of one joint."""
@@ -119,7 +127,7 @@ DENSE = tuple(
     FRICTION_EFFECTS[name]
     for name in (
         *("stribeck", "nonlinear_viscous", "load_friction", "position_friction", "spring, curve"),
-        *("torque_ripple", "hysteresis", "asymmetric_viscous"),
+        *("torque_ripple", "hysteresis, damped", "asymmetric_viscous"),
     )
 )
 """Effects of a robot with several frictions at each joint, as a diagnosis writes them."""

@@ -9,8 +9,8 @@ at once. All of it is fitted jointly with the base model, before anything is jud
    the filter that the torque has passed, which all columns pass as well;
 4. the spatial frequencies of torque ripple, from the residual of all that;
 5. widths of Coulomb friction, physically consistent base parameters, and with them the load of
-   every joint; whether Stribeck and load friction build up in the presliding elements, as Coulomb
-   friction does; again from 1.
+   every joint; the shares of the presliding elements, which are damped by them; whether Stribeck
+   and load friction build up in these elements, as Coulomb friction does; again from 1.
 """
 
 from __future__ import annotations
@@ -233,7 +233,9 @@ def _conditions(models: Sequence[CandidateModel]) -> tuple[Condition, ...]:
 
 
 def dense_models(
-    motions: Sequence[RecordedMotion], build_ups: Mapping[int, Mapping[str, float]] | None = None
+    motions: Sequence[RecordedMotion],
+    build_ups: Mapping[int, Mapping[str, float]] | None = None,
+    shares: Mapping[int, Mapping[str, float]] | None = None,
 ) -> list[CandidateModel]:
     """Return the friction models of every joint.
 
@@ -243,10 +245,13 @@ def dense_models(
     Args:
         motions: The motions.
         build_ups: How dry frictions build up, by joint; these joints have both forms of them.
+        shares: Shares of the presliding elements in an earlier fit, by joint.
     """
     near_rest = np.any([(m.moving & ~m.far_from_rest).any(axis=0) for m in motions], axis=0)
     plain = [
-        effect.dense_model(motions, j)
+        hysteresis.dense_model(motions, j, (shares or {}).get(j))
+        if effect is hysteresis
+        else effect.dense_model(motions, j)
         for j in range(motions[0].n)
         for effect in FRICTIONS.values()
         if near_rest[j] or effect is not hysteresis
@@ -290,6 +295,7 @@ def fit(
         widths = widths * np.exp(np.clip(width_steps, -MAX_LOG_STEP, MAX_LOG_STEP))
         psi = consistent_parameters(identified, fitted)
         build_ups = _build_ups(identified, fitted, build_ups)
+        shares = _shares_of_elements(identified, fitted)
         if step == 0:
             rare = [_with_discrepancy(fitted, model) for model in rare]
         if step in RIPPLE_ROUNDS:
@@ -299,7 +305,7 @@ def fit(
         for motion, torque in zip(present, modelled_torque(fitted), strict=True):
             motion.replace_torques(torque)
         fitted = base_model(identified, present, psi, chain, fitted)
-        fitted = fitted.with_effects([*dense_models(present, build_ups), *rare, *waves])
+        fitted = fitted.with_effects([*dense_models(present, build_ups, shares), *rare, *waves])
     stay = _build_ups(identified, fitted, build_ups)
     leaving = [i for j in build_ups or () if j not in stay for i in fitted.built_up(j)]
     if leaving:
@@ -314,7 +320,7 @@ def _build_ups(
     identified: Identification,
     fitted: JointModel,
     among: Mapping[int, Mapping[str, float]] | None,
-) -> dict[int, dict[str, float]]:
+) -> dict[int, Mapping[str, float]]:
     """Return how the dry frictions of joints build up, by joint; joints where they do not are left
     out.
 
@@ -327,10 +333,11 @@ def _build_ups(
         among: How frictions are built up in it; None if none is yet.
     """
     if among is None:
-        among = _shares_of_elements(identified, fitted)
+        among = _mostly_built_up(_shares_of_elements(identified, fitted))
         fitted = fitted.with_effects(_built_up_models(fitted.motions, among))
-    regression, out = fitted.regression, {}
-    for j, build_up in _shares_of_elements(identified, fitted).items():
+    regression = fitted.regression
+    out: dict[int, Mapping[str, float]] = {}
+    for j, build_up in _mostly_built_up(_shares_of_elements(identified, fitted)).items():
         if j not in among:
             continue
         at_once = regression.without(fitted.built_up(j))
@@ -340,13 +347,21 @@ def _build_ups(
     return out
 
 
+def _mostly_built_up(
+    shares: Mapping[int, Mapping[str, float]],
+) -> dict[int, Mapping[str, float]]:
+    """Return the joints whose presliding elements have most of Coulomb friction."""
+    return {
+        j: build_up
+        for j, build_up in shares.items()
+        if hysteresis.built_up_share(build_up) > MIN_BUILT_UP_SHARE
+    }
+
+
 def _shares_of_elements(
     identified: Identification, fitted: JointModel
 ) -> dict[int, dict[str, float]]:
-    """Return how friction would build up in the presliding elements of a fit, by joint.
-
-    Joints whose elements do not have most of Coulomb friction are left out.
-    """
+    """Return how friction would build up in the presliding elements of a fit, by joint."""
     theta = identified.model.base.matrix @ fitted.psi
     theta[fitted.free] = fitted.solution.coefficients[: len(fitted.free)]
     coulomb = {j: float(theta[k]) for k, j in identified.model.friction_columns().items()}
@@ -354,9 +369,7 @@ def _shares_of_elements(
     for number, model in enumerate(fitted.models):
         if model.effect == "hysteresis":
             j = model.joint_index
-            build_up = hysteresis.build_up(model, fitted.coefficients(number), coulomb.get(j, 0.0))
-            if hysteresis.built_up_share(build_up) > MIN_BUILT_UP_SHARE:
-                out[j] = build_up
+            out[j] = hysteresis.build_up(model, fitted.coefficients(number), coulomb.get(j, 0.0))
     return out
 
 

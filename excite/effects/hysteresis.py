@@ -2,7 +2,8 @@
 
 Coulomb friction builds up in Maxwell-slip elements. So may the other dry frictions of the joint,
 Stribeck and load friction, as in the LuGre model (Canudas de Wit et al. 1995) and in generalised
-Maxwell-slip (Al-Bender, Lampaert & Swevers 2005): `direction`.
+Maxwell-slip (Al-Bender, Lampaert & Swevers 2005): `direction`. While an element sticks, it is
+damped, as the bristles of the LuGre model are: σ₁ ż.
 """
 
 from __future__ import annotations
@@ -16,20 +17,19 @@ from .._types import FloatArray, IntArray
 from .effect import CandidateModel, Effect, no_candidates, single_joint_rows
 from .recorded_motion import RecordedMotion, radian
 
-import os
-N=int(os.environ.get("EX_N","10")); ND=int(os.environ.get("EX_D","5")); LO=float(os.environ.get("EX_LO","2.5e-4"))
-DENSE_REACH = LO
-"""Deflection at which the first element of `dense_model` slips [rad], see `recorded_motion.radian`.
-"""
-REACH_RATIOS = np.arange(float(N))
-LAST_REACH = 0.128
-"""Deflections at which all of them slip, over that of the first."""
-UNEQUAL_ELEMENTS = [int(.56*N), int(.78*N)]
-"""Elements of `dense_model` that may have unequal branches."""
-DAMPED_ELEMENTS = [i*N//ND for i in range(ND)]
-"""Elements of `dense_model` that may be damped while they stick."""
-DAMPING_TIME = 0.01
-"""Damping over stiffness of an element that a damping coefficient is the force of [s]."""
+ELEMENTS = 20
+"""Elements of `dense_model`."""
+REACH = (2.5e-4, 0.181)
+"""Deflections at which the first and the last of them slip [rad], see `recorded_motion.radian`; the
+first does at no less than a step of the encoder."""
+MAX_FIRST_REACH = 0.03
+"""Largest deflection at which the first slips, over that of the last."""
+UNEQUAL_ELEMENTS = [10, 14]
+"""Elements that may have unequal branches."""
+DAMPING_TIME = 0.3
+"""Damping over stiffness of an element that a damping coefficient is the force of, over the root of
+its reach [s/√rad]. A bristle of mass I with a damping ratio ζ has 2 ζ √(I d/F): 0.5 √d for ζ = 0.5
+and F/I = 4 rad/s²."""
 
 
 def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:
@@ -61,18 +61,39 @@ def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     return stroke, np.diff(corners, append=q[-1]), q - corners[stroke]
 
 
-def reaches_of(values):
-    return np.geomspace(values["reach"], values["last_reach"], N)
+def reaches(values: Mapping[str, float]) -> FloatArray:
+    """Return the deflections at which the elements slip, shape (ELEMENTS,) [rad or m].
+
+    Args:
+        values: Values of a model: "reach" of the first and "last_reach".
+    """
+    return np.geomspace(values["reach"], values["last_reach"], ELEMENTS)
 
 
-def _elements(motion: RecordedMotion, joint: int, values) -> FloatArray:
-    """Forces of the elements of a joint, the first of which slips at `reach`, shape (M, k)."""
+def damping_times(values: Mapping[str, float]) -> FloatArray:
+    """Return damping over stiffness of elements that have the unit of damping, (ELEMENTS,) [s].
+
+    Args:
+        values: Values of a model: "reach" and "last_reach" of its elements.
+    """
+    return DAMPING_TIME * np.sqrt(reaches(values) * REACH[1] / values["last_reach"])
+
+
+def _shares(values: Mapping[str, float]) -> FloatArray:
+    """Shares of the elements in dry friction, shape (ELEMENTS,)."""
+    return np.array([values[f"share_{i}"] for i in range(ELEMENTS)])
+
+
+def _elements(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Forces of the elements of a model's joint, shape (M, ELEMENTS)."""
+    j = model.joint_index
 
     def compute() -> FloatArray:
-        q, reaches = motion.samples.q[:, joint], reaches_of(values)
-        return np.column_stack([maxwell_slip(q, d) for d in reaches.tolist()])
+        q = motion.samples.q[:, j]
+        return np.column_stack([maxwell_slip(q, d) for d in reaches(model.values).tolist()])
 
-    return motion.for_all_fits(f"Maxwell-slip elements of joint {joint} from {values['reach']}", compute)
+    name = f"Maxwell-slip elements of joint {j} from {model.values['reach']}"
+    return motion.for_all_fits(name, compute)
 
 
 def build_up(model: CandidateModel, c: FloatArray, coulomb: float) -> dict[str, float]:
@@ -85,11 +106,10 @@ def build_up(model: CandidateModel, c: FloatArray, coulomb: float) -> dict[str, 
         c: Its coefficients, shape (k,).
         coulomb: Coulomb friction of the joint [N m].
     """
-    strengths = c[: len(REACH_RATIOS)]
+    strengths = c[:ELEMENTS]
     total = max(coulomb, float(strengths.sum()), 1e-300)
-    return {k: model.values[k] for k in ("reach", "last_reach")} | {
-        f"share_{i}": strength / total for i, strength in enumerate(strengths.tolist())
-    }
+    shares = {f"share_{i}": strength / total for i, strength in enumerate(strengths.tolist())}
+    return {key: model.values[key] for key in ("reach", "last_reach")} | shares
 
 
 def built_up_share(values: Mapping[str, float]) -> float:
@@ -107,61 +127,69 @@ def direction(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         motion: The recorded motion.
         model: A friction of one joint.
     """
-    j, values = model.joint_index, model.values
-    sign = motion.sign(j)
-    if "share_0" not in values:
+    sign = motion.sign(model.joint_index)
+    if "share_0" not in model.values:
         return sign
-    shares = np.array([values[f"share_{i}"] for i in range(len(REACH_RATIOS))])
-    built_up = _elements(motion, j, values) @ shares
-    return np.asarray(built_up + (1.0 - shares.sum()) * sign)
+    shares = _shares(model.values)
+    return np.asarray(_elements(motion, model) @ shares + (1.0 - shares.sum()) * sign)
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Presliding friction minus the smooth sign function that it replaces."""
-    j, reach = model.joint_index, model.values["reach"]
+    """Presliding friction minus the smooth sign function that it replaces, and its damping."""
+    j, values = model.joint_index, model.values
 
     def low_passed() -> FloatArray:
-        elements = _elements(motion, j, model.values)
+        elements = _elements(motion, model)
         unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
-        damped = elements[:, DAMPED_ELEMENTS]
-        rates = motion.samples.dq[:, [j]] / reaches_of(model.values)[DAMPED_ELEMENTS]
-        damping = np.where(np.abs(damped) < 1.0, DAMPING_TIME * rates, 0.0)
-        return motion.lowpass(np.hstack([elements, unequal, damping]))
+        return motion.lowpass(np.hstack([elements, unequal]))
 
-    name = f"low-passed Maxwell-slip elements of joint {j} from {reach}"
+    name = f"low-passed Maxwell-slip elements of joint {j} from {values['reach']}"
     columns = motion.for_all_fits(name, low_passed).copy()
-    columns[:, : len(REACH_RATIOS)] -= motion.lowpass(motion.sign(j)[:, None])
-    return single_joint_rows(motion, j, columns)
+    columns[:, :ELEMENTS] -= motion.lowpass(motion.sign(j)[:, None])
+    sticks = np.abs(_elements(motion, model)) < 1.0
+    damping = sticks @ (_shares(values) * damping_times(values) / reaches(values))
+    damped = motion.lowpass((motion.samples.dq[:, j] * damping)[:, None])
+    return single_joint_rows(motion, j, np.hstack([columns, damped]))
 
 
-def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+def dense_model(
+    motions: Sequence[RecordedMotion], joint: int, build_up: Mapping[str, float] | None = None
+) -> CandidateModel:
     """Return a nonnegative combination of Maxwell-slip elements of a joint.
 
-    The last columns, of either sign, make the two branches of the loop unequal.
+    The columns after them, of either sign, make the two branches of the loop unequal; the last one
+    is the damping of the elements.
+
+    Args:
+        motions: The recorded motions.
+        joint: Index of the joint.
+        build_up: Shares of the elements in an earlier fit, as of `build_up`, by which they are
+            damped; equal ones if None, or if it has none.
     """
-    count, unit = len(REACH_RATIOS), radian(motions, joint)
+    unit = radian(motions, joint)
+    last = REACH[1] * unit
     step = max(float(motion.steps[joint]) for motion in motions)
-    values = {"elements": float(count), "reach": min(max(DENSE_REACH * unit, step), 0.03*unit), "last_reach": LAST_REACH * unit}
-    reaches = reaches_of(values)
+    first = min(max(REACH[0] * unit, step), MAX_FIRST_REACH * last)
+    values = dict(build_up or {"reach": first, "last_reach": last})
+    if not built_up_share(values):
+        values |= {f"share_{i}": 1.0 / ELEMENTS for i in range(ELEMENTS)}
     return CandidateModel(
         "hysteresis",
         joint,
         _columns,
         values,
         parameters=lambda c: {
-            "amplitude": float(c[:count].sum()),
-            "stiffness": float(np.sum(c[:count] / reaches)),
+            "amplitude": float(c[:ELEMENTS].sum()),
+            "stiffness": float(np.sum(c[:ELEMENTS] / reaches(values))),
         },
-        nonnegative=(True,) * count
-        + (False,) * len(UNEQUAL_ELEMENTS)
-        + (True,) * len(DAMPED_ELEMENTS),
+        nonnegative=(True,) * ELEMENTS + (False,) * len(UNEQUAL_ELEMENTS) + (True,),
     )
 
 
 HYSTERESIS = Effect(
     "hysteresis",
     "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968), or Maxwell-slip elements ż = q̇/s, |z| ≤ 1 "
-    "(Iwan 1966), instead of F sgn q̇",
+    "(Iwan 1966), damped while they stick, instead of F sgn q̇",
     _columns,
     no_candidates,
     {"amplitude": "N m", "stiffness": "N m/rad"},

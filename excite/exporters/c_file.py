@@ -170,7 +170,7 @@ def _hysteresis(banks: Sequence[tuple[int, MaxwellSlipBank]], widths: Sequence[f
     It is that of `MaxwellSlipBank.advance`, less the part of Coulomb friction that the slipping
     elements replace, as `Friction.parts` has it.
     """
-    elements = len(friction_runtime.REACH_RATIOS)
+    elements = friction_runtime.ELEMENTS
     unequal = np.zeros((len(banks), elements))
     for row, (_, bank) in zip(unequal, banks, strict=True):
         row[friction_runtime.UNEQUAL_ELEMENTS] = bank.unequal
@@ -178,12 +178,14 @@ def _hysteresis(banks: Sequence[tuple[int, MaxwellSlipBank]], widths: Sequence[f
         "distance": np.concatenate([bank.distances for _, bank in banks]),
         "strength": np.concatenate([bank.strengths for _, bank in banks]),
         "unequal": unequal.ravel(),
+        "damping": np.concatenate([bank.damping for _, bank in banks]),
         "width": np.array([widths[joint] for joint, _ in banks]),
     }
     tables = {
         "distance": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* of slip [rad or m] */",
         "strength": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* of an element that slips */",
         "unequal": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* factor of |z| - 1 */",
+        "damping": "[EXCITE_BANKS * EXCITE_ELEMENTS] = {0}; /* of an element that sticks */",
         "width": "[EXCITE_BANKS] = {0}; /* of the sign function [rad/s or m/s] */",
     }
     joints = ", ".join(str(joint) for joint, _ in banks)
@@ -230,6 +232,7 @@ void excite_hysteresis(excite_hysteresis_state* state, const double q[EXCITE_JOI
     const double* distance = excite_bank_distance + i * EXCITE_ELEMENTS;
     const double* strength = excite_bank_strength + i * EXCITE_ELEMENTS;
     const double* unequal = excite_bank_unequal + i * EXCITE_ELEMENTS;
+    const double* damping = excite_bank_damping + i * EXCITE_ELEMENTS;
     const double moved = q[joint] - state->last[i], sign = tanh(dq[joint] / excite_bank_width[i]);
     state->last[i] = q[joint];
     for (k = 0; k < EXCITE_ELEMENTS; ++k) {
@@ -237,6 +240,7 @@ void excite_hysteresis(excite_hysteresis_state* state, const double q[EXCITE_JOI
       z = z > 1.0 ? 1.0 : z < -1.0 ? -1.0 : z;
       state->z[i][k] = z;
       tau[joint] += level[i] * strength[k] * (z - sign) + unequal[k] * (fabs(z) - 1.0);
+      if (fabs(z) < 1.0) tau[joint] += damping[k] * dq[joint];
     }
   }
 }"""

@@ -32,10 +32,14 @@ ASINH_SPEEDS = (0.02, 0.1, 0.4)
 """Speeds of the asinh curves of nonlinear viscous friction, over the largest speed."""
 TANH_SPEEDS = (0.1, 0.4)
 """Speeds of its tanh curves, over the largest speed."""
-REACH_RATIOS = 2.0 ** np.arange(0.0, 8.0, 0.5)
-"""Deflections at which the Maxwell-slip elements slip, over that of the first."""
-UNEQUAL_ELEMENTS = [6, 10]
+ELEMENTS = 20
+"""Maxwell-slip elements of a joint."""
+UNEQUAL_ELEMENTS = [10, 14]
 """Maxwell-slip elements whose branches may be unequal."""
+DAMPING_TIME = 0.3
+"""Damping over stiffness of an element, over the root of its reach in radians [s/√rad]."""
+LAST_REACH = 0.181
+"""Reach of the last element of a revolute joint [rad]."""
 
 
 class JointMotion(NamedTuple):
@@ -225,36 +229,41 @@ class MaxwellSlipBank:
 
     Each element is a spring that slips at its distance d, so that its force is rate-independent:
     z advances by dq/d and stays within -1 and 1. The force of an element with unequal branches also
-    has a part that is proportional to |z| - 1.
+    has a part that is proportional to |z| - 1. While it sticks, an element is damped.
 
     Attributes:
         distances: Deflection at which each element slips, shape (elements,) [rad or m].
         strengths: Force of each element while it slips, shape (elements,) [N m or N], or its share
             of the force of a friction that builds up.
         unequal: Factor of |z| - 1 of the elements `UNEQUAL_ELEMENTS` [N m or N].
+        damping: Damping of each element while it sticks, shape (elements,) [N m s/rad or N s/m].
     """
 
     def __init__(self, term: Term) -> None:
         """Begin with relaxed springs."""
-        count = len(REACH_RATIOS)
-        self.distances = term.values["reach"] * REACH_RATIOS
+        last = term.values["last_reach"]
+        self.distances = np.geomspace(term.values["reach"], last, ELEMENTS)
+        shares = np.array([term.values.get(f"share_{i}", 0.0) for i in range(ELEMENTS)])
+        self.strengths, self.damping = shares, np.zeros(ELEMENTS)
+        self.unequal = np.zeros(len(UNEQUAL_ELEMENTS))
         if term.effect in WITH_MEMORY:
-            strengths, unequal = term.coefficients[:count], term.coefficients[count:]
-        else:
-            strengths = [term.values[f"share_{i}"] for i in range(count)]
-            unequal = [0.0] * len(UNEQUAL_ELEMENTS)
-        self.strengths, self.unequal = np.array(strengths, float), np.array(unequal, float)
+            c = np.array(term.coefficients, float)
+            self.strengths, self.unequal = np.split(c[: ELEMENTS + len(self.unequal)], [ELEMENTS])
+            times = DAMPING_TIME * np.sqrt(self.distances * LAST_REACH / last)
+            self.damping = shares * times / self.distances * c[-1]
         self.last: Any = None
         self.z: Any = None
 
-    def advance(self, q: Any) -> Any:
-        """Move to a position, shape (...); return the force [N m or N]."""
+    def advance(self, q: Any, dq: Any) -> Any:
+        """Move to a position and velocity, shapes (...); return the force [N m or N]."""
         q = np.asarray(q, float)
         if self.z is None or self.z.shape[:-1] != q.shape:
-            self.last, self.z = q.copy(), np.zeros((*q.shape, len(REACH_RATIOS)))
+            self.last, self.z = q.copy(), np.zeros((*q.shape, ELEMENTS))
         self.z = np.clip(self.z + (q - self.last)[..., None] / self.distances, -1.0, 1.0)
         self.last = q.copy()
-        return self.z @ self.strengths + (np.abs(self.z[..., UNEQUAL_ELEMENTS]) - 1) @ self.unequal
+        deflection = np.abs(self.z)
+        force = self.z @ self.strengths + (deflection[..., UNEQUAL_ELEMENTS] - 1) @ self.unequal
+        return force + np.asarray(dq, float) * ((deflection < 1.0) @ self.damping)
 
 
 class Friction:
@@ -295,7 +304,7 @@ class Friction:
                 dry[..., term.joint] += level
             if k in self.banks:
                 # the elements replace their part of the sign
-                force = self.banks[k].advance(q[..., term.joint])
+                force = self.banks[k].advance(q[..., term.joint], dq[..., term.joint])
                 if beyond not in term.held_by:
                     smooth[..., term.joint] += level * force
                     dry[..., term.joint] -= level * self.banks[k].strengths.sum()

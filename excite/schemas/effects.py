@@ -74,13 +74,14 @@ STRIBECK_CURVES = 8
 """Curves of friction that falls with speed, over a joint's largest speed."""
 VISCOUS_CURVES = 8
 """Curves of friction that is not linear in speed, over a joint's largest speed."""
-import os
-HYSTERESIS_ELEMENTS = int(os.environ.get("EX_N","10"))
+HYSTERESIS_ELEMENTS = 20
 """Maxwell-slip elements of presliding hysteresis."""
 UNEQUAL_ELEMENTS = 2
 """Maxwell-slip elements whose branches may be unequal."""
 REACH = Range(1e-12, 1e2, "rad or m")
-BUILD_UP = {"reach": REACH, "last_reach": REACH} | {f"share_{i}": SWITCH for i in range(HYSTERESIS_ELEMENTS)}
+BUILD_UP = {"reach": REACH, "last_reach": REACH} | {
+    f"share_{i}": SWITCH for i in range(HYSTERESIS_ELEMENTS)
+}
 """How a dry friction builds up after a reversal: shares of Maxwell-slip elements."""
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "torque_offset": (EffectForm(),),
@@ -114,12 +115,7 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "friction": (EffectForm(coefficients=lambda values: 2),),
     "hysteresis": (
         EffectForm(
-            {
-                "elements": Range(HYSTERESIS_ELEMENTS, HYSTERESIS_ELEMENTS, "1"),
-                "reach": REACH,
-                "last_reach": REACH,
-            },
-            coefficients=lambda values: HYSTERESIS_ELEMENTS + UNEQUAL_ELEMENTS + int(os.environ.get("EX_D","5")),
+            BUILD_UP, coefficients=lambda values: HYSTERESIS_ELEMENTS + UNEQUAL_ELEMENTS + 1
         ),
     ),
     "thermal_drift": (

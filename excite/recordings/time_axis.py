@@ -221,22 +221,36 @@ def _gap_remarks(t: FloatArray, runs: list[slice]) -> list[Remark]:
 
 def _interpolate(block: Block, grid: TimeGrid) -> Block:
     """Interpolate rows without a gap on the grid by cubic splines."""
-    from scipy.interpolate import CubicSpline  # slow to import
-
     block = block.rows(np.diff(block.t, prepend=-np.inf) >= MIN_SPACING * grid.step)
     first = np.ceil((block.t[0] - grid.origin) / grid.step - GRID_ROUNDING)
     last = np.floor((block.t[-1] - grid.origin) / grid.step + GRID_ROUNDING)
     t = grid.origin + grid.step * np.arange(first, last + 1)
-    inside = np.clip(t, block.t[0], block.t[-1])
-    values = {}
-    for name, value in block.values.items():
-        out = np.full((len(t), value.shape[1]), np.nan)
-        for i, column in enumerate(value.T):
-            known = np.isfinite(column)
-            if known.sum() < 2:
-                continue
-            out[:, i] = CubicSpline(block.t[known], column[known], bc_type="natural")(inside)
-            if not known.all():  # longer runs of missing values stay missing
-                out[np.interp(inside, block.t, known.astype(float)) < 1.0, i] = np.nan
-        values[name] = out
+    values = {
+        name: spline_columns(block.t, value, t) for name, value in block.values.items()
+    }
     return Block(t, values, block.remarks)
+
+
+def spline_columns(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
+    """Interpolate columns by natural cubic splines; constant outside, NaN in missing values.
+
+    Args:
+        t: Increasing times of the values. Shape (N,) [s].
+        values: Values, NaN where one is missing. Shape (N, n).
+        times: Times at which values are wanted. Shape (M,) [s].
+
+    Returns:
+        Values, NaN next to missing ones. Shape (M, n).
+    """
+    from scipy.interpolate import CubicSpline  # slow to import
+
+    inside = np.clip(times, t[0], t[-1])
+    out = np.full((len(times), values.shape[1]), np.nan)
+    for i, column in enumerate(values.T):
+        known = np.isfinite(column)
+        if known.sum() < 2:
+            continue
+        out[:, i] = CubicSpline(t[known], column[known], bc_type="natural")(inside)
+        if not known.all():  # longer runs of missing values stay missing
+            out[np.interp(inside, t, known.astype(float)) < 1.0, i] = np.nan
+    return out

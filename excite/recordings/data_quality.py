@@ -112,6 +112,7 @@ def check_and_repair(
     stamps: list[Remark] = []
     if complete:
         block, stamps = uneven_stamps.correct_uneven_stamps(block, grid)
+        grid = find_grid(source, block.t) if stamps else grid
     gridded, uneven = resample(block, grid)
     remarks = [*block.remarks, *window.remarks, *held, *repairs, *missing, *stamps, *uneven]
     smoothed = np.zeros(robot.n, bool)

@@ -112,11 +112,12 @@ def find_updates(values: FloatArray) -> Updates | None:
     Returns:
         The updates; None if they are irregular, or as frequent as rows.
     """
-    changes = np.nan_to_num(np.abs(np.diff(values, axis=0)))
+    known = np.where(np.isfinite(values), values, np.nan)
+    changes = np.nan_to_num(np.abs(np.diff(known, axis=0)))
     changes[changes <= MIN_CHANGE] = 0.0
     is_update = (changes > 0.0).any(axis=1)
     rows = np.flatnonzero(is_update) + 1
-    clear = (changes > 0.0) & (changes >= CLEAR_STEPS * smallest_steps(values))
+    clear = (changes > 0.0) & (changes >= CLEAR_STEPS * smallest_steps(known))
     is_clear = clear.any(axis=1)[is_update]
     intervals = np.diff(rows)[is_clear[1:] & is_clear[:-1]]
     if len(intervals) < MIN_CLEAR_UPDATES:

@@ -28,10 +28,11 @@ encoder that repeats values at low speed changes by one step, with noise by two.
 MIN_CLEAR_UPDATES = 20
 """Smallest number of intervals between updates from which a refresh rate is estimated."""
 MIN_INTERVAL = 2.0
-"""Smallest usual interval between updates of held values [rows]."""
-MAX_INTERVAL_ERROR = 0.25
-"""Deviation of an interval from the usual one that is regular, if it exceeds one row [1]: the
-clocks of the logger and of the controller are not locked."""
+"""Smallest regular interval between updates of held values [rows]: values that change in
+consecutive rows are not held."""
+MAX_INTERVAL_ERROR = 0.5
+"""Deviation of an interval from the usual one, over it, that is regular [1]: an update that arrives
+late or early by a quarter of the interval changes two of them."""
 MIN_REGULAR_SHARE = 0.9
 """Share of regular intervals between clear updates of held values [1]."""
 SUBJECTS = {
@@ -70,34 +71,37 @@ def keep_updates(block: Block) -> tuple[Block, list[Remark]]:
     Returns:
         The rows, and a remark; the rows as they are if each holds new values.
     """
-    updates = {
-        name: found
-        for name, value in block.values.items()
-        if name not in SLOW and (found := find_updates(value)) is not None
-    }
+    updates = {}
+    for name, value in block.values.items():
+        updated = None if name in SLOW else find_updates(value)
+        if updated is not None:
+            updates[name] = updated
     required = [name for name in REQUIRED if name in updates]
     if not required:
         return block, []
-    slowest = max(required, key=lambda name: updates[name].interval)
-    rows = updates[slowest].rows
-    kept = block.rows(rows)
+    # of equal rates, the first: positions are interpolated only where torques are slower
+    slowest = max(required, key=lambda name: round(updates[name].interval))
+    kept = block.rows(updates[slowest].rows)
     values = dict(kept.values)
-    for name, found in updates.items():
-        if not np.isin(rows, found.rows).all():
-            held = block.values[name][found.rows]
-            values[name] = spline_columns(block.t[found.rows], held, kept.t)
+    for name, updated in updates.items():
+        if not np.isin(updates[slowest].rows, updated.rows).all():
+            held = block.values[name][updated.rows]
+            values[name] = spline_columns(block.t[updated.rows], held, kept.t)
     step = float(np.median(np.diff(block.t)))
-    parts = [
-        f"every {updates[name].interval:.3g} rows ({1.0 / (updates[name].interval * step):.3g} Hz)"
-        for name in updates
+    return Block(kept.t, values, block.remarks), [_remark(updates, step)]
+
+
+def _remark(updates: dict[str, Updates], step: float) -> Remark:
+    """State the refresh rate of each quantity that is held, with the time between rows [s]."""
+    rates = [
+        f"every {updated.interval:.3g} rows ({1.0 / (updated.interval * step):.3g} Hz)"
+        for updated in updates.values()
     ]
     subjects = [SUBJECTS.get(name, name) for name in updates]
-    others = "".join(f", {s} {p}" for s, p in zip(subjects[1:], parts[1:], strict=True))
-    text = (
-        f"{subjects[0]} are refreshed {parts[0]}{others}; rows in between repeat them and are "
-        "not used"
-    )
-    return Block(kept.t, values, block.remarks), [Remark(RemarkKind.HELD, text, repaired=True)]
+    first, *others = [f"{subject} {rate}" for subject, rate in zip(subjects, rates, strict=True)]
+    text = ", ".join([first.replace(" every", " are refreshed every"), *others])
+    text += "; rows in between repeat them and are not used"
+    return Remark(RemarkKind.HELD, text, repaired=True)
 
 
 def find_updates(values: FloatArray) -> Updates | None:
@@ -123,31 +127,35 @@ def find_updates(values: FloatArray) -> Updates | None:
     if len(intervals) < MIN_CLEAR_UPDATES:
         return None
     usual = float(np.median(intervals))
-    regular = np.abs(intervals - usual) <= max(1.0, MAX_INTERVAL_ERROR * usual)
-    if usual < MIN_INTERVAL or regular.mean() < MIN_REGULAR_SHARE:
+    regular = np.asarray(np.abs(intervals - usual) <= MAX_INTERVAL_ERROR * usual)
+    regular &= intervals >= MIN_INTERVAL
+    if regular.mean() < MIN_REGULAR_SHARE:
         return None
     interval = float(intervals[regular].mean())
-    return Updates(_with_unchanged_updates(rows, interval, len(values)), interval)
+    longest = (1.0 + MAX_INTERVAL_ERROR) * usual
+    return Updates(_with_unchanged_updates(rows, interval, longest, len(values)), interval)
 
 
-def _with_unchanged_updates(rows: IntArray, interval: float, count: int) -> IntArray:
+def _with_unchanged_updates(
+    rows: IntArray, interval: float, longest: float, count: int
+) -> IntArray:
     """Add updates that change no value: before, between and after those that do.
 
     Args:
         rows: Rows at which a value changes. Shape (M,).
         interval: Rows between updates [1].
+        longest: Largest number of rows between consecutive updates [1].
         count: Number of all rows.
     """
     before = int(rows[0] / interval)
     after = int((count - 1 - rows[-1]) / interval)
-    parts = np.maximum(np.round(np.diff(rows) / interval), 1.0).astype(int)
-    between = np.interp(
-        np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), rows.astype(float)
-    )
+    between = np.diff(rows)
+    parts = np.where(between > longest, np.round(between / interval), 1.0).astype(int)
+    numbers = np.concatenate([[0], np.cumsum(parts)])
     places = np.concatenate(
         [
             rows[0] - interval * np.arange(before, 0, -1),
-            between,
+            np.interp(np.arange(numbers[-1] + 1), numbers, rows),
             rows[-1] + interval * np.arange(1, after + 1),
         ]
     )

@@ -122,7 +122,7 @@ def find_updates(values: FloatArray) -> Updates | None:
     is_update = (changes > 0.0).any(axis=1)
     rows = np.flatnonzero(is_update) + 1
     clear = (changes > 0.0) & (changes >= CLEAR_STEPS * smallest_steps(known))
-    is_clear = clear.any(axis=1)[is_update]
+    is_clear = np.asarray(clear.any(axis=1))[is_update]
     intervals = np.diff(rows)[is_clear[1:] & is_clear[:-1]]
     if len(intervals) < MIN_CLEAR_UPDATES:
         return None

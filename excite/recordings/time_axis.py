@@ -24,7 +24,7 @@ UNITS = (("ms", 1e3, 2e2), ("µs", 1e6, 2e5), ("ns", 1e9, np.inf))
 """Units of time other than the second, their number in a second, and the largest plausible step."""
 MAX_DELAYED_STEPS = 50
 """Number of usual steps by which a row may be out of order; more is a clock that starts again."""
-MIN_SPACING = 0.2
+MIN_SPACING = 0.25
 """Distance of two rows over the time step below which interpolation amplifies noise [1]."""
 MAX_UNTIMED_SHARE = 0.1
 """Largest share of rows without a time [1]."""
@@ -245,7 +245,7 @@ def resample(block: Block, grid: TimeGrid) -> tuple[Block, list[Remark]]:
     """Resample rows on an even grid, separately between gaps.
 
     Rows are kept as they are if no step between gaps deviates by more than 2 %. Otherwise all are
-    interpolated by cubic splines, which also fills up to 5 missing rows. Rows closer than a fifth
+    interpolated by cubic splines, which also fills up to 5 missing rows. Rows closer than a quarter
     of a step to the row before are dropped first because a spline would follow the noise of their
     slope. A single row between gaps is dropped.
 

@@ -51,7 +51,8 @@ def remark_kinds(recording: recordings.Recording) -> list[RemarkKind]:
 def read_with_warnings(path: Path, robot, **options) -> tuple[recordings.Recording, list[str]]:
     """Return a recording and its warnings.
 
-    Every warning is also a remark, and every repair is warned of, except that an encoder rounds.
+    Every warning is also a remark, and every repair is warned of, except that an encoder rounds and
+    that values are refreshed more slowly than rows.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -60,7 +61,7 @@ def read_with_warnings(path: Path, robot, **options) -> tuple[recordings.Recordi
     assert texts == [
         f"{path}: {r.text}"
         for r in recording.remarks
-        if r.repaired and r.kind is not RemarkKind.ROUNDED
+        if r.repaired and r.kind not in (RemarkKind.HELD, RemarkKind.ROUNDED)
     ]
     assert all(issubclass(w.category, ExciteWarning) for w in caught)
     return recording, texts

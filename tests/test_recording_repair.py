@@ -247,6 +247,35 @@ def test_uneven_stamps_of_even_rows_are_evened(two_link, tmp_path, damage, lost)
     assert np.abs(error).max() < 1e-3  # a common offset of the clock
 
 
+@pytest.mark.parametrize("lost", [(), (250, 700, 701, 702)])
+@pytest.mark.parametrize("jitter", [1.5e-3, 2e-3])
+def test_jitter_is_no_missing_row(two_link, tmp_path, jitter, lost):
+    """Some steps are longer than 1.5 usual ones or shorter than 0.5, though no row is missing."""
+    t = np.delete(np.arange(1200) / 100.0, lost)
+    phases = np.outer(t, [2.0, 3.0])
+    stamps = np.sort(t + jitter * np.random.default_rng(3).normal(size=len(t)))
+    assert (np.diff(stamps) > 1.55e-2).any() and (np.diff(stamps) < 4.5e-3).any()
+    columns = {f"q.joint_{i + 1}": 0.5 * np.sin(phases[:, i]) for i in range(2)}
+    recording, texts = DamagedMotion({"t": stamps} | columns).read(tmp_path, two_link)
+    assert "measured at even times" in texts[0] and len(recording) == 1200
+    assert recording.rate == pytest.approx(100.0, rel=1e-4)
+    filled = [text for text in texts if "missing rows are filled" in text]
+    assert len(filled) == bool(lost) and all("; 4 missing" in text for text in filled)
+    error = recording.q - 0.5 * np.sin(np.outer(recording.t, [2.0, 3.0]))
+    assert np.abs(np.diff(error, axis=0)).max() < 1e-4
+
+
+def test_bunched_stamps_are_no_missing_rows(two_link, tmp_path, damage):
+    """Every 50th row is written 25 ms late, with those behind it until the logger has caught up."""
+    stamps = damage.columns["t"].copy()
+    for row in range(50, 400, 50):
+        stamps[row : row + 3] = stamps[row] + 0.025 + 5e-4 * np.arange(3)
+    motion = DamagedMotion(damage.columns | {"t": stamps})
+    recording, texts = motion.read(tmp_path, two_link)
+    assert "measured at even times" in texts[0] and len(texts) == 1
+    assert len(recording) == 400 and recording.rate == pytest.approx(100.0, rel=1e-3)
+
+
 def test_rate_of_unix_time_stamps_is_exact(two_link, tmp_path, damage):
     """Neighbouring stamps differ by multiples of 0.24 µs."""
     damage.columns["t"] = 1.7e9 + 1e-3 * np.arange(400)

@@ -23,6 +23,7 @@ from . import (
     encoder_resolution,
     floating_signals,
     glitches,
+    held_values,
     missing_values,
     position_wraps,
     quantization,
@@ -35,7 +36,7 @@ from .block import QUANTITIES, Block
 from .recording import MIN_ROWS, Recording
 from .remark import Remark, RemarkKind
 from .sidecar import KEYS, Sidecar
-from .time_axis import TimeGrid, resample
+from .time_axis import TimeGrid, find_grid, resample
 
 ENCODER_QUANTITIES = ("q", "qlink")
 """Quantities that encoders measure."""
@@ -96,7 +97,10 @@ def check_and_repair(
     source, robot = context.source, context.robot
     block = floating_signals.with_continuous_quaternions(source, window.block)
     repairs = list[Remark]()
+    held: list[Remark] = []
     if complete:
+        block, held = held_values.keep_updates(block)
+        grid = find_grid(source, block.t) if held else grid
         block, repairs = glitches.mask_glitches(source, block, robot, context.limits)
         block, wraps = position_wraps.unwrap_positions(block, robot, context.limits)
         repairs += wraps
@@ -108,8 +112,9 @@ def check_and_repair(
     stamps: list[Remark] = []
     if complete:
         block, stamps = uneven_stamps.correct_uneven_stamps(block, grid)
+        grid = find_grid(source, block.t) if stamps else grid
     gridded, uneven = resample(block, grid)
-    remarks = [*block.remarks, *window.remarks, *repairs, *missing, *stamps, *uneven]
+    remarks = [*block.remarks, *window.remarks, *held, *repairs, *missing, *stamps, *uneven]
     smoothed = np.zeros(robot.n, bool)
     if complete:
         remarks += [
@@ -177,9 +182,9 @@ def _quantization_remarks(robot: Robot, smoothed: BoolArray) -> list[Remark]:
 
 
 def warn_of_repairs(source: str, remarks: Iterable[Remark]) -> None:
-    """Warn of each repaired fault; quantization is no fault."""
+    """Warn of each repaired fault; quantization and a slow refresh are no faults."""
     for remark in remarks:
-        if remark.repaired and remark.kind is not RemarkKind.ROUNDED:
+        if remark.repaired and remark.kind not in (RemarkKind.HELD, RemarkKind.ROUNDED):
             warnings.warn(f"{source}: {remark.text}", ExciteWarning, stacklevel=3)
 
 

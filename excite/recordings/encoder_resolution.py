@@ -31,7 +31,20 @@ def quantization_noise(positions: FloatArray) -> FloatArray:
     Returns:
         Standard deviations, 0 where no resolution shows. Shape (n,) [rad or m].
     """
-    return np.array([_resolution(_changes(q), len(q)) for q in positions.T]) / np.sqrt(12.0)
+    return smallest_steps(positions) / np.sqrt(12.0)
+
+
+def smallest_steps(values: FloatArray) -> FloatArray:
+    """Estimate the resolution of signals: the common step of their changes, else, where values
+    repeat, the smallest change.
+
+    Args:
+        values: Signals as they were read. Shape (M, n).
+
+    Returns:
+        Steps, 0 where no resolution shows. Shape (n,).
+    """
+    return np.array([_resolution(_changes(value), len(value)) for value in values.T])
 
 
 def estimate_resolution(positions: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ class RemarkKind(Enum):
 
     ORDER = "order"
     REPEATED = "repeated"
+    HELD = "held"
     CLOCK = "clock"
     JITTER = "jitter"
     TIMESTAMP_JITTER = "timestamp jitter"

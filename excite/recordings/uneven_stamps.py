@@ -13,7 +13,7 @@ import numpy as np
 from .._types import FloatArray
 from .block import Block
 from .remark import Remark, RemarkKind
-from .time_axis import STEP_TOLERANCE, TimeGrid, gap_free_slices
+from .time_axis import STEP_TOLERANCE, TimeGrid, gap_free_slices, row_numbers
 
 MAX_ROUGHNESS_RATIO = 0.5
 """Mean squared third difference with even times over that with the stamps, below which the stamps
@@ -21,8 +21,6 @@ are taken to be wrong [1]. Where noise of the positions dominates both, the rati
 give 10 and more."""
 MIN_RUN_ROWS = 8
 """Smallest number of rows of a gap-free run that is judged."""
-FIRST_REGRESSION_ROWS = 8
-"""Number of rows of the first linear regression of stamps."""
 
 
 def correct_uneven_stamps(block: Block, grid: TimeGrid) -> tuple[Block, list[Remark]]:
@@ -65,20 +63,12 @@ def correct_uneven_stamps(block: Block, grid: TimeGrid) -> tuple[Block, list[Rem
 
 
 def _nearest_even_times(t: FloatArray, step: float) -> FloatArray | None:
-    """Times of an even grid that are nearest to the stamps; None if two stamps share one.
-
-    The step is refined by linear regression over a growing number of rows, since an error of 1 % of
-    it would miss the nearest time after 50 rows.
-    """
-    line, count = np.array([step, 0.0]), min(FIRST_REGRESSION_ROWS, len(t))
-    while True:
-        index = np.round((t[:count] - t[0] - line[1]) / line[0])
-        if (np.diff(index) < 1.0).any():
-            return None
-        line = np.polyfit(index, t[:count] - t[0], 1)
-        if count == len(t):
-            return np.asarray(np.polyval(line, index) + t[0])
-        count = min(2 * count, len(t))
+    """Times of an even grid that are nearest to the stamps; None if they lie on no such grid."""
+    numbers = row_numbers(t, step)
+    if numbers is None:
+        return None
+    line = np.polyfit(numbers, t - t[0], 1)
+    return np.asarray(np.polyval(line, numbers) + t[0])
 
 
 def _roughness(t: FloatArray, q: FloatArray, step: float) -> FloatArray:

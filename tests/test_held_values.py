@@ -1,0 +1,107 @@
+"""Recordings whose positions or torques are refreshed more slowly than rows are written."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from recording_fixtures import JOINTS, DamagedMotion, remark_kinds
+
+from excite.recordings import RemarkKind
+
+RATE = 500.0
+"""Rows a second of the log [Hz]."""
+
+
+def position(t: np.ndarray, speed: float = 1.0) -> np.ndarray:
+    """Positions of two joints that rest in the middle of the motion. Shape (N, 2) [rad]."""
+    moving = np.minimum(t, 2.0) + np.maximum(t - 3.0, 0.0)  # at rest from 2 to 3 s
+    return 0.5 * np.cos(np.pi * moving[:, None] * np.array([1.0, 2.0]) * speed)
+
+
+def torque(t: np.ndarray) -> np.ndarray:
+    """Torques of two joints. Shape (N, 2) [N m]."""
+    return 3.0 * np.cos(t[:, None] * np.array([2.0, 3.0]) + 0.3)
+
+
+def held(values: np.ndarray, updates: np.ndarray) -> np.ndarray:
+    """Values of the last update at every row."""
+    rows = np.arange(len(values))
+    return values[updates[np.searchsorted(updates, rows, side="right") - 1]]
+
+
+def columns(t: np.ndarray, q: np.ndarray, tau: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of a file."""
+    named = {"t": t}
+    for prefix, values in (("q", q), ("tau", tau)):
+        named |= {f"{prefix}.{joint}": values[:, i] for i, joint in enumerate(JOINTS)}
+    return named
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0])
+@pytest.mark.parametrize("step", [0.0, 2e-5])
+def test_one_row_of_each_update_is_used(two_link, tmp_path, speed, step):
+    """Positions and torques are held for 4 rows; at high speed the steps exceed velocity limits."""
+    t = np.arange(3000) / RATE
+    q = position(t, speed)
+    q = np.round(q / step) * step if step else q
+    updates = np.arange(0, len(t), 4)
+    motion = DamagedMotion(columns(t, held(q, updates), held(torque(t), updates)))
+    recording, texts = motion.read(tmp_path, two_link)
+    remark = next(r for r in recording.remarks if r.kind is RemarkKind.HELD)
+    assert not texts and "positions are refreshed every 4 rows (125 Hz)" in remark.text
+    assert recording.rate == pytest.approx(125.0) and len(recording) >= 748
+    assert np.abs(recording.q - position(recording.t, speed)).max() < 1e-9 + step
+    assert np.abs(recording.torque - torque(recording.t)).max() < 1e-9
+    assert (recording.row_times == t).all()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_updates_after_three_to_five_rows_are_even(two_link, tmp_path, seed):
+    """Positions of every 8 ms arrive up to 2 ms early or late."""
+    t, generator = np.arange(3000) / RATE, np.random.default_rng(seed)
+    updates = 4 * np.arange(749) + np.pad(generator.choice([-1, 0, 0, 0, 0, 1], 748), (1, 0))
+    rows = np.searchsorted(updates, np.arange(3000), side="right") - 1
+    recording, _ = DamagedMotion(columns(t, position(0.008 * rows), torque(0.008 * rows))).read(
+        tmp_path, two_link
+    )
+    assert set(remark_kinds(recording)) == {RemarkKind.HELD, RemarkKind.TIMESTAMP_JITTER}
+    assert recording.rate == pytest.approx(125.0, rel=1e-3)
+    error = recording.q - position(recording.t)
+    assert np.abs(np.diff(error, 2, axis=0))[5:-5].max() < 1e-3
+
+
+def test_quantities_with_other_rates_and_phases_are_taken_at_their_updates(two_link, tmp_path):
+    """Positions are held for 4 rows, torques for 2, one row later."""
+    t = np.arange(3000) / RATE
+    late = np.concatenate([[0], np.arange(1, len(t), 2)])
+    motion = DamagedMotion(
+        columns(t, held(position(t), np.arange(0, len(t), 4)), held(torque(t), late))
+    )
+    recording, texts = motion.read(tmp_path, two_link)
+    text = recording.remarks[0].text
+    assert not texts and "every 4 rows (125 Hz), torques every 2 rows (250 Hz)" in text
+    assert recording.rate == pytest.approx(125.0)
+    assert np.abs(recording.q - position(recording.t)).max() < 1e-9
+    assert np.abs(recording.torque - torque(recording.t))[2:-2].max() < 1e-5
+
+
+def test_torques_of_every_row_are_kept_as_measured(two_link, tmp_path):
+    t = np.arange(3000) / RATE
+    motion = DamagedMotion(columns(t, held(position(t), np.arange(0, len(t), 3)), torque(t)))
+    recording, texts = motion.read(tmp_path, two_link)
+    assert not texts and "torques" not in recording.remarks[0].text
+    assert recording.rate == pytest.approx(RATE / 3.0)
+    assert np.abs(recording.torque - torque(recording.t)).max() < 1e-9
+
+
+@pytest.mark.parametrize("rate", [100.0, 500.0])
+@pytest.mark.parametrize("speed", [0.02, 0.2, 1.0])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_coarse_encoders_and_slow_motions_are_not_held(two_link, tmp_path, rate, speed, noise):
+    """12 bits per turn: at low speed a position repeats for many rows."""
+    t, step = np.arange(int(6.0 * rate)) / rate, 2.0 * np.pi / 4096
+    q = position(t, speed) + noise * step * np.random.default_rng(0).normal(size=(len(t), 2))
+    motion = DamagedMotion(columns(t, np.round(q / step) * step, torque(t)))
+    recording, _ = motion.read(tmp_path, two_link)
+    assert RemarkKind.HELD not in remark_kinds(recording)
+    assert len(recording) == len(t)

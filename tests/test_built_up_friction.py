@@ -1,4 +1,4 @@
-"""Dry friction that builds up after a reversal: damped bristles, Stribeck friction in presliding."""
+"""Dry friction that builds up after a reversal: damped bristles, Stribeck friction as well."""
 
 from __future__ import annotations
 
@@ -68,13 +68,13 @@ def of_bristle(seconds: float) -> Diagnosis:
 
 
 def test_a_bristle_is_presliding_alone():
-    """With a first element of 1 mrad, Stribeck and nonlinear viscous friction were found as well."""
+    """With a first element of 1 mrad, Stribeck and viscous friction were found as well."""
     assert findings_of(of_bristle(0.0)) == [("hysteresis", 0)]
 
 
 @pytest.mark.parametrize(("seconds", "largest"), [(0.0, 1.3), (0.005, 2.0)])
 def test_a_damped_bristle_is_predicted_nearly_to_the_noise(seconds, largest):
-    """Without damping and with a first element of 1 mrad, 18 times the noise remain of the first."""
+    """Without damping, and with a first element of 1 mrad, 18 times the noise remain."""
     assert noise_ratios(of_bristle(seconds))[1].max() < largest
 
 

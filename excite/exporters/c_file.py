@@ -218,8 +218,8 @@ void excite_hysteresis_reset(excite_hysteresis_state* state, const double q[EXCI
 }
 
 /* Advance to a position; load: torque of links, as for excite_friction; tau: torque to add to that
-   of excite_inverse_dynamics or excite_friction [N m or N]. It depends on the path, not on the time
-   between two steps. */
+   of excite_inverse_dynamics or excite_friction [N m or N]. The state depends on the path, not on
+   the time between two steps. */
 void excite_hysteresis(excite_hysteresis_state* state, const double q[EXCITE_JOINTS],
                        const double dq[EXCITE_JOINTS], const double load[EXCITE_JOINTS],
                        double tau[EXCITE_JOINTS]) {

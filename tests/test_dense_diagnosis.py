@@ -89,10 +89,7 @@ def test_held_out_torque_is_predicted_almost_to_the_noise(case):
     assert (before > 5.0).any() and (after < 1.25).all()
 
 
-def test_four_in_five_true_parameters_are_within_two_standard_deviations(case, request):
-    if case.is_dense:
-        reason = "10 of 13: the delay is at 2.1 standard deviations"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
+def test_four_in_five_true_parameters_are_within_two_standard_deviations(case):
     distances = [
         abs(value - case.truth[finding.effect, finding.joint][key]) / std
         for finding in case.result.findings

@@ -36,7 +36,7 @@ ELEMENTS = 20
 """Maxwell-slip elements of a joint."""
 UNEQUAL_ELEMENTS = [10, 14]
 """Maxwell-slip elements whose branches may be unequal."""
-DAMPING_TIME = 0.3
+DAMPING_TIME = 0.15
 """Damping over stiffness of an element, over the root of its reach in radians [s/√rad]."""
 LAST_REACH = 0.181
 """Reach of the last element of a revolute joint [rad]."""

@@ -197,9 +197,14 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
     where: dict[str, Any] = {
         "statement": f"{place}: {shape.signature or effect.signature}",
         "regime": regime,
-        "time": None if shape.interval is None else list(shape.interval),
+        "time": None,
     }
     if shape.interval is not None:
+        times = [
+            m.times[[0, -1]] for m in diagnosis.model.motions if m.segment.source == shape.source
+        ]
+        # the course of a force may begin before its recording, and end after it
+        where["time"] = np.clip(shape.interval, np.min(times), np.max(times)).tolist()
         where["recording"] = shape.source
     shown = _determined(estimate.parameters)
     out: dict[str, Any] = {

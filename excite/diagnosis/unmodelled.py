@@ -162,7 +162,7 @@ def repeated_share(products: FloatArray, square: float, known: FloatArray) -> tu
     )
     power = float(blocks.mean() - known_blocks.mean())
     std = max(float(np.sqrt((blocks.var() + known_blocks.var()) / count)), 1e-300)
-    return power / max(square, 1e-300), power / std
+    return min(power / max(square, 1e-300), 1.0), power / std
 
 
 def _response(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -53,18 +54,31 @@ def bristle_friction(v: FloatArray, seconds: float) -> FloatArray:
     return out
 
 
-@cache
-def of_bristle(seconds: float) -> Diagnosis:
-    """Return the diagnosis of a joint whose dry friction is that of a bristle."""
+def diagnosed_with(friction: Callable[[FloatArray, FloatArray], FloatArray]) -> Diagnosis:
+    """Return the diagnosis of a robot with further friction at its first joint [N m].
+
+    Args:
+        friction: Function of position and velocity of the joint, shapes (M,).
+    """
     recordings = []
     for seed in (2, 5, 7):
         fourier = random_fourier(2, seed)
         recording = synthetic_recording(SUBJECT, PSI, fourier, 4, 0.02, RATE)
-        v = fourier.samples(recording.t).dq[:, 0]
-        friction = COULOMB[0] * (bristle_friction(v, seconds) - friction_sign(v))
+        motion = fourier.samples(recording.t)
         named = dataclasses.replace(recording, source=f"{seed}.csv")
-        recordings.append(added_torque(named, at_joint(0, friction)))
+        further = friction(motion.q[:, 0], motion.dq[:, 0])
+        recordings.append(added_torque(named, at_joint(0, further)))
     return diagnose(recordings)
+
+
+@cache
+def of_bristle(seconds: float) -> Diagnosis:
+    """Return the diagnosis of a joint whose dry friction is that of a bristle."""
+
+    def friction(q: FloatArray, v: FloatArray) -> FloatArray:
+        return COULOMB[0] * (bristle_friction(v, seconds) - friction_sign(v))
+
+    return diagnosed_with(friction)
 
 
 def test_a_bristle_is_presliding_alone():
@@ -80,18 +94,13 @@ def test_a_damped_bristle_is_predicted_better_than_without_damping():
 @cache
 def diagnosed(builds_up: bool) -> Diagnosis:
     """Return the diagnosis of a joint with presliding, whose Stribeck friction builds up or not."""
-    recordings = []
-    for seed in (2, 5, 7):
-        fourier = random_fourier(2, seed)
-        recording = synthetic_recording(SUBJECT, PSI, fourier, 4, 0.02, RATE)
-        motion = fourier.samples(recording.t)
-        v, direction = motion.dq[:, 0], maxwell_slip_force(motion.q[:, 0], REACHES)
-        sign = friction_sign(v)
+
+    def friction(q: FloatArray, v: FloatArray) -> FloatArray:
+        direction, sign = maxwell_slip_force(q, REACHES), friction_sign(v)
         curve = HEIGHT * np.exp(-np.abs(v) / VELOCITY)
-        friction = COULOMB[0] * (direction - sign) + curve * (direction if builds_up else sign)
-        named = dataclasses.replace(recording, source=f"{seed}.csv")
-        recordings.append(added_torque(named, at_joint(0, friction)))
-    return diagnose(recordings)
+        return COULOMB[0] * (direction - sign) + curve * (direction if builds_up else sign)
+
+    return diagnosed_with(friction)
 
 
 @pytest.mark.parametrize("builds_up", [True, False])

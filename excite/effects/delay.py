@@ -25,8 +25,8 @@ DELAYS = (0.003, 0.008, 0.02)
 """Grid of delays [s]."""
 MAX_LINEAR_DELAY = 0.05
 """Largest delay and time constant that are sought by the derivative of the torque [s]."""
-MIN_LAG = 0.0015
-"""Smallest time constant that is sought [s]."""
+MIN_LAG = 0.5 * DELAYS[0]
+"""Smallest time constant that is sought [s]: that of the smallest delay of the grid."""
 MIN_DELAY_DWELL = 0.1
 """Smallest delay of the torque over the time that a joint dwells in one encoder step at a reversal.
 Positions smoothed within the encoder's steps reverse late where friction is large, so that torque

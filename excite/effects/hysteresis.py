@@ -18,14 +18,15 @@ from .effect import CandidateModel, Effect, no_candidates, single_joint_rows
 from .recorded_motion import RecordedMotion, radian
 
 ELEMENTS = 20
-"""Elements of `dense_model`."""
+"""Elements of `dense_model` [1]: half an octave of deflection from one to the next."""
 REACH = (2.5e-4, 0.181)
 """Deflections at which the first and the last of them slip [rad], see `recorded_motion.radian`; the
 first does at no less than a step of the encoder."""
 MAX_FIRST_REACH = 0.03
-"""Largest deflection at which the first slips, over that of the last."""
+"""Largest deflection at which the first slips, over that of the last [1], so that a very coarse
+encoder does not make all elements alike."""
 UNEQUAL_ELEMENTS = [10, 14]
-"""Elements that may have unequal branches."""
+"""Elements that may have unequal branches: those of 8 and 32 mrad, in the middle of the reaches."""
 DAMPING_TIME = 0.15
 """Damping over stiffness of an element that a damping coefficient is the force of, over the root of
 its reach [s/√rad]. A bristle of mass I with a damping ratio ζ has 2 ζ √(I d/F): 0.15 √d for ζ =

@@ -1,4 +1,4 @@
-"""Diagnosis of a sliding joint, whose periods and deflections are lengths and no angles."""
+"""Diagnosis of a sliding joint, whose periods, deflections and ratios to others are lengths."""
 
 from __future__ import annotations
 
@@ -123,3 +123,54 @@ def test_the_error_of_a_linear_scale_is_found(tmp_path):
     (error,) = result.findings
     assert error.parameters["order"][0] == pytest.approx(2.0 * np.pi / 0.04, rel=0.01)
     assert error.parameters["amplitude"][0] == pytest.approx(2e-4, rel=0.2)
+
+
+QUILL = """<robot name="quill"><link name="base"/>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="nut"/>
+<axis xyz="0 0 1"/><limit lower="0" upper="0.2" velocity="1" effort="400"/></joint>
+<link name="nut"><inertial><mass value="2"/>
+<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+<joint name="turn" type="continuous"><parent link="nut"/><child link="flange"/>
+<axis xyz="0 0 1"/><limit velocity="10" effort="50"/></joint>
+<link name="flange"><inertial><mass value="1"/>
+<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.015"/></inertial></link></robot>"""
+"""A ball-screw spline: its nut turns with both joints."""
+SCREW_RATIO = 3e-3
+"""Lift of the screw [m/rad]."""
+
+
+def record_quill(path: Path, seed: int) -> Path:
+    """Record a lift of 2 kg and a flange whose screw has viscous, Coulomb friction and inertia."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, DURATION, 1.0 / 250.0)
+    omega = 2.0 * np.pi * np.arange(2, 7) / DURATION
+    share = np.array([0.5, 0.2, 0.15, 0.1, 0.05])
+    offset, lift, lift_rate = sum_of_sines(t, omega, 0.09 * share, rng)
+    angle, turn, turn_rate = sum_of_sines(t, omega, 3.0 * share, rng)
+    speed, rate = lift + SCREW_RATIO * turn, lift_rate + SCREW_RATIO * turn_rate
+    screw = 40.0 * speed + 6.0 * np.tanh(speed / WIDTH) + 2.0 * rate
+    force = 2.0 * (lift_rate + 9.81) + 20.0 * lift + 5.0 * np.tanh(lift / WIDTH) + screw
+    torque = 0.015 * turn_rate + 0.05 * turn + 0.1 * np.tanh(turn / 0.03) + SCREW_RATIO * screw
+    table = np.column_stack(
+        [
+            t,
+            0.1 + offset,
+            angle,
+            force + 0.2 * rng.normal(size=len(t)),
+            torque + 1e-3 * rng.normal(size=len(t)),
+        ]
+    )
+    header = "t,q.lift,q.turn,tau.lift,tau.turn"
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+    return path
+
+
+def test_a_screw_that_two_joints_turn_is_a_coupling(tmp_path):
+    """Its ratio is a length, three millimetres, and no number near 1."""
+    robot = tmp_path / "quill.urdf"
+    robot.write_text(QUILL, encoding="utf-8")
+    train, held_out = (record_quill(tmp_path / f"{seed}.csv", seed) for seed in (1, 2))
+    result = excite.diagnose(robot, [train], [held_out]).diagnosis
+    couplings = [f for f in result.findings if f.effect == "coupling"]
+    assert {f.joint for f in couplings} == {0, 1}
+    assert (result.held_out.rmse_after < 0.2 * result.held_out.rmse_before).all()

@@ -19,6 +19,9 @@ from .recorded_motion import RecordedMotion
 
 RATIOS = (0.5, 1.0, 2.0)
 """Turns of the shaft by the other joint over those by its own, tried with either sign."""
+RELATIVE_RATIOS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""The same of a revolute and a prismatic joint, as of a screw, over the ratio that makes both parts
+equally fast: a smaller one is not visible, and the shaft of a larger one turns with the other."""
 MAX_NEGATIVE_SHARE = 0.1
 """Share of a coupling's torque that may have the wrong sign by chance."""
 
@@ -59,6 +62,15 @@ def _dissipates(speed: float, acceleration: float) -> Callable[[FloatArray], boo
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Shafts between joints up to two apart, with either sign, with and without inertia."""
     n = motions[0].n
+    slides = [e.kind == "prismatic" for e in motions[0].fitted_robot.robot.entries]
+    speeds = np.sqrt(np.mean(np.vstack([motion.samples.dq for motion in motions]) ** 2, axis=0))
+
+    def ratios(i: int, j: int) -> Sequence[float]:
+        if slides[i] == slides[j]:
+            return RATIOS
+        if not speeds[i] * speeds[j] > 0.0:
+            return ()
+        return (np.array(RELATIVE_RATIOS) * speeds[i] / speeds[j]).tolist()
 
     def family(i: int, j: int, sign: float, is_light: bool) -> Callable[[float], CandidateModel]:
         def model(ratio: float) -> CandidateModel:
@@ -85,7 +97,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for i in range(n):
         for j in range(max(0, i - 2), min(n, i + 3)):
             for sign, is_light in product((1.0, -1.0), (False, True)) if i != j else ():
-                yield from grid_candidates(RATIOS, family(i, j, sign, is_light))
+                yield from grid_candidates(ratios(i, j), family(i, j, sign, is_light))
 
 
 COUPLING = Effect(

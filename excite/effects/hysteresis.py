@@ -27,6 +27,9 @@ MAX_FIRST_REACH = 0.03
 encoder does not make all elements alike."""
 UNEQUAL_ELEMENTS = [10, 14]
 """Elements that may have unequal branches: those of 8 and 32 mrad, in the middle of the reaches."""
+STICKING_SHARE = 1e-6
+"""Share of the prior that the strength of an element has which never slips in both directions [1],
+next to none: in such a motion it is a spring, in a larger one it is not."""
 DAMPING_TIME = 0.15
 """Damping over stiffness of an element that a damping coefficient is the force of, over the root of
 its reach [s/√rad]. A bristle of mass I with a damping ratio ζ has 2 ζ √(I d/F): 0.15 √d for ζ =
@@ -159,7 +162,8 @@ def dense_model(
     """Return a nonnegative combination of Maxwell-slip elements of a joint.
 
     The columns after them, of either sign, make the two branches of the loop unequal; the last one
-    is the damping of the elements.
+    is the damping of the elements. The prior is one of strength per octave of deflection, whatever
+    the number of elements.
 
     Args:
         motions: The recorded motions.
@@ -172,6 +176,9 @@ def dense_model(
     step = max(float(motion.steps[joint]) for motion in motions)
     first = min(max(REACH[0] * unit, step), MAX_FIRST_REACH * last)
     values = dict(build_up or {"reach": first, "last_reach": last})
+    deflections = reaches(values)
+    travel = max(float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
+    octaves = np.log2(deflections[1] / deflections[0])
     if not built_up_share(values):
         values |= {f"share_{i}": 1.0 / ELEMENTS for i in range(ELEMENTS)}
     return CandidateModel(
@@ -184,6 +191,7 @@ def dense_model(
             "stiffness": float(np.sum(c[:ELEMENTS] / reaches(values))),
         },
         nonnegative=(True,) * ELEMENTS + (False,) * len(UNEQUAL_ELEMENTS) + (True,),
+        prior_shares=tuple(np.where(2.0 * deflections < travel, octaves, STICKING_SHARE).tolist()),
     )
 
 

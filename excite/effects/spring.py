@@ -41,7 +41,7 @@ MIN_CURVE_RANGE = 0.05
 
 def _torque(values: Mapping[str, float], q: FloatArray) -> FloatArray:
     """Torque per coefficient over the joint position, (M,) -> (M, k)."""
-    # a curve of any form says nothing beyond the positions of its recordings; a line goes on there
+    # a curve says nothing beyond the positions of its recordings; two lines that meet go on there
     inside = np.clip(q, values["low"], values["high"]) if "low" in values else q
     if "waves" in values:
         place = (inside - values["low"]) / (values["high"] - values["low"])
@@ -51,7 +51,7 @@ def _torque(values: Mapping[str, float], q: FloatArray) -> FloatArray:
         return np.column_stack([np.minimum(distance, 0.0), np.maximum(distance, 0.0)])
     if "order" in values:
         phase = values["order"] * (inside - values["about"])
-        return np.column_stack([q - values["about"], np.cos(phase) - 1.0, np.sin(phase)])
+        return np.column_stack([inside - values["about"], np.cos(phase) - 1.0, np.sin(phase)])
     return FORMS[int(values["form"])](inside)
 
 

@@ -172,7 +172,7 @@ def _spring(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tupl
     if "order" in v:
         phase = v["order"] * (q - v["about"])
         wave = c[1] * (m.cos(phase) - 1.0) + c[2] * m.sin(phase)
-        return c[0] * (x.q - v["about"]) + wave, 0.0
+        return c[0] * (q - v["about"]) + wave, 0.0
     columns = (
         (q,),
         (m.cos(q), m.sin(q)),

@@ -305,8 +305,9 @@ class _Search:
     def _tried(self, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
         """Add an effect to the joint model; None if it is to be left out again.
 
-        The torque of the joint model stands for the measured torque, and is another one with the
-        effect. A shape that is a function of it is therefore chosen once more.
+        With the effect all else is fitted anew, and the weights of the rows are larger, so that
+        nonlinear parameters are optimised once more. The torque of the joint model, which stands
+        for the measured torque, is another one as well: of its functions each is tried again.
 
         Args:
             shape: The best shape of the effect.
@@ -315,14 +316,19 @@ class _Search:
         if not self._may_be_needed(shape):
             return None
         extended = self._fit((*self._shapes, shape))
-        if shape.values.get("measured"):
-            others = [i for i, m in enumerate(extended.models) if m.key != shape.key]
-            reduced = extended.keeping(others)
-            again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
-            plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
+        is_of_torque = bool(shape.values.get("measured"))
+        if is_of_torque or shape.nonlinear is not None:
+            reduced = extended.keeping(
+                [i for i, model in enumerate(extended.models) if model.key != shape.key]
+            )
+            tried = [c.model for c in ranking.plausible] if is_of_torque else [shape]
+            again = CandidateShapes.of(reduced, tried).fitted(reduced)
+            plausible = tuple(c for c in again if c.is_plausible)
             better = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
             if better.values != shape.values:
-                shape, extended = better, self._fit((*self._shapes, better))
+                other = self._fit((*self._shapes, better))
+                if _evidence(other, shape.key) > _evidence(extended, shape.key):
+                    shape, extended = better, other
         return self._judged(extended, shape, self.model)
 
     def _may_be_needed(self, shape: CandidateModel) -> bool:
@@ -333,8 +339,7 @@ class _Search:
         """
         extended = self.model.with_effects([shape])
         joint_model.reweight(extended.regression)
-        is_there = shape.key in posterior.effect_groups(extended)
-        return is_there and posterior.judge(extended, shape.key)[0].log_bayes_factor > 0.0
+        return _evidence(extended, shape.key) > 0.0
 
     def _judged(
         self, extended: JointModel, shape: CandidateModel, before: JointModel | None
@@ -446,6 +451,12 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
         improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
         needed += TIE - improbability * (count - 1)
     return best if best is not None and best.log_bayes_factor > needed else None
+
+
+def _evidence(model: JointModel, key: Key) -> float:
+    """Return the log Bayes factor for an effect of a joint model; −∞ if the model has none."""
+    is_there = key in posterior.effect_groups(model)
+    return posterior.judge(model, key)[0].log_bayes_factor if is_there else -np.inf
 
 
 def _scale(final: float, evidence: float) -> float:

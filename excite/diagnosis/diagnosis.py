@@ -37,9 +37,9 @@ from . import (
     fitted_effects,
     gear_encoders,
     joint_model,
-    model_check,
     noise,
     posterior,
+    probability,
     selection,
     session_changes,
     unmodelled,
@@ -223,7 +223,10 @@ def diagnose(
     by_errors = errors.residual(model) if estimate.periods else np.zeros_like(residual)
     remaining = unmodelled.find(model, evidence, estimate, residual, by_errors)
     in_model = estimates.estimate_effects(model, rare, evidence)
-    considered = [*in_model, *estimates.small_effects(small)]
+    too_small = (
+        EffectEstimate(e, probability.rare_probability(e.log_bayes_factor, e.size)) for e in small
+    )
+    considered = [*in_model, *too_small]
     residual_rms = rms(residual, model.regression.moving)
     refit: Identification | None = None
     if settings.trusted:
@@ -326,8 +329,8 @@ def _held_out_errors(
     base = np.concatenate([motion.residual for motion in motions])
     torque = np.concatenate([motion.torque for motion in measured])
     moving = np.concatenate([motion.moving for motion in motions])
-    saved = model_check.read_back(document)
-    residual = model_check.residuals(saved, validate, measured)
+    saved = fitted_effects.read_back(document)
+    residual = fitted_effects.residuals(saved, validate, measured)
     present = final_model.renewed(final.identified, motions)
     beyond_known = np.concatenate([motion.torque for motion in motions])
     predicted = recorded_motion.split_by_motion(beyond_known - residual, present)

@@ -190,16 +190,6 @@ def on_base(
     ]
 
 
-def small_effects(small: Sequence[EffectEvidence]) -> list[EffectEstimate]:
-    """Return estimates of effects that are too small to be in the joint model.
-
-    Args:
-        small: Their evidence.
-    """
-    probabilities = posterior.probabilities(0, small)
-    return [EffectEstimate(entry, probabilities[entry.key]) for entry in small]
-
-
 def _same_by_definition(model: JointModel, estimate: EffectEstimate) -> tuple[str, ...]:
     """Names of effects whose torque has the same form.
 

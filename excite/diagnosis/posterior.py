@@ -107,18 +107,6 @@ def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
     return groups
 
 
-def log_bayes_factor(model: JointModel, reduced: JointModel) -> float:
-    """Return the log Bayes factor of a joint model over one with some of its effects.
-
-    Args:
-        model: The joint model.
-        reduced: What `JointModel.keeping` returns of it.
-    """
-    return model.regression.log_evidence(model.solution) - reduced.regression.log_evidence(
-        reduced.solution
-    )
-
-
 def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Probability]:
     """Return the probability of every effect; the odds of frictions are shared over the joints.
 
@@ -222,8 +210,7 @@ def _next_to_form_errors(
                 )
             )
             if columns is not None:
-                part = regression.slices[number]
-                regression.add(columns.last(columns.count - (part.stop - part.start)))
+                regression.add(columns.after(len(alone.coefficients[regression.slices[number]])))
         judged = evidence_of(extended, smaller.effects, gone)
         if judged.size < MIN_SEVERITY:  # too small to be evidence; the robot's other joints decide
             judged = replace(judged, log_bayes_factor=min(judged.log_bayes_factor, 0.0))

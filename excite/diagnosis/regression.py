@@ -11,7 +11,7 @@ eliminated by a Schur complement (`normal_equations`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -65,21 +65,6 @@ class _JointGram:
         )
 
 
-@dataclass(frozen=True)
-class Condition:
-    """An effect that is used only together with another one, or only without it.
-
-    Attributes:
-        effect: Number of the effect.
-        other: Number of the other one; None of one that the regression does not have.
-        together: Whether it is used only together with it.
-    """
-
-    effect: int
-    other: int | None
-    together: bool
-
-
 @dataclass
 class JointRegression:
     """The regression of all joints.
@@ -93,7 +78,8 @@ class JointRegression:
         slices: Coefficients of each effect, in the order in which they were added.
         prior_matrix: Prior information of all coefficients, shape (K, K).
         nonnegative: Coefficients that cannot be negative, shape (K,).
-        conditions: Conditions on the use of effects, that of the other one first where it has one.
+        built_up: Numbers of effects that are used with another one alone, and of that one; and of
+            the effect that stands in where they are not used. Either may be None.
     """
 
     torque: FloatArray
@@ -104,7 +90,7 @@ class JointRegression:
     slices: list[slice] = field(default_factory=list)
     prior_matrix: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     nonnegative: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
-    conditions: tuple[Condition, ...] = ()
+    built_up: Mapping[int, tuple[int | None, int | None]] = field(default_factory=dict)
     _grams: list[_JointGram] = field(default_factory=list)
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
@@ -280,10 +266,11 @@ class JointRegression:
     def _used(self, left_out: Iterable[int]) -> BoolArray:
         """Coefficients that are used without some effects, shape (K,)."""
         absent = set(left_out)
-        for condition in self.conditions:
-            is_together = condition.other is not None and condition.other not in absent
-            if is_together is not condition.together:
-                absent.add(condition.effect)
+        for effect, (other, stand_in) in self.built_up.items():
+            if other is None or other in absent:
+                absent.add(effect)
+            if effect not in absent and stand_in is not None:
+                absent.add(stand_in)
         used = np.ones(len(self.nonnegative), bool)
         for e in absent:
             used[self.slices[e]] = False

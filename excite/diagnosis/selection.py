@@ -432,8 +432,8 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
         return model.keeping([i for i in range(len(model.models)) if i not in left_out])
 
     reduced = without(replaced)
-    named = posterior.log_bayes_factor(model, reduced)
-    largest = max(posterior.log_bayes_factor(model, without([i])) for i in replaced)
+    named = model.log_evidence - reduced.log_evidence
+    largest = model.log_evidence - min(without([i]).log_evidence for i in replaced)
     sigma = reduced.regression.residual_rms(reduced.solution)
     flexible = flexible_models(model.motions, sigma, [joint])
     # a smooth curve of the position is a spring

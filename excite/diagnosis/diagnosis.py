@@ -158,7 +158,7 @@ class Diagnosis:
         """Verdict: "no-mismatch", "explained", "partly-explained" or "unexplained"."""
         if not self.findings:
             return "unexplained" if self.unmodelled else "no-mismatch"
-        allowed = EXPLAINED_RMSE_RATIO * self.noise.noise_rms
+        allowed = EXPLAINED_RMSE_RATIO * self.noise.floor
         if self.unmodelled or bool((self.held_out.rmse_after > allowed).any()):
             return "partly-explained"
         return "explained"

@@ -5,6 +5,9 @@ of the base model absorbs of it, the share of e is cov(T_e, r_b)/mean(r_b²). Th
 that are fitted jointly with the effects differ from those of a refit as well, by their prior, by
 the weights of the rows and by physical consistency. With the held-out residual r of the saved
 model, their torque is r_b − r − Σ T_e. The shares of all effects, of this torque and of r sum to 1.
+
+The relative standard deviation ρ of an effect is that of the sum of its waves at a joint: the share
+s of that sum has the variance (ρ s)². Effects of several joints are taken as independent.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._types import FloatArray
+from ..effects.effect import Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
@@ -72,18 +76,21 @@ def torque_budget(
     base = held_out.base / np.maximum(np.sum(held_out.base**2, axis=0), 1e-300)
     relative = {e.key: e.relative_std for e in effects}
     n = base.shape[1]
-    shares: dict[str, FloatArray] = {}
-    variances: dict[str, FloatArray] = {}
+    of_joint: dict[Key, FloatArray] = {}
     other = held_out.base - held_out.final
     for effect, theta, torque in zip(final.saved_effects, absorbed, torques, strict=True):
         beyond = torque - gamma @ theta
         other = other - beyond
-        share = np.sum(beyond * base, axis=0)
-        name = effect.shape.effect
+        name, joint = effect.shape.key
         if is_recording_filter(effect.shape.values):
             name = RECORDING_FILTER
+        share = np.sum(beyond * base, axis=0)
+        of_joint[name, joint] = of_joint.get((name, joint), np.zeros(n)) + share
+    shares: dict[str, FloatArray] = {}
+    variances: dict[str, FloatArray] = {}
+    for (name, joint), share in of_joint.items():
+        std = share * relative.get((name, joint), 0.0)
         shares[name] = shares.get(name, np.zeros(n)) + share
-        std = share * relative.get((name, effect.shape.joint), 0.0)
         variances[name] = variances.get(name, np.zeros(n)) + std**2
     if shares:
         matrix = identified.model.base.matrix

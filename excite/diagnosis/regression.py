@@ -98,6 +98,7 @@ class JointRegression:
     _system: System | None = None
     _eliminations: dict[bytes, Elimination] = field(default_factory=dict)
     _solutions: dict[bytes, Solution] = field(default_factory=dict)
+    _fold_products: dict[bytes, list[_Products]] = field(default_factory=dict)
 
     @classmethod
     def of_base(
@@ -162,6 +163,7 @@ class JointRegression:
             _prior_score=self._prior_score.copy(),
             _eliminations={},
             _solutions={},
+            _fold_products={},
         )
 
     def keeping(self, effects: Sequence[int]) -> JointRegression:
@@ -239,6 +241,7 @@ class JointRegression:
         self.prior_matrix = linalg.block_diag(self.prior_matrix, *precision)
         self._prior_score = np.concatenate([self._prior_score, np.zeros(count)])
         self._likely = np.concatenate([self._likely, np.ones(count, bool)])
+        self._fold_products.clear()
         self._changed()
         return range(len(self.slices) - len(effects), len(self.slices))
 
@@ -303,18 +306,17 @@ class JointRegression:
         """Products of all rows, for each joint."""
         return [(gram.matrix, gram.score, gram.power) for gram in self._grams]
 
-    def _products(self, rows: BoolArray, torque: FloatArray) -> list[_Products]:
-        """Products XᵀX, Xᵀτ and τᵀτ of some rows, for each joint.
-
-        Args:
-            rows: The rows, shape (N,).
-            torque: Torque τ, zero where a joint does not count, shape (N, n) [N m].
-        """
-        out = []
-        for gram, tau in zip(self._grams, torque[rows].T, strict=True):
-            x = gram.columns[rows]
-            out.append((x.T @ x, x.T @ tau, float(tau @ tau)))
-        return out
+    def _products(self, rows: BoolArray) -> list[_Products]:
+        """Products XᵀX, Xᵀτ and τᵀτ of some rows, for each joint; formed once, as of no weights."""
+        key = rows.tobytes()
+        if key not in self._fold_products:
+            out = []
+            for j, gram in enumerate(self._grams):
+                x = gram.columns[rows]
+                tau = np.where(self.moving[rows, j], self.torque[rows, j], 0.0)
+                out.append((x.T @ x, x.T @ tau, float(tau @ tau)))
+            self._fold_products[key] = out
+        return self._fold_products[key]
 
     def _with_fitted(
         self, joint: int, products: _Products, fitted: slice, information: FloatArray
@@ -438,8 +440,7 @@ class JointRegression:
         """
         used = [self._used(left_out) & ~unused for left_out in variants]
         out = np.zeros((len(folds), len(variants), self.n))
-        measured = np.where(self.moving, self.torque, 0.0)
-        parts = [self._products(fold, measured) for fold in folds]
+        parts = [self._products(fold) for fold in folds]
         information = np.diag(self.prior_matrix)[per_fold] * np.ones((len(folds), 1))
         if change is not None:
             information = information * change

@@ -117,8 +117,8 @@ def _effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> lis
 
 def _absorbed_parameters(
     final: FinalModel, identified: Identification, motions: Sequence[RecordedMotion]
-) -> list[FloatArray]:
-    """Base parameters, shape (p,), that a base model fitted alone absorbs of each saved effect.
+) -> FloatArray:
+    """Base parameters that a base model fitted alone absorbs of each saved effect, shape (E, p).
 
     The fitted motions have that base model. Parameters that a prior states absorb nothing.
     """
@@ -135,9 +135,7 @@ def _absorbed_parameters(
         )
     scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
     inverse = np.linalg.pinv(a * scale[:, None] * scale, rcond=1e-9, hermitian=True)
-    out = []
-    for torque in torques:
-        theta = np.zeros(identified.model.base.count)
+    out = np.zeros((len(torques), identified.model.base.count))
+    for theta, torque in zip(out, torques, strict=True):
         theta[free] = scale * (inverse @ (scale * (x.T @ (torque * weight).reshape(-1))))
-        out.append(theta)
     return out

@@ -14,7 +14,6 @@ from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..robot.parameter_names import percent
 from . import (
     effect_curves,
-    motion_rows,
     rejection,
     rival_evidence,
     session_changes,
@@ -23,7 +22,6 @@ from . import (
 from .diagnosis import Diagnosis
 from .estimates import QUANTILE, EffectEstimate
 from .gear_encoders import GearEstimate
-from .motion_rows import MotionRows
 from .posterior import DENSE_NAMES
 from .regression import rms
 from .session_changes import SessionChange
@@ -71,7 +69,6 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
     torque_rms = rms(held_out.torque, held_out.moving)
-    motion = motion_rows.motion_rows(diagnosis.model.motions)
     speed_ratio = _largest_speed(held_out.motions) / _largest_speed(diagnosis.model.motions)
     rows = {
         joint: _joint_entry(
@@ -89,12 +86,10 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
-        "findings": [_entry(diagnosis, effect, motion) for effect in diagnosis.findings],
+        "findings": [_entry(diagnosis, effect) for effect in diagnosis.findings],
         "joints": rows,
         "unknown": [_unknown(diagnosis, entry) for entry in diagnosis.unmodelled],
-        "considered": [
-            _entry(diagnosis, effect, motion) for effect in diagnosis.considered[:CONSIDERED]
-        ],
+        "considered": [_entry(diagnosis, effect) for effect in diagnosis.considered[:CONSIDERED]],
         "band_hz": diagnosis.hertz,
         "recording_filter": _recording_filter(diagnosis),
         "known_effects": [
@@ -189,7 +184,7 @@ def _joint(diagnosis: Diagnosis, joint: int | None) -> str | None:
     return None if joint is None else diagnosis.identified.model.robot.joints[joint]
 
 
-def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -> dict[str, Any]:
+def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
     """Element of "findings" or "considered"."""
     effect, shape = EFFECTS_BY_NAME[estimate.effect], estimate.models[0]
     place = "all joints" if estimate.joint is None else f"joint '{_joint(diagnosis, shape.joint)}'"
@@ -224,7 +219,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
         },
         "experiment": effect.experiment,
         "modelled": diagnosis.final.has(estimate.effect, estimate.joint),
-        "curve": effect_curves.effect_curve(diagnosis.model, estimate, motion, regime)
+        "curve": effect_curves.effect_curve(diagnosis.model, estimate, regime)
         if estimate.needed
         else None,
     }

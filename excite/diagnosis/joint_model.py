@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from ..identification.segments import RecordingSegment
 from . import recording_chain, ripple_search, session_changes
 from .columns import Columns
 from .flexible_models import UNMODELLED
+from .motion_rows import MotionRows, motion_rows
 from .normal_equations import Solution
 from .recording_chain import RecordingChain
 from .regression import JointRegression, independent_share, rms
@@ -150,6 +152,11 @@ class JointModel:
         """Rows that count and that no friction at rest reaches, shape (N, n)."""
         far = np.concatenate([motion.far_from_rest for motion in self.motions])
         return np.asarray(self.regression.moving & far)
+
+    @cached_property
+    def rows(self) -> MotionRows:
+        """State of the robot at every row, with the torques of this model."""
+        return motion_rows(self.motions)
 
     def coefficients(self, effect: int) -> FloatArray:
         """Return the coefficients of an effect, shape (k,)."""

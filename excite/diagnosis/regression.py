@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from .._types import BoolArray, FloatArray, IntArray
-from .candidate_fits import CandidateBatch, CandidateFit, JointProducts
+from .candidate_fits import CandidateBatch, CandidateFit
 from .columns import Columns
 from .normal_equations import RIDGE, Elimination, Solution, System
 
@@ -28,6 +28,9 @@ MIN_AUTOCORRELATION = 0.02
 """Autocorrelation at which the sum ends, about two standard errors of 10,000 rows."""
 MIN_REMAINING = 1e-6
 """Share of a squared error that is not told from rounding."""
+MIN_EIGENVALUE = 1e-9
+"""Information of a combination of a candidate's coefficients after elimination of all others, over
+the largest before, below which it is not determined."""
 FIXED_STD = 1e-12
 """Prior standard deviation of a coefficient that is held at zero."""
 _Products = tuple[FloatArray, FloatArray, float]
@@ -494,9 +497,8 @@ class JointRegression:
         Returns:
             Columns, shape (N, k), and their positions among the active coefficients, shape (k,).
         """
-        gram, active = self._grams[joint], self.solution.active
-        on = active[gram.places]
-        return gram.columns[:, on], (np.cumsum(active) - 1)[gram.places[on]]
+        acting, positions = self._acting(self._grams[joint], self.solution)
+        return self._grams[joint].columns[:, acting], positions
 
     def fitted_per_joint(self) -> FloatArray:
         """Return the number of coefficients that are fitted to the rows of each joint, shape (n,).
@@ -529,9 +531,9 @@ class JointRegression:
             the information of that coefficient after their elimination.
         """
         batch = CandidateBatch.of([column], self.moving)
-        cross, _ = self._coupling(self._products_with(batch, solution), solution)
+        cross, _, _ = self._coupling(batch, solution)
         change = -solution.solve(cross)
-        square = self.weights @ batch.groups[0].squares[:, 0, 0, 0]
+        square = self.weights @ batch.squares[0][:, 0, 0]
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
 
     def joints_of(self, effects: Iterable[int]) -> set[int]:
@@ -559,66 +561,84 @@ class JointRegression:
             batch: Columns of the candidates.
         """
         solution = self.solution
-        products = self._products_with(batch, solution)
-        cross, score = self._coupling(products, solution)
+        cross, score, shared = self._coupling(batch, solution)
         change = solution.solve(cross)
-        rows = self.independent_share * self.moving.sum(axis=0)
-        out: list[CandidateFit | None] = [None] * batch.count
-        for group in batch.groups:
-            c, information = group.solved(self.weights, cross, change, score)
-            moved = np.einsum("amk,mk->am", change[:, group.places], c)
-            gains = 0.5 * np.sum(score[group.places] * c, axis=1)
-            log_gains = -0.5 * np.sum(group.prior * c**2, axis=1)
-            for part, squares, count in zip(products, group.squares, rows.tolist(), strict=True):
-                if part.power > 0.0:
-                    remaining = part.remaining(group, squares, c, moved) / part.power
-                    log_gains -= 0.5 * count * np.log(np.maximum(remaining, MIN_REMAINING))
-            for i, member in enumerate(group.members.tolist()):
-                both = float(gains[i]), float(log_gains[i])
-                out[member] = CandidateFit(c[i], *both, information[i], group.prior[i])
-        return [fit for fit in out if fit is not None]
+        fits = []
+        for part, squares in zip(batch.parts, batch.squares, strict=True):
+            square = np.tensordot(self.weights, squares, 1) + np.diag(batch.prior[part])
+            schur = square - cross[:, part].T @ change[:, part]
+            schur = 0.5 * (schur + schur.T)
+            values, vectors = np.linalg.eigh(schur)
+            kept = values > MIN_EIGENVALUE * max(float(np.diag(square).max()), 1e-300)
+            along = np.einsum("kv,k->v", vectors, score[part])
+            along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
+            c = np.einsum("kv,v->k", vectors, along)
+            gain = 0.5 * float(np.sum(score[part] * c))
+            fits.append(CandidateFit(c, gain, 0.0, schur, batch.prior[part]))
+        log_gains = self._log_gains(batch, shared, change, [fit.coefficients for fit in fits])
+        return [
+            replace(fit, log_gain=gain) for fit, gain in zip(fits, log_gains.tolist(), strict=True)
+        ]
 
-    def _products_with(self, batch: CandidateBatch, solution: Solution) -> list[JointProducts]:
-        """Products of the active columns, the residual and all columns of a batch, by joint."""
-        position = np.where(solution.active, np.cumsum(solution.active) - 1, -1)
-        total = sum(group.places.size for group in batch.groups)
-        out = []
-        for j, gram in enumerate(self._grams):
-            on = position[gram.places]
-            acting = np.flatnonzero(on >= 0)
-            x, places, c = batch.values[j], batch.places[j], solution.coefficients[gram.places]
+    def _log_gains(
+        self,
+        batch: CandidateBatch,
+        shared: Sequence[tuple[FloatArray, FloatArray]],
+        change: FloatArray,
+        fitted: Sequence[FloatArray],
+    ) -> FloatArray:
+        """Gains of log-likelihood with the variance that remains next to each candidate.
+
+        Args:
+            batch: Columns of the candidates.
+            shared: Their products by joint, as of `_coupling`.
+            change: By how much the active coefficients fall per unit of each column, shape (a, S).
+            fitted: Coefficients of the candidates, shapes (k,).
+        """
+        x = linalg.block_diag(*(c[:, None] for c in fitted))  # a column for each candidate
+        squares = np.array([q @ c @ c for q, c in zip(batch.squares, fitted, strict=True)])
+        moved, out = change @ x, -0.5 * batch.prior @ x**2
+        rows = self.independent_share * self.moving.sum(axis=0)
+        for j, (gram, (products, target), places) in enumerate(
+            zip(self._grams, shared, batch.places, strict=True)
+        ):
+            acting, positions = self._acting(gram, self.solution)
+            added, u, c = x[places], moved[positions], self.solution.coefficients[gram.places]
             score = gram.score - gram.matrix @ c
-            shared, target = np.zeros((len(acting), total)), np.zeros(total)
-            if len(places):
-                products = gram.columns.T @ x
-                shared[:, places] = products[acting]
-                target[places] = x.T @ self.torque[:, j] - products.T @ c
-            out.append(
-                JointProducts(
-                    on[acting],
-                    gram.matrix[np.ix_(acting, acting)],
-                    score[acting],
-                    gram.power - float(c @ (gram.score + score)),
-                    shared,
-                    target,
-                )
-            )
-        return out
+            power = gram.power - float(c @ (gram.score + score))
+            if power <= 0.0:
+                continue
+            others = gram.matrix[np.ix_(acting, acting)] @ u - 2.0 * (products @ added)
+            error = power + squares[:, j] - 2.0 * target @ added + 2.0 * score[acting] @ u
+            remaining = (error + np.sum(u * others, axis=0)) / power
+            out -= 0.5 * rows[j] * np.log(np.maximum(remaining, MIN_REMAINING))
+        return np.asarray(out)
+
+    def _acting(self, gram: _JointGram, solution: Solution) -> tuple[IntArray, IntArray]:
+        """Columns of a joint whose coefficients are active, and their places among these."""
+        acting = np.flatnonzero(solution.active[gram.places])
+        return acting, (np.cumsum(solution.active) - 1)[gram.places[acting]]
 
     def _coupling(
-        self, products: Sequence[JointProducts], solution: Solution
-    ) -> tuple[FloatArray, FloatArray]:
-        """Information that the active coefficients share with all columns, and the columns' score.
+        self, batch: CandidateBatch, solution: Solution
+    ) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
+        """Information that active coefficients and columns share, score, and products by joint.
 
-        Returns:
-            Shapes (a, S) and (S,).
+        Shapes (a, S), (S,), and of each joint those of its columns with the active ones and with
+        the residual, (b, S_j) and (S_j,).
         """
-        total = len(products[0].target)
+        shared, total = [], len(batch.prior)
         cross, score = np.zeros((int(solution.active.sum()), total)), np.zeros(total)
-        for part, weight in zip(products, self.weights.tolist(), strict=True):
-            cross[part.active] += weight * part.shared
-            score += weight * part.target
-        return cross, score
+        for j, (gram, x, places) in enumerate(
+            zip(self._grams, batch.values, batch.places, strict=True)
+        ):
+            products = gram.columns.T @ x
+            target = x.T @ self.torque[:, j] - products.T @ solution.coefficients[gram.places]
+            acting, positions = self._acting(gram, solution)
+            shared.append((products[acting], target))
+            cross[np.ix_(positions, places)] += self.weights[j] * products[acting]
+            score[places] += self.weights[j] * target
+        return cross, score, shared
 
 
 def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:

@@ -42,7 +42,7 @@ class DenseCase:
         model = self.result.model
         return {
             key: float(
-                (posterior.evidence_of(model, members).severity / model.regression.sigma).max()
+                (posterior.evidence_of(model, members).growth / model.regression.sigma).max()
             )
             for key, members in posterior.effect_groups(model).items()
         }

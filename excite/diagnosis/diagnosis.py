@@ -224,7 +224,8 @@ def diagnose(
     remaining = unmodelled.find(model, evidence, estimate, residual, by_errors)
     in_model = estimates.estimate_effects(model, rare, evidence)
     too_small = (
-        EffectEstimate(e, probability.rare_probability(e.log_bayes_factor, e.size)) for e in small
+        EffectEstimate.of(e, probability.rare_probability(e.log_bayes_factor, e.size))
+        for e in small
     )
     considered = [*in_model, *too_small]
     residual_rms = rms(residual, model.regression.moving)

@@ -212,7 +212,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
         "evidence": {
             "severity": estimate.severity,
             "severity_interval": list(estimate.severity_interval),
-            "severity_beyond_others": estimate.unique_severity,
+            "severity_beyond_others": estimate.size,
             "log_bayes_factor": max(estimate.log_bayes_factor, -1e9),
             "systematic_share": _systematic_share(diagnosis, estimate.joint),
             "p_value": _p_value(estimate),
@@ -292,7 +292,7 @@ def _p_value(estimate: EffectEstimate) -> float | None:
     """p-value of a likelihood-ratio test: twice the log Bayes factor is at most χ² of k degrees."""
     if not np.isfinite(estimate.log_bayes_factor):
         return None
-    freedom = estimate.evidence.freedom
+    freedom = estimate.freedom
     return float(special.chdtrc(freedom, max(2.0 * estimate.log_bayes_factor, 0.0)))
 
 

@@ -368,7 +368,7 @@ class _Search:
             return self._beyond_position_errors(_Addition(shape, extended, evidence))
         if not is_large and key[0] not in LAST_RESORTS:
             self._small[key] = replace(
-                evidence, effects=(), is_in_model=False, spoils_prediction=not is_predictive
+                evidence, members=(), is_in_model=False, spoils_prediction=not is_predictive
             )
         return None
 
@@ -386,7 +386,7 @@ class _Search:
         if evidence.is_needed:
             return replace(addition, joint=model, evidence=evidence)
         if key[0] not in LAST_RESORTS:
-            self._small[key] = replace(evidence, effects=(), is_in_model=False)
+            self._small[key] = replace(evidence, members=(), is_in_model=False)
         return None
 
     def _add(self, chosen: _Addition, scores: Mapping[Key, float]) -> None:

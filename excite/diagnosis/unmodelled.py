@@ -111,13 +111,13 @@ def find(
     present = posterior.probabilities(model.n, evidence)
     out = []
     for entry in evidence:
-        if entry.name != UNMODELLED or not entry.is_in_model:
+        if entry.effect != UNMODELLED or not entry.is_in_model:
             continue
         assert entry.joint is not None
         after = float(rms(residual, regression.moving)[entry.joint])
-        size = float(entry.severity[entry.joint])
-        shape = model.models[entry.effects[0]]
-        part = regression.slices[entry.effects[0]]
+        size = float(entry.growth[entry.joint])
+        shape = model.models[entry.members[0]]
+        part = regression.slices[entry.members[0]]
         change = np.zeros(len(solution.coefficients))
         change[part] = solution.coefficients[part]
         torque = regression.torque_along(change)[:, entry.joint]

@@ -289,7 +289,7 @@ def fit(
         identified: The base model.
         motions: The motions to fit.
         rare: Further effects.
-        start: What `filter_search.first_round` returns.
+        start: What `filter_search.FilterFits.chosen` returns.
     """
     widths, chain = start.motions[0].widths, start.chain
     waves: list[CandidateModel] = []

@@ -17,7 +17,8 @@ import numpy as np
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
-from . import cross_validation, filter_search, joint_model, posterior, probability
+from . import cross_validation, joint_model, posterior, probability
+from .filter_search import FilterFits
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
 from .position_errors import PositionErrors
@@ -164,9 +165,7 @@ class _Search:
     ) -> None:
         self._identified, self._motions, self._progress = identified, motions, progress
         self._position_errors = position_errors
-        self._start = filter_search.first_round(
-            identified, motions, position_errors.filter_evidence
-        )
+        self._start = FilterFits(identified, motions).chosen(position_errors.filter_evidence)
         self._error_evidence: dict[Key, float] = {}
         self.model = self._fit(())
         self._error_evidence |= self._position_errors.evidence((), self.model)

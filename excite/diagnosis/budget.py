@@ -105,10 +105,7 @@ def torque_budget(
 
 
 def _effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
-    """Torque of each saved effect along motions, shapes (N, n) [N m].
-
-    The motions have the saved base model.
-    """
+    """Torque of each saved effect along motions with the saved base model, shapes (N, n) [N m]."""
     return [
         np.concatenate([effect.shape.columns(motion) @ effect.coefficients for motion in motions])
         for effect in final.saved_effects

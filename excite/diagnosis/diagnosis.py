@@ -320,12 +320,7 @@ def _held_out_errors(
 ) -> HeldOutErrors:
     """Errors of the base model and of the model that is read back from the saved file.
 
-    Args:
-        final: The saved model.
-        document: Content of its file.
-        validate: The held-out recordings.
-        measured: Their motions.
-        motions: The same with torque without the known effects.
+    `motions` are those of `measured` without the torque of the known effects.
     """
     base = np.concatenate([motion.residual for motion in motions])
     torque = np.concatenate([motion.torque for motion in measured])

@@ -114,14 +114,7 @@ def _largest_speed(motions: Sequence[RecordedMotion]) -> FloatArray:
 
 
 def _joint_entry(floor: float, method: str, before: float, after: float) -> dict[str, Any]:
-    """Return an element of "joints".
-
-    Args:
-        floor: Noise floor [N m].
-        method: How it was found.
-        before: Held-out RMSE of the base model [N m].
-        after: That of the saved model [N m].
-    """
+    """Return an element of "joints", by noise floor and held-out RMSE before and after [N m]."""
     shares = [1.0 - (floor / rmse) ** 2 if rmse > floor else 0.0 for rmse in (before, after)]
     return {
         "noise_floor": floor,

@@ -332,12 +332,7 @@ def _build_ups(
 
     Presliding elements must have most of Coulomb friction, with the other frictions built up in
     them as well, and there must be evidence for that. Joints enter by the first fit alone, in which
-    the weights are the same with and without them, and may leave later.
-
-    Args:
-        identified: The base model.
-        fitted: A joint model.
-        among: How frictions are built up in it; None of a model that has both forms of none.
+    the weights are the same with and without them (`among` is None), and may leave later.
     """
     mostly = _mostly_built_up(_shares_of_elements(identified, fitted))
     if among is None and mostly:
@@ -411,9 +406,6 @@ def _renewed_change_scale(fitted: JointModel) -> FloatArray:
     """Return the scale of the changes between recordings of every joint, shape (n,).
 
     Scales of joints are compared one joint at a time, at the present scales of the others.
-
-    Args:
-        fitted: A joint model.
     """
     places = np.arange(len(fitted.solution.coefficients))[fitted.session_places]
     if not len(places):
@@ -436,12 +428,8 @@ def _renewed_change_scale(fitted: JointModel) -> FloatArray:
 def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return the information of the data on coefficients of the base model, and of their prior.
 
-    Args:
-        fitted: A joint model.
-        places: Places of the coefficients, which have either sign, shape (k,).
-
-    Returns:
-        After elimination of all others, shape (k, k), and the prior's, shape (k,).
+    After elimination of all others, shape (k, k), and the prior's, shape (k,). The coefficients
+    have either sign.
     """
     active = fitted.solution.active
     unit, rows = np.zeros((int(active.sum()), len(places))), (np.cumsum(active) - 1)[places]
@@ -672,11 +660,6 @@ def _dissipated(identified: Identification, free: IntArray, count: int) -> BoolA
     The model that is saved has none below zero: an effect must not have its evidence by one. Where
     friction of the base model alone feeds in power, as of a motor that another one drives, it
     stands for something else.
-
-    Args:
-        identified: The base model.
-        free: Base parameters that are refit, the first coefficients, shape (p,).
-        count: Number of coefficients.
     """
     model, out = identified.model, np.zeros(count, bool)
     if identified.options.trusted:

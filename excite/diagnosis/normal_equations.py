@@ -156,15 +156,9 @@ def _bounded_minimum(
     set of a similar problem a few exchanges suffice; where rounding errors keep them from ending,
     the active set is that of Lawson & Hanson (1974).
 
-    Args:
-        matrix: M, shape (m, m).
-        target: t, shape (m,).
-        used: Coefficients that are used; all others are zero, shape (m,).
-        bounded: Coefficients that cannot be negative, shape (m,).
-        likely: Coefficients that are probably not zero, shape (m,).
-
-    Returns:
-        x, its active coefficients, and log det M over these.
+    Coefficients that are not used are zero; those that are bounded cannot be negative, and those
+    that are likely are probably not zero. Returns x, its active coefficients, and log det M over
+    these.
     """
     bounded = bounded & used
     tolerance = RELATIVE_TOLERANCE * float(np.abs(target[bounded]).max(initial=0.0))

@@ -283,12 +283,6 @@ def _gain_of_transient(
 
     over the joints j, with N_j rows in which it acts, and their squared errors E_j. Its size is
     that of the growth of E_j/N_j without it, over σ_j.
-
-    Args:
-        model: A joint model with the effect.
-        shapes: Models of the effect.
-        reduced: Solution without it.
-        current: Solution with it.
     """
     regression = model.regression
     acting = transient_rows(shapes, model.motions)[:, None] & regression.moving

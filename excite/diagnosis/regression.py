@@ -344,12 +344,7 @@ class JointRegression:
         parts: Sequence[Sequence[_Products]],
         prior: tuple[FloatArray, FloatArray] | None = None,
     ) -> System:
-        """Normal equations of the weighted rows of some parts and of the priors.
-
-        Args:
-            parts: Products of each part, by joint.
-            prior: Information and score of the priors; those of the regression if None.
-        """
+        """Normal equations of the weighted rows of some parts and of the priors, or other ones."""
         matrix, score = (x.copy() for x in prior or (self.prior_matrix, self._prior_score))
         power = self._prior_power
         for part in parts:
@@ -589,11 +584,8 @@ class JointRegression:
     ) -> FloatArray:
         """Gains of log-likelihood with the variance that remains next to each candidate.
 
-        Args:
-            batch: Columns of the candidates.
-            shared: Their products by joint, as of `_coupling`.
-            change: By how much the active coefficients fall per unit of each column, shape (a, S).
-            fitted: Coefficients of the candidates, shapes (k,).
+        With the products of `_coupling`, and the change (a, S) of the active coefficients, which
+        fall by that much per unit of each column.
         """
         x = linalg.block_diag(*(c[:, None] for c in fitted))  # a column for each candidate
         squares = np.array([q @ c @ c for q, c in zip(batch.squares, fitted, strict=True)])

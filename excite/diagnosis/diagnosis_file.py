@@ -396,26 +396,23 @@ def _parameters(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     spread = base.matrix @ final.posterior.covariance @ base.matrix.T
     std = np.sqrt(np.maximum(np.diag(spread), 0.0))
     moved = np.abs(with_ - without) / np.maximum(std, 1e-12 * np.maximum(np.abs(with_), 1e-12))
-    names = [plain.model.parameters.names[i] for i in base.independent]
-    keys = ("name", "expression", "without", "with", "std", "moved")
-    rows = zip(
-        names,
-        base.expressions,
-        without.tolist(),
-        with_.tolist(),
-        std.tolist(),
-        moved.tolist(),
-        strict=True,
-    )
-    return sorted(
-        (dict(zip(keys, row, strict=True)) for row in rows), key=lambda row: -float(row["moved"])
-    )
+    rows = [
+        {
+            "name": plain.model.parameters.names[place],
+            "expression": base.expressions[i],
+            "without": float(without[i]),
+            "with": float(with_[i]),
+            "std": float(std[i]),
+            "moved": float(moved[i]),
+        }
+        for i, place in enumerate(base.independent)
+    ]
+    return sorted(rows, key=lambda row: -row["moved"])
 
 
 def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
     """Element of "unknown": a joint with torque that no effect explains."""
-    name = diagnosis.identified.model.robot.joints[entry.joint]
-    response = entry.response
+    name, response = _joint(diagnosis, entry.joint), entry.response
     by = (
         "another period of the motion"
         if entry.regime == unmodelled.REPETITION
@@ -426,7 +423,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
     over = (
         response.over
         if response.other is None
-        else f"{diagnosis.identified.model.robot.joints[response.other]}: {response.over}"
+        else f"{_joint(diagnosis, response.other)}: {response.over}"
     )
     small = [
         effect.effect

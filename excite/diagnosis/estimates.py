@@ -307,7 +307,6 @@ class _Posterior:
     def __init__(self, model: JointModel, solution: Solution) -> None:
         self.model, self.solution = model, solution
         regression = model.regression
-        self.active = np.flatnonzero(solution.active)
         p = regression.base_count
         weighted = solution.information - regression.prior_matrix
         base = np.delete(np.arange(p), [model.delay_place, model.filter_place])
@@ -322,12 +321,6 @@ class _Posterior:
         slices = self.model.regression.slices
         all_places = np.concatenate([np.arange(slices[e].start, slices[e].stop) for e in effects])
         return np.asarray(all_places[self.solution.active[all_places]])
-
-    def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
-        """Return a block of the covariance."""
-        right = np.zeros((len(self.active), len(second)))
-        right[np.searchsorted(self.active, second), np.arange(len(second))] = 1.0
-        return np.asarray(self.solution.solve(right)[np.searchsorted(self.active, first)])
 
     def projected(self, first: IntArray, second: IntArray) -> FloatArray:
         """Return a block of the information after elimination of the base model alone."""
@@ -361,7 +354,7 @@ class _Posterior:
 
     def draws(self, places: IntArray) -> FloatArray:
         """Return draws of active coefficients, shape (DRAWS, k)."""
-        covariance = self.covariance(places, places)
+        covariance = self.solution.covariance(places, places)
         values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         normal = np.random.default_rng(0).normal(size=(DRAWS, len(places)))
@@ -383,7 +376,7 @@ class _Posterior:
         places = self.places(effects)
         c = self.solution.coefficients[places]
         along = self.projected(places, places) @ c
-        variance = float(along @ self.covariance(places, places) @ along)
+        variance = float(along @ self.solution.covariance(places, places) @ along)
         return float(np.sqrt(max(variance, 0.0)) / max(float(c @ along), 1e-300))
 
     def parameters(
@@ -458,8 +451,8 @@ class _Posterior:
         )
         change = Columns(up.joints, values, np.zeros(1, bool), np.ones(1))
         slope, information = self.model.regression.sensitivity(change, self.solution)
-        place = np.searchsorted(self.active, places)
-        return slope[place], float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
+        slope = slope[np.searchsorted(np.flatnonzero(self.solution.active), places)]
+        return slope, float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
 
 
 def _likeness(of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:
@@ -472,14 +465,14 @@ def _likeness(of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, l
     out: dict[Key, list[str]] = {}
     for first in needed:
         a = of.places(first.members)
-        variance = float(np.sum(of.covariance(a, a) * of.projected(a, a)))
+        variance = float(np.sum(of.solution.covariance(a, a) * of.projected(a, a)))
         names = []
         for second in needed:
             if second is first or second.joint != first.joint or second.effect == first.effect:
                 continue
             b = of.places(second.members)
-            other = float(np.sum(of.covariance(b, b) * of.projected(b, b)))
-            shared = float(np.sum(of.covariance(a, b) * of.projected(a, b)))
+            other = float(np.sum(of.solution.covariance(b, b) * of.projected(b, b)))
+            shared = float(np.sum(of.solution.covariance(a, b) * of.projected(a, b)))
             if shared < ALIKE_CORRELATION * np.sqrt(max(variance * other, 1e-300)):
                 names.append(second.effect)
         out[first.key] = names

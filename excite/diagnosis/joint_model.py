@@ -431,13 +431,9 @@ def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, Floa
     After elimination of all others, shape (k, k), and the prior's, shape (k,). The coefficients
     have either sign.
     """
-    active = fitted.solution.active
-    unit, rows = np.zeros((int(active.sum()), len(places))), (np.cumsum(active) - 1)[places]
-    unit[rows, range(len(places))] = 1.0
     prior = np.diag(fitted.regression.prior_matrix)[places]
-    values, vectors = np.linalg.eigh(
-        np.linalg.inv(fitted.solution.solve(unit)[rows]) - np.diag(prior)
-    )
+    total = np.linalg.inv(fitted.solution.covariance(places, places))
+    values, vectors = np.linalg.eigh(total - np.diag(prior))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T), prior
 
 

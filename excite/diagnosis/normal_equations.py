@@ -65,6 +65,13 @@ class Solution:
         factor, scale = self._factor
         return scale[:, None] * _solved(factor, scale[:, None] * x)
 
+    def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
+        """Return the block of A⁻¹ of some active coefficients and others, shape (k, l)."""
+        on = np.flatnonzero(self.active)
+        unit = np.zeros((len(on), len(second)))
+        unit[np.searchsorted(on, second), np.arange(len(second))] = 1.0
+        return np.asarray(self.solve(unit)[np.searchsorted(on, first)])
+
 
 @dataclass(frozen=True)
 class Elimination:

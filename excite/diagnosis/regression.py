@@ -67,6 +67,12 @@ class _JointGram:
             self.power,
         )
 
+    def keeping(self, place: IntArray) -> _JointGram:
+        """Return the products of the columns that have a new place, −1 for none, shape (K,)."""
+        on = place[self.places] >= 0
+        matrix, score = self.matrix[np.ix_(on, on)], self.score[on]
+        return _JointGram(self.columns[:, on], place[self.places[on]], matrix, score, self.power)
+
 
 @dataclass
 class JointRegression:
@@ -135,15 +141,8 @@ class JointRegression:
         for j in range(torque.shape[1]):
             used = np.flatnonzero(np.abs(base[:, j]).max(axis=0) > 0.0)
             x = base[:, j, used] * moving[:, j, None]
-            out._grams.append(
-                _JointGram(
-                    x,
-                    used,
-                    x.T @ x,
-                    x.T @ torque[:, j],
-                    float(np.sum(torque[moving[:, j], j] ** 2)),
-                )
-            )
+            power = float(np.sum(torque[moving[:, j], j] ** 2))
+            out._grams.append(_JointGram(x, used, x.T @ x, x.T @ torque[:, j], power))
         return out
 
     @property
@@ -190,17 +189,7 @@ class JointRegression:
         for e in effects:
             start = int(place[self.slices[e].start])
             out.slices.append(slice(start, start + self.slices[e].stop - self.slices[e].start))
-        for gram in self._grams:
-            on = place[gram.places] >= 0
-            out._grams.append(
-                _JointGram(
-                    gram.columns[:, on],
-                    place[gram.places[on]],
-                    gram.matrix[np.ix_(on, on)],
-                    gram.score[on],
-                    gram.power,
-                )
-            )
+        out._grams = [gram.keeping(place) for gram in self._grams]
         return out
 
     def fix_at_zero(self, places: Sequence[int]) -> None:

@@ -40,6 +40,7 @@ from . import (
     noise,
     posterior,
     probability,
+    rival_evidence,
     selection,
     session_changes,
     unmodelled,
@@ -119,6 +120,7 @@ class Diagnosis:
         held_out: Errors on the held-out recordings.
         budget: What each effect explains of the held-out torque.
         document: Content of the `model.json` by which the held-out errors are computed.
+        rivals: Of each finding: its log Bayes factor over every effect that is not excluded.
         changes: Changes of friction between recordings.
         gears: Gear parameters of joints with two encoders.
         known: The effects of the prior.
@@ -135,6 +137,7 @@ class Diagnosis:
     held_out: HeldOutErrors
     budget: TorqueBudget
     document: Mapping[str, Any]
+    rivals: Mapping[Key, Mapping[str, float]] = field(default_factory=dict)
     changes: tuple[SessionChange, ...] = ()
     gears: tuple[GearEstimate, ...] = ()
     known: tuple[FittedEffect, ...] = ()
@@ -259,6 +262,7 @@ def diagnose(
         held_out,
         budget.torque_budget(identified, halves, final, effects, held_out),
         document,
+        rival_evidence.not_excluded(model, effects, bool(settings.trusted)),
         tuple(_changes(final, held_out)),
         gear_encoders.gears(halves, (train, validate)),
         known,

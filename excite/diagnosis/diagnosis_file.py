@@ -222,8 +222,11 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
         out["not_shown"] = hidden
     if not estimate.asserted:
         out["reason"] = rejection.reason(estimate)
-    if estimate.asserted and (rivals := _rivals(diagnosis, estimate)):
-        out["rivals"] = rivals
+    if estimate.asserted and (rivals := diagnosis.rivals.get(estimate.key)):
+        out["rivals"] = [
+            {"effect": name, "log_bayes_factor": x, "log_odds": rival_evidence.log_odds(x)}
+            for name, x in rivals.items()
+        ]
     return out
 
 
@@ -243,21 +246,6 @@ def _determined(
         if key in parameters and QUANTILE * parameters[key][1] >= abs(parameters[key][0] - neutral):
             return {}
     return out
-
-
-def _rivals(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[str, Any]]:
-    """Evidence for a finding against its equivalents and all else that is not excluded."""
-    names = rival_evidence.rivals_of(diagnosis, estimate)
-    if not names:
-        return []
-    evidence = rival_evidence.compare(diagnosis, estimate.joint, (estimate.effect, *names))
-    factors = {name: evidence[estimate.effect] - evidence[name] for name in names}
-    return [
-        {"effect": name, "log_bayes_factor": factor, "log_odds": rival_evidence.log_odds(factor)}
-        for name, factor in factors.items()
-        if name in estimate.equivalents
-        or rival_evidence.log_odds(factor) < rival_evidence.DECIDED_LOG_ODDS
-    ]
 
 
 def _stated(

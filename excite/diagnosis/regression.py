@@ -299,7 +299,7 @@ class JointRegression:
         return [(gram.matrix, gram.score, gram.power) for gram in self._grams]
 
     def _products(self, rows: BoolArray) -> list[_Products]:
-        """Products XᵀX, Xᵀτ and τᵀτ of some rows, for each joint; formed once, as of no weights."""
+        """Products XᵀX, Xᵀτ and τᵀτ of some rows, for each joint; formed once for all weights."""
         key = rows.tobytes()
         if key not in self._fold_products:
             out = []

@@ -125,7 +125,7 @@ def score_case(case: SimulatedCase) -> CaseScore:
     model, joints = result.model, result.identified.model.robot.joints
     truth = {(e.name, joints.index(e.joint)) for e in case.effects if e.joint is not None}
     severity = {
-        key: float((posterior.evidence_of(model, members).severity / case.noise).max())
+        key: float((posterior.evidence_of(model, members).growth / case.noise).max())
         for key, members in posterior.effect_groups(model).items()
     }
     named = {(e.effect, e.joint) for e in result.findings if e.joint is not None}

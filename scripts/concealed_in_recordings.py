@@ -28,7 +28,7 @@ from scipy.interpolate import make_interp_spline
 
 from excite import recordings
 from excite._types import FloatArray
-from excite.diagnosis import diagnosis, model_check
+from excite.diagnosis import diagnosis, fitted_effects
 from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.effects import EFFECTS_BY_NAME
 from excite.errors import UnusableInput
@@ -159,7 +159,7 @@ def load(folder: Path, data: DataSet) -> Machine:
         for names in (data.train, data.validate)
     )
     without_prior = subject.diagnose(train, validate, TrustedPrior())
-    saved = TrustedPrior.of_model(model_check.read_back(without_prior.document))
+    saved = TrustedPrior.of_model(fitted_effects.read_back(without_prior.document))
     results = {False: without_prior, True: subject.diagnose(train, validate, saved)}
     return Machine(
         urdf,

@@ -376,7 +376,8 @@ def realised_evidence(result: api.DiagnosisResult, question: OpenClass) -> dict[
     if evidence is None:
         joints = result.diagnosis.identified.model.robot.joints
         joint = None if question.joint is None else joints.index(question.joint)
-        evidence = rival_evidence.compare(result.diagnosis, joint, question.names)
+        fit = result.diagnosis
+        evidence = rival_evidence.compare(fit.model, fit.effects, joint, question.names)
     return {
         name: evidence[question.truth] - evidence[name]
         for name in question.names

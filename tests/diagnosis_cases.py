@@ -110,7 +110,7 @@ def known_failures(names: Iterable[Any], reasons: Mapping[Any, str]) -> list[Any
 
 def noise_ratios(result: Diagnosis) -> tuple[FloatArray, FloatArray]:
     """Return the held-out RMSE before and after over the noise, shapes (n,)."""
-    held_out, noise = result.held_out, result.noise.noise_rms
+    held_out, noise = result.held_out, result.noise.floor
     return held_out.rmse_before / noise, held_out.rmse_after / noise
 
 

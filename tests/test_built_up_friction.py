@@ -27,7 +27,7 @@ from synthetic_recordings import random_fourier, synthetic_recording
 from excite._types import FloatArray
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.diagnosis import Diagnosis
-from excite.diagnosis.regression import Condition, JointRegression
+from excite.diagnosis.regression import JointRegression
 from excite.effects import hysteresis, stribeck
 
 HEIGHT, VELOCITY = 1.5, 0.3
@@ -171,7 +171,7 @@ def test_one_form_of_an_effect_stands_in_for_the_other():
     for _ in range(3):
         x = rng.normal(size=(50, 1))
         regression.add(Columns((0,), (x,), np.zeros(1, bool), np.ones(1)))
-    regression.conditions = (Condition(1, 0, True), Condition(2, 1, False))
+    regression.built_up = {1: (0, 2)}
     used = [regression.without(out).active.tolist() for out in ((), (0,), (1,), (1, 2))]
     assert used == [
         [True, True, True, False],

@@ -42,7 +42,7 @@ class DenseCase:
         model = self.result.model
         return {
             key: float(
-                (posterior.evidence_of(model, members).severity / model.regression.sigma).max()
+                (posterior.evidence_of(model, members).growth / model.regression.sigma).max()
             )
             for key, members in posterior.effect_groups(model).items()
         }
@@ -66,7 +66,7 @@ def case(request, tmp_path_factory) -> DenseCase:
         (e.name, None if e.joint is None else joints.index(e.joint)): e.values
         for e in robot.effects
     }
-    np.testing.assert_allclose(result.diagnosis.noise.noise_rms, robot.noise, rtol=0.15)
+    np.testing.assert_allclose(result.diagnosis.noise.floor, robot.noise, rtol=0.15)
     loaded = excite.load_robot("two_link")
     true = true_parameters(
         robot.robot, result.diagnosis.identified.model.parameters, resolve(loaded)

@@ -12,7 +12,7 @@ from diagnosis_cases import findings_of, parameters
 
 from excite import recordings
 from excite._types import FloatArray
-from excite.diagnosis import diagnosis, model_check
+from excite.diagnosis import diagnosis, fitted_effects
 from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.diagnosis.regression import rms
 from excite.errors import ExciteWarning
@@ -92,7 +92,7 @@ def test_tx40_has_coupled_wrist_joints():
 def test_a_payload_is_found_next_to_the_couplings_of_tx40(effects_are_known):
     """Parameters of a saved model are trusted, its effects are known or have to be found again."""
     machine, standard, base, files = machine_of("tx40", ("train",), "validate")
-    saved = model_check.read_back(diagnosis.diagnose(machine, standard, base, *files).document)
+    saved = fitted_effects.read_back(diagnosis.diagnose(machine, standard, base, *files).document)
     known = TrustedPrior.of_model(saved)
     if not effects_are_known:
         known = TrustedPrior(known.parameters)

@@ -283,11 +283,7 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
     spring = (dataclasses.replace(shape, effect="spring"),)
 
     def changed(probable: Probability, **evidence: Any) -> EffectEstimate:
-        return dataclasses.replace(
-            effect,
-            evidence=dataclasses.replace(effect.evidence, is_in_model=False, **evidence),
-            probable=probable,
-        )
+        return dataclasses.replace(effect, is_in_model=False, probable=probable, **evidence)
 
     sure = Probability(0.9)
     assert rejection.reason(changed(sure, size=0.1)) == rejection.TOO_SMALL
@@ -308,9 +304,7 @@ def test_exponent_that_may_be_one_has_no_value() -> None:
     result = diagnosis_of(2.0)
     stribeck = result.findings[0]
     renamed = (dataclasses.replace(stribeck.models[0], effect="nonlinear_viscous"),)
-    effect = dataclasses.replace(
-        stribeck, evidence=dataclasses.replace(stribeck.evidence, models=renamed)
-    )
+    effect = dataclasses.replace(stribeck, models=renamed)
     stated = []
     for std in (0.05, 0.2):
         parameters = {"coefficient": (5.0, 1.0), "exponent": (0.8, std)}

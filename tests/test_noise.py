@@ -81,8 +81,3 @@ def test_an_unstated_period_is_estimated(subject):
         subject, psi, random_fourier(2, 1, 9.0), 1.0, 0.1, period=None, periodic=None
     )
     assert noise.estimate_period(single) is None
-
-
-def test_quantisation_noise_is_part_of_what_a_right_model_leaves():
-    estimate = noise.NoiseEstimate(np.array([1.0, 2.0]), "periods", np.array([0.6, 0.0]))
-    np.testing.assert_allclose(estimate.noise_rms**2, [1.0 + 2.0 * 0.36, 4.0])

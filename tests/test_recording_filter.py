@@ -104,7 +104,7 @@ def test_noise_after_a_filter_of_small_gain_is_not_amplified():
     result = diagnose(recordings)
     assert findings_of(result) == [("stribeck", hidden.joint)]
     expected = 0.1 * np.sqrt(result.hertz / (0.5 * RATE))
-    np.testing.assert_allclose(result.noise.noise_rms, expected, rtol=0.2)
+    np.testing.assert_allclose(result.noise.floor, expected, rtol=0.2)
     assert (noise_ratios(result)[1] < 1.4).all()
 
 

@@ -25,6 +25,7 @@ from synthetic_recordings import validated, write_recording
 import excite
 from excite.api.diagnosis_result import DiagnosisResult
 from excite.diagnosis import fitted_effects
+from excite.diagnosis.budget import TorqueBudget, torque_budget
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import torque_saturation
 from excite.errors import UnusableInput
@@ -98,6 +99,26 @@ def test_the_shares_of_the_torque_budget_sum_to_1(name):
         if name is not None and HIDDEN[name].joint == joint_number:
             assert shares[name]["share"] > 0.8
             assert shares["residual"]["share"] < 0.2
+
+
+def test_a_share_is_as_uncertain_in_one_wave_as_in_several():
+    result = diagnosed("torque_ripple")
+    motions = result.model.motions, result.held_out.motions
+
+    def budget(parts: int) -> TorqueBudget:
+        effects = tuple(
+            dataclasses.replace(effect, coefficients=effect.coefficients / parts)
+            for effect in result.final.effects
+            for _ in range(parts)
+        )
+        final = dataclasses.replace(result.final, effects=effects)
+        return torque_budget(result.identified, motions, final, result.effects, result.held_out)
+
+    whole, parted = budget(1), budget(3)
+    assert whole.std["torque_ripple"].max() > 0.0
+    for name, std in whole.std.items():
+        np.testing.assert_allclose(parted.std[name], std, rtol=1e-9)
+        np.testing.assert_allclose(parted.shares[name], whole.shares[name], rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["stribeck", "coupling"])

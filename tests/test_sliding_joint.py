@@ -114,7 +114,7 @@ def test_presliding_over_a_fraction_of_a_millimetre_is_found(tmp_path):
 
     result = diagnosed(tmp_path, presliding)
     assert findings_of(result) == ["hysteresis"]
-    assert result.held_out.rmse_after < 1.2 * result.noise.noise_rms
+    assert result.held_out.rmse_after < 1.2 * result.noise.floor
 
 
 def test_the_error_of_a_linear_scale_is_found(tmp_path):

@@ -51,7 +51,7 @@ def test_two_waves_of_few_periods_have_the_right_orders(diagnosis):
     assert [sizes[order] for order in sorted(sizes)] == pytest.approx(
         [WAVES[order] for order in sorted(WAVES)], rel=0.2
     )
-    assert diagnosis.held_out.rmse_after < 1.1 * diagnosis.noise.noise_rms
+    assert diagnosis.held_out.rmse_after < 1.1 * diagnosis.noise.floor
 
 
 def test_a_joint_that_carries_little_says_nothing_about_loads(diagnosis):

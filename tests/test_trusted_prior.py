@@ -27,7 +27,7 @@ from synthetic_recordings import pinocchio_model
 
 import excite
 from excite._types import FloatArray
-from excite.diagnosis import model_check
+from excite.diagnosis import fitted_effects
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME
@@ -120,7 +120,9 @@ def test_a_tool_that_was_taken_off_or_turned_is_a_payload(mass):
 def test_a_model_as_prior_keeps_its_widths_of_coulomb_friction():
     """They belong to its friction: other ones would change the torque that it states."""
     saved = diagnose(recordings_of(None))
-    model = dataclasses.replace(model_check.read_back(saved.document), widths=np.array([0.05, 0.1]))
+    model = dataclasses.replace(
+        fitted_effects.read_back(saved.document), widths=np.array([0.05, 0.1])
+    )
     known = prior.TrustedPrior.of_model(model)
     result = diagnose(recordings_of(None), prior=known)
     np.testing.assert_array_equal(result.final.motions[0].widths, model.widths)

@@ -70,14 +70,9 @@ def base_estimate(joint: JointModel) -> Estimate:
 
 
 def _rows(regression: JointRegression, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weighted rows whose squares are leverages, and those of directions of the coefficients.
+    """Weighted rows whose squares are leverages, and those of directions (K, r) of coefficients.
 
-    Args:
-        regression: The regression.
-        along: Directions of the coefficients, shape (K, r).
-
-    Returns:
-        Shapes (N, n, k), k the most coefficients of a joint, and (N, n, r).
+    Shapes (N, n, k), k the most coefficients of a joint, and (N, n, r).
     """
     joints = range(regression.n)
     columns, places = zip(*(regression.active_columns(j) for j in joints), strict=True)

@@ -5,6 +5,9 @@ of the base model absorbs of it, the share of e is cov(T_e, r_b)/mean(r_b²). Th
 that are fitted jointly with the effects differ from those of a refit as well, by their prior, by
 the weights of the rows and by physical consistency. With the held-out residual r of the saved
 model, their torque is r_b − r − Σ T_e. The shares of all effects, of this torque and of r sum to 1.
+
+The relative standard deviation ρ of an effect is that of the sum of its waves at a joint: the share
+s of that sum has the variance (ρ s)². Effects of several joints are taken as independent.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._types import FloatArray
+from ..effects.effect import Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
@@ -72,18 +76,21 @@ def torque_budget(
     base = held_out.base / np.maximum(np.sum(held_out.base**2, axis=0), 1e-300)
     relative = {e.key: e.relative_std for e in effects}
     n = base.shape[1]
-    shares: dict[str, FloatArray] = {}
-    variances: dict[str, FloatArray] = {}
+    of_joint: dict[Key, FloatArray] = {}
     other = held_out.base - held_out.final
     for effect, theta, torque in zip(final.saved_effects, absorbed, torques, strict=True):
         beyond = torque - gamma @ theta
         other = other - beyond
-        share = np.sum(beyond * base, axis=0)
-        name = effect.shape.effect
+        name, joint = effect.shape.key
         if is_recording_filter(effect.shape.values):
             name = RECORDING_FILTER
+        share = np.sum(beyond * base, axis=0)
+        of_joint[name, joint] = of_joint.get((name, joint), np.zeros(n)) + share
+    shares: dict[str, FloatArray] = {}
+    variances: dict[str, FloatArray] = {}
+    for (name, joint), share in of_joint.items():
+        std = share * relative.get((name, joint), 0.0)
         shares[name] = shares.get(name, np.zeros(n)) + share
-        std = share * relative.get((name, effect.shape.joint), 0.0)
         variances[name] = variances.get(name, np.zeros(n)) + std**2
     if shares:
         matrix = identified.model.base.matrix
@@ -98,10 +105,7 @@ def torque_budget(
 
 
 def _effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
-    """Torque of each saved effect along motions, shapes (N, n) [N m].
-
-    The motions have the saved base model.
-    """
+    """Torque of each saved effect along motions with the saved base model, shapes (N, n) [N m]."""
     return [
         np.concatenate([effect.shape.columns(motion) @ effect.coefficients for motion in motions])
         for effect in final.saved_effects
@@ -110,8 +114,8 @@ def _effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> lis
 
 def _absorbed_parameters(
     final: FinalModel, identified: Identification, motions: Sequence[RecordedMotion]
-) -> list[FloatArray]:
-    """Base parameters, shape (p,), that a base model fitted alone absorbs of each saved effect.
+) -> FloatArray:
+    """Base parameters that a base model fitted alone absorbs of each saved effect, shape (E, p).
 
     The fitted motions have that base model. Parameters that a prior states absorb nothing.
     """
@@ -128,9 +132,7 @@ def _absorbed_parameters(
         )
     scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
     inverse = np.linalg.pinv(a * scale[:, None] * scale, rcond=1e-9, hermitian=True)
-    out = []
-    for torque in torques:
-        theta = np.zeros(identified.model.base.count)
+    out = np.zeros((len(torques), identified.model.base.count))
+    for theta, torque in zip(out, torques, strict=True):
         theta[free] = scale * (inverse @ (scale * (x.T @ (torque * weight).reshape(-1))))
-        out.append(theta)
     return out

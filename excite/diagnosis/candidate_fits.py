@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,106 +39,23 @@ class CandidateFit:
 
 
 @dataclass(frozen=True)
-class CandidateGroup:
-    """Candidates with the same number of columns k.
-
-    Attributes:
-        members: Numbers of the candidates, shape (m,).
-        places: Places of their columns among those of all candidates, shape (m, k).
-        squares: Products of the columns of each candidate over the rows of each joint, without
-            weights, shape (n, m, k, k).
-        prior: Prior precision of each coefficient, shape (m, k).
-    """
-
-    members: IntArray
-    places: IntArray
-    squares: FloatArray
-    prior: FloatArray
-
-    def solved(
-        self, weights: FloatArray, cross: FloatArray, change: FloatArray, score: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Fit every candidate jointly with the active coefficients of a regression.
-
-        Args:
-            weights: Weight of the rows of each joint, shape (n,).
-            cross: Information shared by the active coefficients and all columns, shape (a, S).
-            change: Change of the active coefficients per unit of each column, shape (a, S).
-            score: Gradient of the log-likelihood by the coefficient of each column, shape (S,).
-
-        Returns:
-            Coefficients, shape (m, k), and their information after elimination of all other
-            coefficients, shape (m, k, k).
-        """
-        k = self.places.shape[1]
-        square = np.tensordot(weights, self.squares, 1)
-        square[:, range(k), range(k)] += self.prior
-        shared = cross[:, self.places].transpose(1, 2, 0) @ change[:, self.places].swapaxes(0, 1)
-        schur = square - shared
-        schur = 0.5 * (schur + schur.swapaxes(1, 2))
-        values, vectors = np.linalg.eigh(schur)
-        largest = np.maximum(np.diagonal(square, 0, 1, 2).max(axis=1), 1e-300)
-        kept = values > 1e-9 * largest[:, None]
-        along = np.einsum("mkv,mk->mv", vectors, score[self.places])
-        along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
-        return np.einsum("mkv,mv->mk", vectors, along), schur
-
-
-@dataclass(frozen=True)
-class JointProducts:
-    """Products of the rows of one joint, over its active coefficients and all candidates' columns.
-
-    Attributes:
-        active: Places of the coefficients that act on the joint among all active ones, shape (b,).
-        matrix: AᵀA of their columns A, shape (b, b).
-        score: Aᵀr with the residual r, shape (b,).
-        power: rᵀr.
-        shared: AᵀX with the columns X of the candidates, shape (b, S).
-        target: Xᵀr, shape (S,).
-    """
-
-    active: IntArray
-    matrix: FloatArray
-    score: FloatArray
-    power: float
-    shared: FloatArray
-    target: FloatArray
-
-    def remaining(
-        self, group: CandidateGroup, squares: FloatArray, c: FloatArray, moved: FloatArray
-    ) -> FloatArray:
-        """Return the squared error next to each candidate of a group, shape (m,).
-
-        Args:
-            group: The candidates.
-            squares: Products XᵀX of each on this joint, shape (m, k, k).
-            c: Their coefficients, shape (m, k).
-            moved: By how much the active coefficients fall next to each, shape (a, m).
-        """
-        u = moved[self.active]
-        candidates = np.einsum("mk,mkl,ml->m", c, squares, c) - 2.0 * np.sum(
-            c * self.target[group.places], axis=1
-        )
-        along = np.einsum("bmk,mk->bm", self.shared[:, group.places], c)
-        others = np.sum(u * (self.matrix @ u - 2.0 * along), axis=0) + 2.0 * self.score @ u
-        return np.asarray(self.power + candidates + others)
-
-
-@dataclass(frozen=True)
 class CandidateBatch:
     """Columns of many candidates over the same rows.
 
     Attributes:
-        count: Number of candidates.
+        parts: Columns of each candidate among the S columns of all.
+        prior: Prior precision of the coefficient of each column, shape (S,).
         values: Columns that act on each joint, rows at standstill zero, shapes (N, S_j).
-        places: Places of these columns among the S columns of all candidates, shapes (S_j,).
-        groups: The candidates by number of columns.
+        places: Places of these columns among all, shapes (S_j,).
+        squares: Products of the columns of each candidate over the rows of each joint, without
+            weights, shapes (n, k, k).
     """
 
-    count: int
+    parts: tuple[slice, ...]
+    prior: FloatArray
     values: tuple[FloatArray, ...]
     places: tuple[IntArray, ...]
-    groups: tuple[CandidateGroup, ...]
+    squares: tuple[FloatArray, ...]
 
     @classmethod
     def of(cls, candidates: Sequence[Columns], moving: BoolArray) -> CandidateBatch:
@@ -147,33 +65,20 @@ class CandidateBatch:
             candidates: Their columns.
             moving: Rows that count for each joint, shape (N, n).
         """
-        n = moving.shape[1]
-        counts = np.array([c.count for c in candidates], int)
-        starts = np.cumsum(counts) - counts
-        groups = []
-        for k in np.unique(counts).tolist():
-            members = np.flatnonzero(counts == k)
-            prior = np.array([candidates[i].prior_std ** -2.0 for i in members.tolist()])
-            squares = np.zeros((n, len(members), k, k))
-            places = starts[members][:, None] + np.arange(k)
-            groups.append(CandidateGroup(members, places, squares, prior))
-        position = np.empty(len(candidates), int)
-        group_of = {}
-        for group in groups:
-            position[group.members] = np.arange(len(group.members))
-            group_of[group.places.shape[1]] = group
-        values, of_joint = [], []
-        for j in range(n):
+        ends = np.cumsum([0, *(c.count for c in candidates)]).tolist()
+        parts = tuple(slice(first, last) for first, last in itertools.pairwise(ends))
+        squares = tuple(np.zeros((moving.shape[1], c.count, c.count)) for c in candidates)
+        values, places = [], []
+        for j, rows in enumerate(moving.T):
             acting = [i for i, c in enumerate(candidates) if j in c.joints]
-            places = [np.arange(starts[i], starts[i] + counts[i]) for i in acting]
-            of_joint.append(np.concatenate(places) if places else np.zeros(0, int))
-            x = np.empty((len(moving), len(of_joint[-1])))
-            start = 0
+            of_joint = [candidates[i].values[candidates[i].joints.index(j)] for i in acting]
+            values.append(np.hstack([np.zeros((len(rows), 0)), *of_joint]))
+            values[-1] *= rows[:, None]
+            places.append(np.concatenate([np.arange(0), *(np.r_[parts[i]] for i in acting)]))
+            first = 0
             for i in acting:
-                candidate = candidates[i]
-                part = x[:, start : start + candidate.count]
-                part[:] = candidate.values[candidate.joints.index(j)] * moving[:, j, None]
-                group_of[candidate.count].squares[j, position[i]] = part.T @ part
-                start += candidate.count
-            values.append(x)
-        return cls(len(candidates), tuple(values), tuple(of_joint), tuple(groups))
+                part = values[-1][:, first : first + candidates[i].count]
+                squares[i][j] = part.T @ part
+                first += candidates[i].count
+        prior = np.concatenate([c.prior_std**-2.0 for c in candidates])
+        return cls(parts, prior, tuple(values), tuple(places), squares)

@@ -28,11 +28,7 @@ class Columns:
         """Number of columns k."""
         return len(self.nonnegative)
 
-    def last(self, count: int) -> Columns:
-        """Return the last columns alone.
-
-        Args:
-            count: Their number.
-        """
-        values = tuple(x[:, -count:] for x in self.values)
-        return Columns(self.joints, values, self.nonnegative[-count:], self.prior_std[-count:])
+    def after(self, first: int) -> Columns:
+        """Return the columns from number `first` on."""
+        values = tuple(x[:, first:] for x in self.values)
+        return Columns(self.joints, values, self.nonnegative[first:], self.prior_std[first:])

@@ -88,13 +88,7 @@ class _WindowedForces:
 
     @classmethod
     def of(cls, fitted: JointModel, motion: RecordedMotion, rows: slice) -> _WindowedForces:
-        """Return the forces on all links of a motion.
-
-        Args:
-            fitted: The joint model.
-            motion: One of its motions.
-            rows: Its rows among those of the joint model.
-        """
+        """Return the forces on all links of a motion, the given rows of the joint model."""
         regression = fitted.regression
         n, active = fitted.n, int(fitted.solution.active.sum())
         forces = contact.unit_forces(motion)
@@ -117,7 +111,10 @@ class _WindowedForces:
         return cls(edges, score, shared, square, inverse)
 
     def grid(self) -> IntArray:
-        """Return windows of all lengths, each half overlapping the next, shape (w, 2)."""
+        """Return windows of all lengths, each half overlapping the next, shape (w, 2).
+
+        A window is its first block and the block after the last.
+        """
         blocks = len(self.edges) - 1
         lengths = max(blocks // WINDOWS, 2) * 2 ** np.arange(DOUBLINGS)
         lengths = lengths[lengths <= MAX_SHARE * blocks]
@@ -130,11 +127,7 @@ class _WindowedForces:
         )
 
     def gains(self, windows: IntArray) -> FloatArray:
-        """Return the log-likelihood gain of the best link's force in each window, shape (w,).
-
-        Args:
-            windows: First block and the block after the last, shape (w, 2).
-        """
+        """Return the log-likelihood gain of the best link's force in each window, shape (w,)."""
         low, high = windows.T
         score, shared, square = (x[high] - x[low] for x in (self.score, self.shared, self.square))
         shared = np.moveaxis(shared, 1, 2)  # windows, links, coefficients, components
@@ -143,11 +136,7 @@ class _WindowedForces:
         return np.asarray(0.5 * np.einsum("wlx,wlx->wl", score, force[..., 0]).max(axis=1))
 
     def refined(self, window: IntArray) -> IntArray:
-        """Return a window whose ends move by ever smaller steps while that raises the gain.
-
-        Args:
-            window: First block and the block after the last, shape (2,).
-        """
+        """Return a window whose ends move by ever smaller steps while that raises the gain."""
         blocks, step = len(self.edges) - 1, int(window[1] - window[0]) // 4
         best = float(self.gains(window[None])[0])
         while step:

@@ -80,7 +80,7 @@ def select(model: JointModel) -> list[EffectEvidence]:
         group = _spoiling_group(model, joint, left_out, present, evidence)
         if not group:
             return evidence
-        spoiling = {e.key for e in evidence if group & set(e.effects)}
+        spoiling = {e.key for e in evidence if group & set(e.members)}
         evidence = [
             replace(e, is_in_model=False, spoils_prediction=True) if e.key in spoiling else e
             for e in evidence
@@ -101,9 +101,9 @@ def _spoiling_group(
     errors of all joints without those that are left out already, shape (n,).
     """
     groups = [
-        frozenset(entry.effects)
+        frozenset(entry.members)
         for entry in evidence
-        if entry.is_in_model and joint in model.regression.joints_of(entry.effects)
+        if entry.is_in_model and joint in model.regression.joints_of(entry.members)
     ]
     if not groups:
         return frozenset()

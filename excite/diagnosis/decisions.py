@@ -171,7 +171,7 @@ def decide(
         if len(names) < 2:
             continue
         joint = None if finding.joint is None else joints.index(finding.joint)
-        evidence = rival_evidence.compare(diagnosis, joint, names)
+        evidence = rival_evidence.compare(diagnosis.model, diagnosis.effects, joint, names)
         classes.append((finding.joint, evidence))
         for rival in names[1:]:
             pair = finding.joint, finding.effect, rival

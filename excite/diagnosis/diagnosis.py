@@ -37,9 +37,10 @@ from . import (
     fitted_effects,
     gear_encoders,
     joint_model,
-    model_check,
     noise,
     posterior,
+    probability,
+    rival_evidence,
     selection,
     session_changes,
     unmodelled,
@@ -119,6 +120,7 @@ class Diagnosis:
         held_out: Errors on the held-out recordings.
         budget: What each effect explains of the held-out torque.
         document: Content of the `model.json` by which the held-out errors are computed.
+        rivals: Of each finding: its log Bayes factor over every effect that is not excluded.
         changes: Changes of friction between recordings.
         gears: Gear parameters of joints with two encoders.
         known: The effects of the prior.
@@ -135,6 +137,7 @@ class Diagnosis:
     held_out: HeldOutErrors
     budget: TorqueBudget
     document: Mapping[str, Any]
+    rivals: Mapping[Key, Mapping[str, float]] = field(default_factory=dict)
     changes: tuple[SessionChange, ...] = ()
     gears: tuple[GearEstimate, ...] = ()
     known: tuple[FittedEffect, ...] = ()
@@ -158,7 +161,7 @@ class Diagnosis:
         """Verdict: "no-mismatch", "explained", "partly-explained" or "unexplained"."""
         if not self.findings:
             return "unexplained" if self.unmodelled else "no-mismatch"
-        allowed = EXPLAINED_RMSE_RATIO * self.noise.noise_rms
+        allowed = EXPLAINED_RMSE_RATIO * self.noise.floor
         if self.unmodelled or bool((self.held_out.rmse_after > allowed).any()):
             return "partly-explained"
         return "explained"
@@ -223,7 +226,11 @@ def diagnose(
     by_errors = errors.residual(model) if estimate.periods else np.zeros_like(residual)
     remaining = unmodelled.find(model, evidence, estimate, residual, by_errors)
     in_model = estimates.estimate_effects(model, rare, evidence)
-    considered = [*in_model, *estimates.small_effects(small)]
+    too_small = (
+        EffectEstimate.of(e, probability.rare_probability(e.log_bayes_factor, e.size))
+        for e in small
+    )
+    considered = [*in_model, *too_small]
     residual_rms = rms(residual, model.regression.moving)
     refit: Identification | None = None
     if settings.trusted:
@@ -255,6 +262,7 @@ def diagnose(
         held_out,
         budget.torque_budget(identified, halves, final, effects, held_out),
         document,
+        rival_evidence.not_excluded(model, effects, bool(settings.trusted)),
         tuple(_changes(final, held_out)),
         gear_encoders.gears(halves, (train, validate)),
         known,
@@ -316,18 +324,13 @@ def _held_out_errors(
 ) -> HeldOutErrors:
     """Errors of the base model and of the model that is read back from the saved file.
 
-    Args:
-        final: The saved model.
-        document: Content of its file.
-        validate: The held-out recordings.
-        measured: Their motions.
-        motions: The same with torque without the known effects.
+    `motions` are those of `measured` without the torque of the known effects.
     """
     base = np.concatenate([motion.residual for motion in motions])
     torque = np.concatenate([motion.torque for motion in measured])
     moving = np.concatenate([motion.moving for motion in motions])
-    saved = model_check.read_back(document)
-    residual = model_check.residuals(saved, validate, measured)
+    saved = fitted_effects.read_back(document)
+    residual = fitted_effects.residuals(saved, validate, measured)
     present = final_model.renewed(final.identified, motions)
     beyond_known = np.concatenate([motion.torque for motion in motions])
     predicted = recorded_motion.split_by_motion(beyond_known - residual, present)

@@ -14,7 +14,6 @@ from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..robot.parameter_names import percent
 from . import (
     effect_curves,
-    motion_rows,
     rejection,
     rival_evidence,
     session_changes,
@@ -23,7 +22,6 @@ from . import (
 from .diagnosis import Diagnosis
 from .estimates import QUANTILE, EffectEstimate
 from .gear_encoders import GearEstimate
-from .motion_rows import MotionRows
 from .posterior import DENSE_NAMES
 from .regression import rms
 from .session_changes import SessionChange
@@ -71,7 +69,6 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
     torque_rms = rms(held_out.torque, held_out.moving)
-    motion = motion_rows.motion_rows(diagnosis.model.motions)
     speed_ratio = _largest_speed(held_out.motions) / _largest_speed(diagnosis.model.motions)
     rows = {
         joint: _joint_entry(
@@ -89,12 +86,10 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
-        "findings": [_entry(diagnosis, effect, motion) for effect in diagnosis.findings],
+        "findings": [_entry(diagnosis, effect) for effect in diagnosis.findings],
         "joints": rows,
         "unknown": [_unknown(diagnosis, entry) for entry in diagnosis.unmodelled],
-        "considered": [
-            _entry(diagnosis, effect, motion) for effect in diagnosis.considered[:CONSIDERED]
-        ],
+        "considered": [_entry(diagnosis, effect) for effect in diagnosis.considered[:CONSIDERED]],
         "band_hz": diagnosis.hertz,
         "recording_filter": _recording_filter(diagnosis),
         "known_effects": [
@@ -119,14 +114,7 @@ def _largest_speed(motions: Sequence[RecordedMotion]) -> FloatArray:
 
 
 def _joint_entry(floor: float, method: str, before: float, after: float) -> dict[str, Any]:
-    """Return an element of "joints".
-
-    Args:
-        floor: Noise floor [N m].
-        method: How it was found.
-        before: Held-out RMSE of the base model [N m].
-        after: That of the saved model [N m].
-    """
+    """Return an element of "joints", by noise floor and held-out RMSE before and after [N m]."""
     shares = [1.0 - (floor / rmse) ** 2 if rmse > floor else 0.0 for rmse in (before, after)]
     return {
         "noise_floor": floor,
@@ -189,7 +177,7 @@ def _joint(diagnosis: Diagnosis, joint: int | None) -> str | None:
     return None if joint is None else diagnosis.identified.model.robot.joints[joint]
 
 
-def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -> dict[str, Any]:
+def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
     """Element of "findings" or "considered"."""
     effect, shape = EFFECTS_BY_NAME[estimate.effect], estimate.models[0]
     place = "all joints" if estimate.joint is None else f"joint '{_joint(diagnosis, shape.joint)}'"
@@ -217,14 +205,14 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
         "evidence": {
             "severity": estimate.severity,
             "severity_interval": list(estimate.severity_interval),
-            "severity_beyond_others": estimate.unique_severity,
+            "severity_beyond_others": estimate.size,
             "log_bayes_factor": max(estimate.log_bayes_factor, -1e9),
             "systematic_share": _systematic_share(diagnosis, estimate.joint),
             "p_value": _p_value(estimate),
         },
         "experiment": effect.experiment,
         "modelled": diagnosis.final.has(estimate.effect, estimate.joint),
-        "curve": effect_curves.effect_curve(diagnosis.model, estimate, motion, regime)
+        "curve": effect_curves.effect_curve(diagnosis.model, estimate, regime)
         if estimate.needed
         else None,
     }
@@ -234,8 +222,11 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate, motion: MotionRows) -
         out["not_shown"] = hidden
     if not estimate.asserted:
         out["reason"] = rejection.reason(estimate)
-    if estimate.asserted and (rivals := _rivals(diagnosis, estimate)):
-        out["rivals"] = rivals
+    if estimate.asserted and (rivals := diagnosis.rivals.get(estimate.key)):
+        out["rivals"] = [
+            {"effect": name, "log_bayes_factor": x, "log_odds": rival_evidence.log_odds(x)}
+            for name, x in rivals.items()
+        ]
     return out
 
 
@@ -255,21 +246,6 @@ def _determined(
         if key in parameters and QUANTILE * parameters[key][1] >= abs(parameters[key][0] - neutral):
             return {}
     return out
-
-
-def _rivals(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[str, Any]]:
-    """Evidence for a finding against its equivalents and all else that is not excluded."""
-    names = rival_evidence.rivals_of(diagnosis, estimate)
-    if not names:
-        return []
-    evidence = rival_evidence.compare(diagnosis, estimate.joint, (estimate.effect, *names))
-    factors = {name: evidence[estimate.effect] - evidence[name] for name in names}
-    return [
-        {"effect": name, "log_bayes_factor": factor, "log_odds": rival_evidence.log_odds(factor)}
-        for name, factor in factors.items()
-        if name in estimate.equivalents
-        or rival_evidence.log_odds(factor) < rival_evidence.DECIDED_LOG_ODDS
-    ]
 
 
 def _stated(
@@ -297,7 +273,7 @@ def _p_value(estimate: EffectEstimate) -> float | None:
     """p-value of a likelihood-ratio test: twice the log Bayes factor is at most χ² of k degrees."""
     if not np.isfinite(estimate.log_bayes_factor):
         return None
-    freedom = estimate.evidence.freedom
+    freedom = estimate.freedom
     return float(special.chdtrc(freedom, max(2.0 * estimate.log_bayes_factor, 0.0)))
 
 
@@ -408,26 +384,23 @@ def _parameters(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     spread = base.matrix @ final.posterior.covariance @ base.matrix.T
     std = np.sqrt(np.maximum(np.diag(spread), 0.0))
     moved = np.abs(with_ - without) / np.maximum(std, 1e-12 * np.maximum(np.abs(with_), 1e-12))
-    names = [plain.model.parameters.names[i] for i in base.independent]
-    keys = ("name", "expression", "without", "with", "std", "moved")
-    rows = zip(
-        names,
-        base.expressions,
-        without.tolist(),
-        with_.tolist(),
-        std.tolist(),
-        moved.tolist(),
-        strict=True,
-    )
-    return sorted(
-        (dict(zip(keys, row, strict=True)) for row in rows), key=lambda row: -float(row["moved"])
-    )
+    rows = [
+        {
+            "name": plain.model.parameters.names[place],
+            "expression": base.expressions[i],
+            "without": float(without[i]),
+            "with": float(with_[i]),
+            "std": float(std[i]),
+            "moved": float(moved[i]),
+        }
+        for i, place in enumerate(base.independent)
+    ]
+    return sorted(rows, key=lambda row: -row["moved"])
 
 
 def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
     """Element of "unknown": a joint with torque that no effect explains."""
-    name = diagnosis.identified.model.robot.joints[entry.joint]
-    response = entry.response
+    name, response = _joint(diagnosis, entry.joint), entry.response
     by = (
         "another period of the motion"
         if entry.regime == unmodelled.REPETITION
@@ -438,7 +411,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
     over = (
         response.over
         if response.other is None
-        else f"{diagnosis.identified.model.robot.joints[response.other]}: {response.over}"
+        else f"{_joint(diagnosis, response.other)}: {response.over}"
     )
     small = [
         effect.effect

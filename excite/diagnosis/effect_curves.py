@@ -11,7 +11,7 @@ import numpy as np
 from .._types import FloatArray
 from .estimates import EffectEstimate
 from .joint_model import JointModel, transient_rows
-from .motion_rows import MIN_BIN_ROWS, MotionRows
+from .motion_rows import MotionRows, binned_means
 
 BINS = 40
 """Bins of a curve."""
@@ -52,22 +52,19 @@ _ABSCISSAS: Mapping[str, _Abscissa] = {
 }
 
 
-def effect_curve(
-    model: JointModel, estimate: EffectEstimate, rows: MotionRows, regime: str
-) -> dict[str, Any] | None:
+def effect_curve(model: JointModel, estimate: EffectEstimate, regime: str) -> dict[str, Any] | None:
     """Return the mean torque of an effect over a quantity; None where no single quantity shows it.
 
     Args:
         model: The joint model.
         estimate: An effect that it has.
-        rows: State at the rows of its motions.
         regime: Quantity over which the effect shows; see `diagnosis_file.REGIMES`.
 
     Returns:
         The element "curve" of a finding: torque and its standard deviation [N m or N], positive
         where it opposes the motion if "opposes_motion".
     """
-    abscissa, j = _ABSCISSAS.get(regime), estimate.joint
+    abscissa, j, rows = _ABSCISSAS.get(regime), estimate.joint, model.rows
     if abscissa is None or j is None:
         return None
     torque = np.zeros(len(rows))
@@ -87,13 +84,9 @@ def effect_curve(
     if not len(x) or np.ptp(x) <= 0.0:
         return None
     edges = _edges(x, logarithmic=abscissa.logarithmic)
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-    count = np.bincount(place, minlength=BINS)
-    kept = count >= MIN_BIN_ROWS
-    mean_of_all = np.bincount(place, y, minlength=BINS) / np.maximum(count, 1)
-    mean = mean_of_all[kept]
+    centres, means, at_rows = binned_means(x, y, edges)
     power = float(np.sum(torque[rows.moving[:, j]] ** 2))
-    if float(np.sum(mean_of_all[place] ** 2)) < MIN_SHOWN_POWER * power:
+    if float(np.sum(at_rows**2)) < MIN_SHOWN_POWER * power:
         return None
     unit = abscissa.unit.format("m" if rows.linear[j] else "rad")
     if rows.linear[j]:
@@ -102,9 +95,9 @@ def effect_curve(
         "over": abscissa.over,
         "unit": unit,
         "opposes_motion": along,
-        "x": (0.5 * (edges[1:] + edges[:-1]))[kept].tolist(),
-        "torque": mean.tolist(),
-        "std": (np.abs(mean) * estimate.relative_std).tolist(),
+        "x": centres.tolist(),
+        "torque": means.tolist(),
+        "std": (np.abs(means) * estimate.relative_std).tolist(),
     }
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -52,57 +53,31 @@ QUANTILE = 1.645
 
 
 @dataclass(frozen=True)
-class EffectEstimate:
+class EffectEstimate(EffectEvidence):
     """An effect at a joint, asserted or merely considered.
 
     Attributes:
-        evidence: Evidence for it.
         probable: Its probability, as a product.
         coefficients: Coefficients of its models in the joint model; empty if it is not in it.
         severity: RMS torque that a refit of the base model does not absorb, over the residual of
-            the joint model, in the joint with the largest [1].
+            the joint model, in the joint with the largest [1]; `size` is that beyond what all other
+            effects could stand for.
         relative_std: Relative standard deviation of its torque [1].
         parameters: Value and standard deviation by name.
         equivalents: Names of effects that these recordings cannot tell from it.
     """
 
-    evidence: EffectEvidence
-    probable: Probability
+    probable: Probability = field(kw_only=True)
     coefficients: tuple[FloatArray, ...] = ()
     severity: float = 0.0
     relative_std: float = 0.0
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     equivalents: tuple[str, ...] = ()
 
-    @property
-    def key(self) -> Key:
-        """Effect and joint."""
-        return self.evidence.key
-
-    @property
-    def effect(self) -> str:
-        """Name of the effect."""
-        return self.evidence.name
-
-    @property
-    def joint(self) -> int | None:
-        """Index of the joint; None for an effect of no single joint."""
-        return self.evidence.joint
-
-    @property
-    def models(self) -> tuple[CandidateModel, ...]:
-        """Its models."""
-        return self.evidence.models
-
-    @property
-    def log_bayes_factor(self) -> float:
-        """Evidence for it."""
-        return self.evidence.log_bayes_factor
-
-    @property
-    def unique_severity(self) -> float:
-        """Severity beyond what all other effects could stand for [1]."""
-        return self.evidence.size
+    @classmethod
+    def of(cls, evidence: EffectEvidence, probable: Probability, **values: Any) -> EffectEstimate:
+        """Return an estimate with some evidence."""
+        return cls(**vars(evidence), probable=probable, **values)
 
     @property
     def probability(self) -> float:
@@ -121,7 +96,7 @@ class EffectEstimate:
     @property
     def asserted(self) -> bool:
         """True if it is probable enough to be reported as a finding."""
-        return self.evidence.is_in_model and self.probability >= MIN_PROBABILITY
+        return self.is_in_model and self.probability >= MIN_PROBABILITY
 
     @property
     def needed(self) -> bool:
@@ -130,7 +105,7 @@ class EffectEstimate:
         Another effect may well be in the place of a rare one that is less probable than not: what
         is not asserted is not to be predicted either.
         """
-        return self.asserted or (self.evidence.is_in_model and self.effect in FRICTIONS)
+        return self.asserted or (self.is_in_model and self.effect in FRICTIONS)
 
 
 def estimate_effects(
@@ -149,9 +124,9 @@ def estimate_effects(
     in_model = {e.key for e in evidence if e.is_in_model}
     out = []
     for entry in evidence:
-        if entry.name == UNMODELLED:
+        if entry.effect == UNMODELLED:
             continue
-        estimate = EffectEstimate(entry, probabilities[entry.key])
+        estimate = EffectEstimate.of(entry, probabilities[entry.key])
         names = list(likeness.get(entry.key, ()))
         if entry.is_in_model:
             estimate = posterior_of.estimate(estimate)
@@ -183,21 +158,11 @@ def on_base(
     """
     posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
     return [
-        replace(effect, parameters=posterior_of.parameters(effect.evidence.effects, base))
+        replace(effect, parameters=posterior_of.parameters(effect.members, base))
         if effect.parameters and any(shape.parameters_on_base for shape in effect.models)
         else effect
         for effect in effects
     ]
-
-
-def small_effects(small: Sequence[EffectEvidence]) -> list[EffectEstimate]:
-    """Return estimates of effects that are too small to be in the joint model.
-
-    Args:
-        small: Their evidence.
-    """
-    probabilities = posterior.probabilities(0, small)
-    return [EffectEstimate(entry, probabilities[entry.key]) for entry in small]
 
 
 def _same_by_definition(model: JointModel, estimate: EffectEstimate) -> tuple[str, ...]:
@@ -245,9 +210,9 @@ def with_unmodelled(
     out = []
     for effect in effects:
         u = float(left.max() if effect.joint is None else left[effect.joint])
-        size = effect.unique_severity
+        size = effect.size
         known = 1.0
-        if effect.evidence.is_in_model and u > 0.0:
+        if effect.is_in_model and u > 0.0:
             share = size**2 / (size**2 + u**2)
             by_others = _by_other_joints(effect, effects, model.n)
             known = share + (1.0 - share) * by_others / max(effect.probability, 1e-300)
@@ -276,7 +241,7 @@ def with_doubts_about_prior(
     def share(estimate: EffectEstimate) -> float:
         if not EFFECTS_BY_NAME[estimate.effect].prior_only:
             return 1.0
-        size = estimate.evidence.severity**2
+        size = estimate.growth**2
         weight = np.where(size > 0.0, weights, 0.0)
         return float(weight @ size) / max(float(weight @ (size + errors)), 1e-300)
 
@@ -298,15 +263,15 @@ def _displaced(
 ) -> list[str]:
     """Names of rare effects that the model had, and would need if it had not an effect."""
     left_out, joints = posterior.left_out(evidence), model.regression.joints_of
-    acting = joints(present.effects)
+    acting = joints(present.members)
     return [
-        gone.name
+        gone.effect
         for gone in evidence
-        if gone.name not in (*DENSE_NAMES, UNMODELLED, present.name)
+        if gone.effect not in (*DENSE_NAMES, UNMODELLED, present.effect)
         and not gone.is_in_model
-        and acting & joints(gone.effects)
+        and acting & joints(gone.members)
         and posterior.evidence_of(
-            model, gone.effects, (left_out | set(present.effects)) - set(gone.effects)
+            model, gone.members, (left_out | set(present.members)) - set(gone.members)
         ).is_needed
     ]
 
@@ -325,13 +290,13 @@ def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
     shapes = (delay.clock_delay(),)
     evidence = EffectEvidence((), shapes, 1, factor, torque, severity, is_large)
     return [
-        EffectEstimate(
+        EffectEstimate.of(
             evidence,
             probability.rare_probability(factor, severity),
-            (np.array([seconds]),),
-            severity,
-            min(float(np.hypot(std / abs(seconds), FORM_STD)), MAX_LOG_STD),
-            {"seconds": (seconds, std)},
+            coefficients=(np.array([seconds]),),
+            severity=severity,
+            relative_std=min(float(np.hypot(std / abs(seconds), FORM_STD)), MAX_LOG_STD),
+            parameters={"seconds": (seconds, std)},
         )
     ]
 
@@ -342,7 +307,6 @@ class _Posterior:
     def __init__(self, model: JointModel, solution: Solution) -> None:
         self.model, self.solution = model, solution
         regression = model.regression
-        self.active = np.flatnonzero(solution.active)
         p = regression.base_count
         weighted = solution.information - regression.prior_matrix
         base = np.delete(np.arange(p), [model.delay_place, model.filter_place])
@@ -358,12 +322,6 @@ class _Posterior:
         all_places = np.concatenate([np.arange(slices[e].start, slices[e].stop) for e in effects])
         return np.asarray(all_places[self.solution.active[all_places]])
 
-    def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
-        """Return a block of the covariance."""
-        right = np.zeros((len(self.active), len(second)))
-        right[np.searchsorted(self.active, second), np.arange(len(second))] = 1.0
-        return np.asarray(self.solution.solve(right)[np.searchsorted(self.active, first)])
-
     def projected(self, first: IntArray, second: IntArray) -> FloatArray:
         """Return a block of the information after elimination of the base model alone."""
         w, base = self._weighted, self._base
@@ -377,10 +335,10 @@ class _Posterior:
 
         An effect whose coefficients are all held at zero by their signs is not in the model.
         """
-        effects, slices = estimate.evidence.effects, self.model.regression.slices
+        effects, slices = estimate.members, self.model.regression.slices
         places = self.places(effects)
         if not len(places):
-            return replace(estimate, evidence=replace(estimate.evidence, is_in_model=False))
+            return replace(estimate, is_in_model=False)
         change = np.zeros(len(self.solution.coefficients))
         change[places] = self.solution.coefficients[places]
         torque = self.torque_beyond_base(change)
@@ -396,7 +354,7 @@ class _Posterior:
 
     def draws(self, places: IntArray) -> FloatArray:
         """Return draws of active coefficients, shape (DRAWS, k)."""
-        covariance = self.covariance(places, places)
+        covariance = self.solution.covariance(places, places)
         values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         normal = np.random.default_rng(0).normal(size=(DRAWS, len(places)))
@@ -418,7 +376,7 @@ class _Posterior:
         places = self.places(effects)
         c = self.solution.coefficients[places]
         along = self.projected(places, places) @ c
-        variance = float(along @ self.covariance(places, places) @ along)
+        variance = float(along @ self.solution.covariance(places, places) @ along)
         return float(np.sqrt(max(variance, 0.0)) / max(float(c @ along), 1e-300))
 
     def parameters(
@@ -493,27 +451,29 @@ class _Posterior:
         )
         change = Columns(up.joints, values, np.zeros(1, bool), np.ones(1))
         slope, information = self.model.regression.sensitivity(change, self.solution)
-        place = np.searchsorted(self.active, places)
-        return slope[place], float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
+        slope = slope[np.searchsorted(np.flatnonzero(self.solution.active), places)]
+        return slope, float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
 
 
 def _likeness(of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:
     """Names of effects at the same joint that may stand for each effect of the model."""
     needed = [
-        e for e in evidence if e.name != UNMODELLED and e.is_in_model and len(of.places(e.effects))
+        e
+        for e in evidence
+        if e.effect != UNMODELLED and e.is_in_model and len(of.places(e.members))
     ]
     out: dict[Key, list[str]] = {}
     for first in needed:
-        a = of.places(first.effects)
-        variance = float(np.sum(of.covariance(a, a) * of.projected(a, a)))
+        a = of.places(first.members)
+        variance = float(np.sum(of.solution.covariance(a, a) * of.projected(a, a)))
         names = []
         for second in needed:
-            if second is first or second.joint != first.joint or second.name == first.name:
+            if second is first or second.joint != first.joint or second.effect == first.effect:
                 continue
-            b = of.places(second.effects)
-            other = float(np.sum(of.covariance(b, b) * of.projected(b, b)))
-            shared = float(np.sum(of.covariance(a, b) * of.projected(a, b)))
+            b = of.places(second.members)
+            other = float(np.sum(of.solution.covariance(b, b) * of.projected(b, b)))
+            shared = float(np.sum(of.solution.covariance(a, b) * of.projected(a, b)))
             if shared < ALIKE_CORRELATION * np.sqrt(max(variance * other, 1e-300)):
-                names.append(second.name)
+                names.append(second.effect)
         out[first.key] = names
     return out

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -39,21 +39,48 @@ STEPS = 3
 """Gauss-Newton steps of the recording chain."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FilterFits:
-    """Frictions of all joints at the identified parameters, without a filter and with the best one.
+    """Frictions of all joints at the identified parameters, with several recording chains.
 
     Attributes:
-        start: Those without a filter, at the identified widths of Coulomb friction.
-        plain: Those without a filter, widths and delay chosen.
-        filtered: The same with the filter of most evidence.
-        count: Number of filters that were compared.
+        identified: The base model.
+        motions: The motions to fit.
+        kinds: Filters that are compared, of every kind those of all corner frequencies.
     """
 
-    start: JointModel
-    plain: JointModel
-    filtered: JointModel
-    count: int
+    identified: Identification
+    motions: Sequence[RecordedMotion]
+    kinds: Sequence[Sequence[LowPass]] = FILTERS
+
+    @cached_property
+    def start(self) -> JointModel:
+        """Those without a filter, at the identified widths of Coulomb friction."""
+        return self._fitted(RecordingChain(), self.identified.model.widths)
+
+    @cached_property
+    def plain(self) -> JointModel:
+        """Those without a filter, widths and delay chosen."""
+        return self._refined(self.start)
+
+    @cached_property
+    def filtered(self) -> JointModel:
+        """The same with the filter of most evidence."""
+        plain = self.plain
+        frictions = [_computed_once(model) for model in plain.models]
+
+        def with_filter(low_pass: LowPass) -> JointModel:
+            chain = RecordingChain(plain.chain.delay, low_pass)
+            model = joint_model.base_model(self.identified, plain.motions, plain.psi, chain)
+            return model.with_effects(frictions)
+
+        def best(of_kind: Sequence[LowPass]) -> JointModel:
+            return max(map(with_filter, of_kind), key=lambda model: _evidence(model, plain))
+
+        models = [best(of_kind) for of_kind in self.kinds]
+        stepped = [renewed_chain(model).filter for model in models]
+        models.append(best([low_pass for low_pass in stepped if low_pass]))
+        return self._refined(max(models, key=lambda model: _evidence(model, plain)))
 
     def chosen(self, by_errors: Callable[[JointModel], float] = lambda _: 0.0) -> JointModel:
         """Return the frictions that start every fit, with a filter if the motions show one.
@@ -61,13 +88,15 @@ class FilterFits:
         Args:
             by_errors: Evidence that errors of the positions alone give the filter of a model.
         """
+        if self.motions[0].n == 1:  # its filter cannot be told from the dynamics of a single joint
+            return self.start
         plain, filtered = (
             replace(model, regression=model.regression.copy())
             for model in (self.plain, self.filtered)
         )
         for model in (plain, filtered):
             joint_model.reweight(model.regression)
-        evidence = _evidence(filtered, plain) - np.log(self.count)
+        evidence = _evidence(filtered, plain) - np.log(sum(map(len, self.kinds)))
         low_pass = filtered.chain.filter
         assert low_pass is not None
         # friction at rest passes from one value to another in a time of its own, as if filtered; it
@@ -83,104 +112,24 @@ class FilterFits:
                 return filtered
         return self.start
 
-
-def first_round(
-    identified: Identification,
-    motions: Sequence[RecordedMotion],
-    by_errors: Callable[[JointModel], float],
-) -> JointModel:
-    """Return the frictions of all joints at the identified parameters, which start every fit.
-
-    They have a filter of the recording if the motions show one.
-
-    Args:
-        identified: The base model.
-        motions: The motions to fit.
-        by_errors: Evidence that errors of the positions alone give the filter of a model.
-    """
-    if motions[0].n == 1:  # the filter of a single joint cannot be told from its dynamics
-        return without_filter(identified, motions)
-    return compared(identified, motions).chosen(by_errors)
-
-
-def compared(
-    identified: Identification, motions: Sequence[RecordedMotion], like: LowPass | None = None
-) -> FilterFits:
-    """Compare the frictions of all joints without a filter with those with every filter.
-
-    Args:
-        identified: The base model.
-        motions: The motions to fit.
-        like: A filter to whose kind the search is confined; filters of all kinds if None.
-    """
-    filters = [
-        of_kind for of_kind in FILTERS if like is None or like == of_kind[0].with_corner(like.hertz)
-    ]
-    start = without_filter(identified, motions)
-    search = _Search(identified, motions, start.psi)
-    plain = search.refined(start)
-    filtered = search.best_filter(plain, filters)
-    return FilterFits(start, plain, filtered, len(filters) * len(CORNERS))
-
-
-def without_filter(identified: Identification, motions: Sequence[RecordedMotion]) -> JointModel:
-    """Return the frictions of all joints at the identified parameters, without a filter.
-
-    Args:
-        identified: The base model.
-        motions: The motions to fit.
-    """
-    search = _Search(identified, motions, joint_model.initial_parameters(identified))
-    return search.fitted(RecordingChain(), identified.model.widths)
-
-
-@dataclass(frozen=True)
-class _Search:
-    """Fits of frictions with several recording chains, at one state of the base model."""
-
-    identified: Identification
-    motions: Sequence[RecordedMotion]
-    psi: FloatArray
-
-    def fitted(self, chain: RecordingChain, widths: FloatArray) -> JointModel:
+    def _fitted(self, chain: RecordingChain, widths: FloatArray) -> JointModel:
         """Return the frictions with a recording chain and widths of Coulomb friction."""
+        psi = joint_model.initial_parameters(self.identified)
         moved = [chain.without_delay(motion) for motion in self.motions]
-        present = joint_model.renewed(self.identified, moved, self.psi, widths)
-        model = joint_model.base_model(self.identified, present, self.psi, chain)
+        present = joint_model.renewed(self.identified, moved, psi, widths)
+        model = joint_model.base_model(self.identified, present, psi, chain)
         return model.with_effects(joint_model.dense_models(present))
 
-    def best_filter(self, plain: JointModel, filters: Sequence[Sequence[LowPass]]) -> JointModel:
-        """Return the frictions with the filter of most evidence.
-
-        Args:
-            plain: Those without a filter.
-            filters: The filters of each kind.
-        """
-        frictions = [_computed_once(model) for model in plain.models]
-
-        def with_filter(low_pass: LowPass) -> JointModel:
-            chain = RecordingChain(plain.chain.delay, low_pass)
-            model = joint_model.base_model(self.identified, plain.motions, self.psi, chain)
-            return model.with_effects(frictions)
-
-        def best(of_kind: Sequence[LowPass]) -> JointModel:
-            return max(map(with_filter, of_kind), key=lambda model: _evidence(model, plain))
-
-        models = [best(of_kind) for of_kind in filters]
-        stepped = [renewed_chain(model).filter for model in models]
-        models.append(best([low_pass for low_pass in stepped if low_pass]))
-        return self.refined(max(models, key=lambda model: _evidence(model, plain)))
-
-    def refined(self, model: JointModel) -> JointModel:
+    def _refined(self, model: JointModel) -> JointModel:
         """Return a model after a choice of its widths and steps of its recording chain."""
         chain = renewed_chain(model)
         widths = model.motions[0].widths
         if self.identified.options.widths is None:
             candidates = np.array([*(np.full(model.n, width) for width in WIDTHS), widths])
-            gains = [_gain(self.fitted(chain, widths), model) for widths in candidates]
+            gains = [_gain(self._fitted(chain, widths), model) for widths in candidates]
             widths = candidates[np.argmax(gains, axis=0), range(model.n)]
         for _ in range(STEPS):
-            model = self.fitted(chain, widths)
+            model = self._fitted(chain, widths)
             chain = renewed_chain(model)
         return model
 

@@ -201,11 +201,6 @@ def _widths(
 
     Saved frictions were fitted jointly with the widths of the joint model. Those of other joints
     stood for frictions that are not saved.
-
-    Args:
-        refitted: The base model of the recordings without the torque of the effects.
-        model: The joint model.
-        shapes: The saved effects.
     """
     widths = refitted.model.widths.copy()
     for shape in shapes:

@@ -1,18 +1,25 @@
-"""Fitted effects: torque along a motion, entries of `model.json`, and prediction by such a file."""
+"""Fitted effects: torque along a motion, entries of `model.json`, and prediction by such a file.
+
+What a diagnosis reports as error is that of the file: of a model read back from its text.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .. import _json
 from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME, recorded_motion
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
+from ..identification import identified_model
 from ..identification.identification import MAX_BAND_SHARE
 from ..identification.identified_model import IdentifiedModel, at_row_times
 from ..identification.lowpass import Grid
@@ -86,6 +93,37 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, 
         Times [s], shape (N,), and torque [N m], shape (N, n).
     """
     return fitted.predict(recording, _effect_torque(fitted, recording) if fitted.effects else None)
+
+
+def read_back(document: Mapping[str, Any]) -> IdentifiedModel:
+    """Return the model that `excite predict` reads from the text of a `model.json`.
+
+    Args:
+        document: Content of the file.
+    """
+    file = identified_model.model_file(Path("model.json"))
+    return identified_model.model_from_document(file, json.loads(_json.dumps(document)))
+
+
+def residuals(
+    model: IdentifiedModel,
+    recordings: Sequence[Recording],
+    motions: Sequence[RecordedMotion],
+) -> FloatArray:
+    """Return measured minus predicted torque at the rows of motions, shape (N, n) [N m].
+
+    Args:
+        model: A model.
+        recordings: The recordings in which the motions lie.
+        motions: The motions, with the measured torque below the cutoff frequency.
+    """
+    predictions = {r.source: predict(model, r) for r in recordings}
+    out = []
+    for motion in motions:
+        times, torque = predictions[motion.segment.source]
+        at_rows = [np.interp(motion.time, times, column) for column in torque.T]
+        out.append(motion.torque - np.column_stack(at_rows))
+    return np.concatenate(out)
 
 
 def without_effects(fitted: IdentifiedModel, recording: Recording) -> Recording:

@@ -199,10 +199,10 @@ def _driven(
     omega = 2.0 * np.pi * hertz
     driven, free = [], []
     for motion, u in zip(motions, drives, strict=True):
-        step = 1.0 / motion.band.rate_of(Grid.COARSE)
+        rate = motion.band.rate_of(Grid.COARSE)
         states = [
-            signal.lfilter(*_bilinear(b, omega, damping, step), u)
-            for b in ((0.0, omega**2), (omega, 0.0))
+            signal.lfilter(*signal.bilinear(b, (1.0, 2.0 * damping * omega, omega**2), rate), u)
+            for b in ((omega**2,), (omega, 0.0))
         ]
         driven.append(motion.at_rows(np.column_stack(states), Grid.COARSE))
         clock = motion.time - motion.time[0]
@@ -210,14 +210,3 @@ def _driven(
         decay = np.exp(-damping * omega * clock)
         free.append(decay[:, None] * np.column_stack([np.cos(phase), np.sin(phase)]))
     return np.hstack([np.vstack(driven), linalg.block_diag(*free)])
-
-
-def _bilinear(
-    numerator: tuple[float, float], omega: float, damping: float, step: float
-) -> tuple[FloatArray, FloatArray]:
-    """Digital filter of (b₁ s + b₀)/(s² + 2ζω s + ω²) by Tustin's rule, s = k (z − 1)/(z + 1)."""
-    k, (b1, b0) = 2.0 / step, numerator
-    a1, a0 = 2.0 * damping * omega, omega**2
-    b = np.array([b1 * k + b0, 2.0 * b0, b0 - b1 * k])
-    a = np.array([k**2 + a1 * k + a0, 2.0 * (a0 - k**2), k**2 - a1 * k + a0])
-    return b / a[0], a / a[0]

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -40,9 +41,10 @@ from ..identification.segments import RecordingSegment
 from . import recording_chain, ripple_search, session_changes
 from .columns import Columns
 from .flexible_models import UNMODELLED
+from .motion_rows import MotionRows, motion_rows
 from .normal_equations import Solution
 from .recording_chain import RecordingChain
-from .regression import Condition, JointRegression, independent_share, rms
+from .regression import JointRegression, independent_share, rms
 
 ROUNDS = 4
 """Rounds of the fit: delay and weights change by less than 1 % after three."""
@@ -141,10 +143,20 @@ class JointModel:
         return self.regression.solution
 
     @property
+    def log_evidence(self) -> float:
+        """Log evidence of the model with all its effects, up to a constant of its rows."""
+        return self.regression.log_evidence(self.solution)
+
+    @property
     def far_from_rest(self) -> BoolArray:
         """Rows that count and that no friction at rest reaches, shape (N, n)."""
         far = np.concatenate([motion.far_from_rest for motion in self.motions])
         return np.asarray(self.regression.moving & far)
+
+    @cached_property
+    def rows(self) -> MotionRows:
+        """State of the robot at every row, with the torques of this model."""
+        return motion_rows(self.motions)
 
     def coefficients(self, effect: int) -> FloatArray:
         """Return the coefficients of an effect, shape (k,)."""
@@ -158,7 +170,7 @@ class JointModel:
         """
         models = tuple(self.models[i] for i in effects)
         regression = self.regression.keeping(effects)
-        regression.conditions = _conditions(models)
+        regression.built_up = _built_up(models)
         return replace(self, models=models, regression=regression)
 
     def built_up(self, joint: int) -> list[int]:
@@ -205,7 +217,7 @@ class JointModel:
         regression = self.regression.copy()
         regression.add(*(c for c in columns if c is not None))
         models = (*self.models, *kept)
-        regression.conditions = _conditions(models)
+        regression.built_up = _built_up(models)
         return replace(self, models=models, regression=regression)
 
 
@@ -214,22 +226,17 @@ def _is_built_up(model: CandidateModel) -> bool:
     return model.effect in BUILDING_UP and "reach" in model.values
 
 
-def _conditions(models: Sequence[CandidateModel]) -> tuple[Condition, ...]:
-    """Return when each form of a friction is used: built up with presliding hysteresis alone.
+def _built_up(models: Sequence[CandidateModel]) -> dict[int, tuple[int | None, int | None]]:
+    """Return the built-up frictions, with the presliding hysteresis of their joint.
 
-    The other form of the friction stands in for it without hysteresis.
-
-    Args:
-        models: Models of a regression, in the order of its effects.
+    Without that the other form of the friction stands in, which is named last.
     """
-    numbers = {(m.key, _is_built_up(m)): i for i, m in enumerate(models) if m.effect in FRICTIONS}
-    needs, stands_in = [], []
-    for (key, is_built_up), number in numbers.items():
-        if is_built_up:
-            needs.append(Condition(number, numbers.get((("hysteresis", key[1]), False)), True))
-            if (key, False) in numbers:
-                stands_in.append(Condition(numbers[key, False], number, False))
-    return (*needs, *stands_in)
+    at_once = {m.key: i for i, m in enumerate(models) if not _is_built_up(m)}
+    return {
+        i: (at_once.get(("hysteresis", m.joint)), at_once.get(m.key))
+        for i, m in enumerate(models)
+        if _is_built_up(m)
+    }
 
 
 def dense_models(
@@ -282,7 +289,7 @@ def fit(
         identified: The base model.
         motions: The motions to fit.
         rare: Further effects.
-        start: What `filter_search.first_round` returns.
+        start: What `filter_search.FilterFits.chosen` returns.
     """
     widths, chain = start.motions[0].widths, start.chain
     waves: list[CandidateModel] = []
@@ -321,30 +328,25 @@ def _build_ups(
     fitted: JointModel,
     among: Mapping[int, Mapping[str, float]] | None,
 ) -> dict[int, Mapping[str, float]]:
-    """Return how the dry frictions of joints build up, by joint; joints where they do not are left
-    out.
+    """Return how the dry frictions of joints build up, by joint.
 
     Presliding elements must have most of Coulomb friction, with the other frictions built up in
-    them as well, and there must be evidence for that.
-
-    Args:
-        identified: The base model.
-        fitted: A joint model.
-        among: How frictions are built up in it; None if none is yet.
+    them as well, and there must be evidence for that. Joints enter by the first fit alone, in which
+    the weights are the same with and without them (`among` is None), and may leave later.
     """
-    if among is None:
-        among = _mostly_built_up(_shares_of_elements(identified, fitted))
+    mostly = _mostly_built_up(_shares_of_elements(identified, fitted))
+    if among is None and mostly:
+        among = mostly
         fitted = fitted.with_effects(_built_up_models(fitted.motions, among))
-    regression = fitted.regression
-    out: dict[int, Mapping[str, float]] = {}
-    for j, build_up in _mostly_built_up(_shares_of_elements(identified, fitted)).items():
-        if j not in among:
-            continue
-        at_once = regression.without(fitted.built_up(j))
-        evidence = regression.log_evidence(fitted.solution) - regression.log_evidence(at_once)
-        if evidence > MIN_ENTRY_EVIDENCE:
-            out[j] = build_up
-    return out
+        mostly = _mostly_built_up(_shares_of_elements(identified, fitted))
+    at_once = fitted.regression.log_evidence
+    return {
+        j: build_up
+        for j, build_up in mostly.items()
+        if j in (among or ())
+        and fitted.log_evidence - at_once(fitted.regression.without(fitted.built_up(j)))
+        > MIN_ENTRY_EVIDENCE
+    }
 
 
 def _mostly_built_up(
@@ -404,9 +406,6 @@ def _renewed_change_scale(fitted: JointModel) -> FloatArray:
     """Return the scale of the changes between recordings of every joint, shape (n,).
 
     Scales of joints are compared one joint at a time, at the present scales of the others.
-
-    Args:
-        fitted: A joint model.
     """
     places = np.arange(len(fitted.solution.coefficients))[fitted.session_places]
     if not len(places):
@@ -429,20 +428,12 @@ def _renewed_change_scale(fitted: JointModel) -> FloatArray:
 def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return the information of the data on coefficients of the base model, and of their prior.
 
-    Args:
-        fitted: A joint model.
-        places: Places of the coefficients, which have either sign, shape (k,).
-
-    Returns:
-        After elimination of all others, shape (k, k), and the prior's, shape (k,).
+    After elimination of all others, shape (k, k), and the prior's, shape (k,). The coefficients
+    have either sign.
     """
-    active = fitted.solution.active
-    unit, rows = np.zeros((int(active.sum()), len(places))), (np.cumsum(active) - 1)[places]
-    unit[rows, range(len(places))] = 1.0
     prior = np.diag(fitted.regression.prior_matrix)[places]
-    values, vectors = np.linalg.eigh(
-        np.linalg.inv(fitted.solution.solve(unit)[rows]) - np.diag(prior)
-    )
+    total = np.linalg.inv(fitted.solution.covariance(places, places))
+    values, vectors = np.linalg.eigh(total - np.diag(prior))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T), prior
 
 
@@ -665,11 +656,6 @@ def _dissipated(identified: Identification, free: IntArray, count: int) -> BoolA
     The model that is saved has none below zero: an effect must not have its evidence by one. Where
     friction of the base model alone feeds in power, as of a motor that another one drives, it
     stands for something else.
-
-    Args:
-        identified: The base model.
-        free: Base parameters that are refit, the first coefficients, shape (p,).
-        count: Number of coefficients.
     """
     model, out = identified.model, np.zeros(count, bool)
     if identified.options.trusted:

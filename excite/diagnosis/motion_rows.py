@@ -1,4 +1,4 @@
-"""State of the robot at every row of some motions."""
+"""State of the robot at every row of some motions, and means over a quantity of it."""
 
 from __future__ import annotations
 
@@ -101,3 +101,25 @@ def travel_since_reversal(q: FloatArray, dq: FloatArray) -> FloatArray:
     origin = np.zeros(len(q), int)
     origin[reversals] = reversals
     return np.abs(q - q[np.maximum.accumulate(origin)])
+
+
+def binned_means(
+    x: FloatArray, y: FloatArray, edges: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the means of y in bins of x.
+
+    Args:
+        x: Abscissa, shape (N,).
+        y: Quantity, shape (N,).
+        edges: Edges of the bins.
+
+    Returns:
+        Centres of the bins that have enough rows and means there, shapes (b,), and the mean in the
+        bin of each row, shape (N,).
+    """
+    bins = len(edges) - 1
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, bins - 1)
+    count = np.bincount(place, minlength=bins)
+    means = np.asarray(np.bincount(place, y, minlength=bins) / np.maximum(count, 1))
+    enough = count >= MIN_BIN_ROWS
+    return 0.5 * (edges[1:] + edges[:-1])[enough], means[enough], means[place]

@@ -55,11 +55,11 @@ class NoiseEstimate:
     """Residual of a perfect model below the cutoff frequency, per joint.
 
     Attributes:
-        floor: RMS noise [N m], shape (n,).
+        floor: RMS √(s² + e²) that a right model leaves, of noise s, which differs from period to
+            period, and of quantisation e, which does not [N m], shape (n,).
         method: "periods" if it was found by repetition, else "differences", the contract's name of
             an estimate by the spectral density above the motion.
-        steps: RMS of the residual by quantisation of positions and torque, which repeats with the
-            motion [N m], shape (n,).
+        steps: RMS e of the residual by quantisation of positions and torque [N m], shape (n,).
         periods: By recording that repeats: its period and window.
     """
 
@@ -67,11 +67,6 @@ class NoiseEstimate:
     method: str
     steps: FloatArray
     periods: Mapping[str, Period] = field(default_factory=dict)
-
-    @property
-    def noise_rms(self) -> FloatArray:
-        """RMS that a right model may leave, with quantisation [N m], shape (n,)."""
-        return np.asarray(np.sqrt(self.floor**2 + 2.0 * self.steps**2))
 
 
 def estimate_noise(

@@ -65,6 +65,13 @@ class Solution:
         factor, scale = self._factor
         return scale[:, None] * _solved(factor, scale[:, None] * x)
 
+    def covariance(self, first: IntArray, second: IntArray) -> FloatArray:
+        """Return the block of A⁻¹ of some active coefficients and others, shape (k, l)."""
+        on = np.flatnonzero(self.active)
+        unit = np.zeros((len(on), len(second)))
+        unit[np.searchsorted(on, second), np.arange(len(second))] = 1.0
+        return np.asarray(self.solve(unit)[np.searchsorted(on, first)])
+
 
 @dataclass(frozen=True)
 class Elimination:
@@ -156,15 +163,9 @@ def _bounded_minimum(
     set of a similar problem a few exchanges suffice; where rounding errors keep them from ending,
     the active set is that of Lawson & Hanson (1974).
 
-    Args:
-        matrix: M, shape (m, m).
-        target: t, shape (m,).
-        used: Coefficients that are used; all others are zero, shape (m,).
-        bounded: Coefficients that cannot be negative, shape (m,).
-        likely: Coefficients that are probably not zero, shape (m,).
-
-    Returns:
-        x, its active coefficients, and log det M over these.
+    Coefficients that are not used are zero; those that are bounded cannot be negative, and those
+    that are likely are probably not zero. Returns x, its active coefficients, and log det M over
+    these.
     """
     bounded = bounded & used
     tolerance = RELATIVE_TOLERANCE * float(np.abs(target[bounded]).max(initial=0.0))

@@ -23,8 +23,8 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..recordings import quantization
-from . import filter_search, joint_model, posterior
-from .filter_search import FilterFits
+from . import joint_model, posterior
+from .filter_search import FILTERS, FilterFits
 from .joint_model import JointModel
 
 NOISE_WINDOW = 2.0
@@ -102,7 +102,7 @@ class PositionErrors:
 
     identified: Identification
     motions: Sequence[RecordedMotion]
-    _filter_fits: dict[LowPass, FilterFits] = field(default_factory=dict)
+    _filter_fits: dict[LowPass | None, FilterFits] = field(default_factory=dict)
     _friction_fits: dict[LowPass | None, JointModel] = field(default_factory=dict)
 
     def evidence(self, shapes: Sequence[CandidateModel], model: JointModel) -> dict[Key, float]:
@@ -130,9 +130,7 @@ class PositionErrors:
         """
         if not self._matter(model):
             return 0.0
-        kind, regression = _kind_of_filter(model), model.regression
-        assert kind is not None
-        fits = self._compared(kind)
+        fits, regression = self._fits(_kind_of_filter(model)), model.regression
         without, with_ = (
             float(np.sum((m.regression.residual() / regression.sigma)[regression.moving] ** 2))
             for m in (fits.plain, fits.filtered)
@@ -155,21 +153,18 @@ class PositionErrors:
         kind = _kind_of_filter(model)
         fitted = None if shapes else self._friction_fits.get(kind)
         if fitted is None:
-            start = self._without_filter if kind is None else self._compared(kind).chosen()
+            fits = self._fits(kind)
+            start = fits.start if kind is None else fits.chosen()
             fitted = joint_model.fit(self.identified, self._disturbed, shapes, start)
         if not shapes:
             self._friction_fits[kind] = fitted
         return replace(fitted, regression=fitted.regression.copy())
 
-    @cached_property
-    def _without_filter(self) -> JointModel:
-        """Frictions of the motions with errors, without a filter."""
-        return filter_search.without_filter(self.identified, self._disturbed)
-
-    def _compared(self, kind: LowPass) -> FilterFits:
-        """Frictions of the motions with errors, without a filter and with the best of a kind."""
+    def _fits(self, kind: LowPass | None) -> FilterFits:
+        """Frictions of the motions with errors, without a filter and with one of a kind."""
         if kind not in self._filter_fits:
-            self._filter_fits[kind] = filter_search.compared(self.identified, self._disturbed, kind)
+            filters = [of_kind for of_kind in FILTERS if of_kind[0].with_corner(1.0) == kind]
+            self._filter_fits[kind] = FilterFits(self.identified, self._disturbed, filters)
         return self._filter_fits[kind]
 
     def _matter(self, model: JointModel) -> bool:

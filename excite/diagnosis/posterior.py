@@ -43,11 +43,11 @@ class EffectEvidence:
     """Evidence for an effect of a joint model.
 
     Attributes:
-        effects: Numbers of the regression's effects (several waves are one effect).
+        members: Numbers of the regression's effects (several waves are one effect).
         models: Their models.
         freedom: Number of their coefficients.
         log_bayes_factor: Of the model with it over the model without.
-        severity: RMS torque by which the residual of each joint grows without it, √(r² − r₀²) with
+        growth: RMS torque by which the residual of each joint grows without it, √(r² − r₀²) with
             the RMS residuals r without it and r₀ with it [N m], shape (n,).
         size: The largest of them over the residual of its joint [1]; of an effect that acts for
             some of the time, of the rows in which it acts.
@@ -57,11 +57,11 @@ class EffectEvidence:
         by_errors: Log Bayes factor that errors of the positions alone give it.
     """
 
-    effects: tuple[int, ...]
+    members: tuple[int, ...]
     models: tuple[CandidateModel, ...]
     freedom: int
     log_bayes_factor: float
-    severity: FloatArray
+    growth: FloatArray
     size: float
     is_in_model: bool = True
     spoils_prediction: bool = False
@@ -73,7 +73,7 @@ class EffectEvidence:
         return self.models[0].key
 
     @property
-    def name(self) -> str:
+    def effect(self) -> str:
         """Name of the effect."""
         return self.key[0]
 
@@ -85,7 +85,7 @@ class EffectEvidence:
     @property
     def is_needed(self) -> bool:
         """True if the effect is more probable than not, and large enough to matter."""
-        if self.name in DENSE_NAMES:
+        if self.effect in DENSE_NAMES:
             return self.log_bayes_factor > 0.0 and self.size > MIN_SEVERITY
         return probability.rare_probability(self.log_bayes_factor, self.size).value > 0.5
 
@@ -96,7 +96,7 @@ def left_out(evidence: Sequence[EffectEvidence]) -> frozenset[int]:
     Args:
         evidence: Evidence of all effects of a joint model.
     """
-    return frozenset(number for e in evidence if not e.is_in_model for number in e.effects)
+    return frozenset(number for e in evidence if not e.is_in_model for number in e.members)
 
 
 def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
@@ -105,18 +105,6 @@ def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
     for i, m in enumerate(model.models):
         groups[m.key] = (*groups.get(m.key, ()), i)
     return groups
-
-
-def log_bayes_factor(model: JointModel, reduced: JointModel) -> float:
-    """Return the log Bayes factor of a joint model over one with some of its effects.
-
-    Args:
-        model: The joint model.
-        reduced: What `JointModel.keeping` returns of it.
-    """
-    return model.regression.log_evidence(model.solution) - reduced.regression.log_evidence(
-        reduced.solution
-    )
 
 
 def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Probability]:
@@ -129,10 +117,10 @@ def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Proba
     out = {
         e.key: probability.rare_probability(e.log_bayes_factor, e.size)
         for e in evidence
-        if e.name not in DENSE_NAMES
+        if e.effect not in DENSE_NAMES
     }
     for name in DENSE_NAMES:
-        members = [e for e in evidence if e.name == name]
+        members = [e for e in evidence if e.effect == name]
         shared = shared_probabilities(n, [e.log_bayes_factor for e in members])
         for e, p in zip(members, shared, strict=True):
             counts = (
@@ -210,8 +198,8 @@ def _next_to_form_errors(
     out: dict[Key, EffectEvidence] = {}
     gone = set(left_out)
     for larger, smaller in itertools.pairwise(present):
-        alone = regression.without({*gone, *smaller.effects})
-        for number in larger.effects:
+        alone = regression.without({*gone, *smaller.members})
+        for number in larger.members:
             if not alone.coefficients[regression.slices[number]].any():
                 continue  # a form that is not used here
             columns = model.columns(
@@ -222,14 +210,13 @@ def _next_to_form_errors(
                 )
             )
             if columns is not None:
-                part = regression.slices[number]
-                regression.add(columns.last(columns.count - (part.stop - part.start)))
-        judged = evidence_of(extended, smaller.effects, gone)
+                regression.add(columns.after(len(alone.coefficients[regression.slices[number]])))
+        judged = evidence_of(extended, smaller.members, gone)
         if judged.size < MIN_SEVERITY:  # too small to be evidence; the robot's other joints decide
             judged = replace(judged, log_bayes_factor=min(judged.log_bayes_factor, 0.0))
         out[smaller.key] = judged
         if not judged.is_needed:
-            gone |= set(smaller.effects)
+            gone |= set(smaller.members)
     return out
 
 
@@ -296,12 +283,6 @@ def _gain_of_transient(
 
     over the joints j, with N_j rows in which it acts, and their squared errors E_j. Its size is
     that of the growth of E_j/N_j without it, over σ_j.
-
-    Args:
-        model: A joint model with the effect.
-        shapes: Models of the effect.
-        reduced: Solution without it.
-        current: Solution with it.
     """
     regression = model.regression
     acting = transient_rows(shapes, model.motions)[:, None] & regression.moving
@@ -337,11 +318,11 @@ def evidence_of(
     factor = regression.log_evidence(current) - regression.log_evidence(reduced)
     factor -= float(sum(np.log(shape.alternatives) for shape in shapes))
     before, after = (regression.residual_rms(s) for s in (reduced, current))
-    severity = np.sqrt(np.maximum(before**2 - after**2, 0.0))
-    size = float((severity / regression.sigma).max())
+    growth = np.sqrt(np.maximum(before**2 - after**2, 0.0))
+    size = float((growth / regression.sigma).max())
     if any(shape.interval is not None for shape in shapes):
         gain, size = _gain_of_transient(model, shapes, reduced, current)
         factor += gain - (reduced.objective - current.objective)
     by_errors = model.error_evidence.get(shapes[0].key, 0.0)
     factor = probability.beyond_errors(factor, by_errors)
-    return EffectEvidence(members, shapes, sum(used), factor, severity, size, by_errors=by_errors)
+    return EffectEvidence(members, shapes, sum(used), factor, growth, size, by_errors=by_errors)

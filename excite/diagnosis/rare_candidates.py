@@ -12,7 +12,7 @@ from scipy import special
 
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel, Key
-from . import contact_search, posterior, probability, ripple_search
+from . import contact_search, probability, ripple_search
 from .candidate_fits import CandidateBatch, CandidateFit
 from .flexible_models import flexible_models
 from .joint_model import FRICTIONS, JointModel
@@ -227,7 +227,7 @@ class CandidateColumns:
                 continue
             reduced = model.keeping(kept)
             # frictions that nothing needs are no merit of what would take their place
-            lost = max(posterior.log_bayes_factor(model, reduced), 0.0)
+            lost = max(model.log_evidence - reduced.log_evidence, 0.0)
             absorbed = self._rankings(reduced, (self._absorbed,))
             alone = _scores(absorbed)
             for key, ranking in absorbed.items():

@@ -11,14 +11,14 @@ eliminated by a Schur complement (`normal_equations`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
 
 from .._types import BoolArray, FloatArray, IntArray
-from .candidate_fits import CandidateBatch, CandidateFit, JointProducts
+from .candidate_fits import CandidateBatch, CandidateFit
 from .columns import Columns
 from .normal_equations import RIDGE, Elimination, Solution, System
 
@@ -28,6 +28,9 @@ MIN_AUTOCORRELATION = 0.02
 """Autocorrelation at which the sum ends, about two standard errors of 10,000 rows."""
 MIN_REMAINING = 1e-6
 """Share of a squared error that is not told from rounding."""
+MIN_EIGENVALUE = 1e-9
+"""Information of a combination of a candidate's coefficients after elimination of all others, over
+the largest before, below which it is not determined."""
 FIXED_STD = 1e-12
 """Prior standard deviation of a coefficient that is held at zero."""
 _Products = tuple[FloatArray, FloatArray, float]
@@ -64,20 +67,11 @@ class _JointGram:
             self.power,
         )
 
-
-@dataclass(frozen=True)
-class Condition:
-    """An effect that is used only together with another one, or only without it.
-
-    Attributes:
-        effect: Number of the effect.
-        other: Number of the other one; None of one that the regression does not have.
-        together: Whether it is used only together with it.
-    """
-
-    effect: int
-    other: int | None
-    together: bool
+    def keeping(self, place: IntArray) -> _JointGram:
+        """Return the products of the columns that have a new place, −1 for none, shape (K,)."""
+        on = place[self.places] >= 0
+        matrix, score = self.matrix[np.ix_(on, on)], self.score[on]
+        return _JointGram(self.columns[:, on], place[self.places[on]], matrix, score, self.power)
 
 
 @dataclass
@@ -93,7 +87,8 @@ class JointRegression:
         slices: Coefficients of each effect, in the order in which they were added.
         prior_matrix: Prior information of all coefficients, shape (K, K).
         nonnegative: Coefficients that cannot be negative, shape (K,).
-        conditions: Conditions on the use of effects, that of the other one first where it has one.
+        built_up: Numbers of effects that are used with another one alone, and of that one; and of
+            the effect that stands in where they are not used. Either may be None.
     """
 
     torque: FloatArray
@@ -104,7 +99,7 @@ class JointRegression:
     slices: list[slice] = field(default_factory=list)
     prior_matrix: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     nonnegative: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
-    conditions: tuple[Condition, ...] = ()
+    built_up: Mapping[int, tuple[int | None, int | None]] = field(default_factory=dict)
     _grams: list[_JointGram] = field(default_factory=list)
     _prior_score: FloatArray = field(default_factory=lambda: np.zeros(0))
     _prior_power: float = 0.0
@@ -112,6 +107,7 @@ class JointRegression:
     _system: System | None = None
     _eliminations: dict[bytes, Elimination] = field(default_factory=dict)
     _solutions: dict[bytes, Solution] = field(default_factory=dict)
+    _fold_products: dict[bytes, list[_Products]] = field(default_factory=dict)
 
     @classmethod
     def of_base(
@@ -145,15 +141,8 @@ class JointRegression:
         for j in range(torque.shape[1]):
             used = np.flatnonzero(np.abs(base[:, j]).max(axis=0) > 0.0)
             x = base[:, j, used] * moving[:, j, None]
-            out._grams.append(
-                _JointGram(
-                    x,
-                    used,
-                    x.T @ x,
-                    x.T @ torque[:, j],
-                    float(np.sum(torque[moving[:, j], j] ** 2)),
-                )
-            )
+            power = float(np.sum(torque[moving[:, j], j] ** 2))
+            out._grams.append(_JointGram(x, used, x.T @ x, x.T @ torque[:, j], power))
         return out
 
     @property
@@ -176,6 +165,7 @@ class JointRegression:
             _prior_score=self._prior_score.copy(),
             _eliminations={},
             _solutions={},
+            _fold_products={},
         )
 
     def keeping(self, effects: Sequence[int]) -> JointRegression:
@@ -199,17 +189,7 @@ class JointRegression:
         for e in effects:
             start = int(place[self.slices[e].start])
             out.slices.append(slice(start, start + self.slices[e].stop - self.slices[e].start))
-        for gram in self._grams:
-            on = place[gram.places] >= 0
-            out._grams.append(
-                _JointGram(
-                    gram.columns[:, on],
-                    place[gram.places[on]],
-                    gram.matrix[np.ix_(on, on)],
-                    gram.score[on],
-                    gram.power,
-                )
-            )
+        out._grams = [gram.keeping(place) for gram in self._grams]
         return out
 
     def fix_at_zero(self, places: Sequence[int]) -> None:
@@ -253,6 +233,7 @@ class JointRegression:
         self.prior_matrix = linalg.block_diag(self.prior_matrix, *precision)
         self._prior_score = np.concatenate([self._prior_score, np.zeros(count)])
         self._likely = np.concatenate([self._likely, np.ones(count, bool)])
+        self._fold_products.clear()
         self._changed()
         return range(len(self.slices) - len(effects), len(self.slices))
 
@@ -280,10 +261,11 @@ class JointRegression:
     def _used(self, left_out: Iterable[int]) -> BoolArray:
         """Coefficients that are used without some effects, shape (K,)."""
         absent = set(left_out)
-        for condition in self.conditions:
-            is_together = condition.other is not None and condition.other not in absent
-            if is_together is not condition.together:
-                absent.add(condition.effect)
+        for effect, (other, stand_in) in self.built_up.items():
+            if other is None or other in absent:
+                absent.add(effect)
+            if effect not in absent and stand_in is not None:
+                absent.add(stand_in)
         used = np.ones(len(self.nonnegative), bool)
         for e in absent:
             used[self.slices[e]] = False
@@ -316,18 +298,17 @@ class JointRegression:
         """Products of all rows, for each joint."""
         return [(gram.matrix, gram.score, gram.power) for gram in self._grams]
 
-    def _products(self, rows: BoolArray, torque: FloatArray) -> list[_Products]:
-        """Products XᵀX, Xᵀτ and τᵀτ of some rows, for each joint.
-
-        Args:
-            rows: The rows, shape (N,).
-            torque: Torque τ, zero where a joint does not count, shape (N, n) [N m].
-        """
-        out = []
-        for gram, tau in zip(self._grams, torque[rows].T, strict=True):
-            x = gram.columns[rows]
-            out.append((x.T @ x, x.T @ tau, float(tau @ tau)))
-        return out
+    def _products(self, rows: BoolArray) -> list[_Products]:
+        """Products XᵀX, Xᵀτ and τᵀτ of some rows, for each joint; formed once for all weights."""
+        key = rows.tobytes()
+        if key not in self._fold_products:
+            out = []
+            for j, gram in enumerate(self._grams):
+                x = gram.columns[rows]
+                tau = np.where(self.moving[rows, j], self.torque[rows, j], 0.0)
+                out.append((x.T @ x, x.T @ tau, float(tau @ tau)))
+            self._fold_products[key] = out
+        return self._fold_products[key]
 
     def _with_fitted(
         self, joint: int, products: _Products, fitted: slice, information: FloatArray
@@ -352,12 +333,7 @@ class JointRegression:
         parts: Sequence[Sequence[_Products]],
         prior: tuple[FloatArray, FloatArray] | None = None,
     ) -> System:
-        """Normal equations of the weighted rows of some parts and of the priors.
-
-        Args:
-            parts: Products of each part, by joint.
-            prior: Information and score of the priors; those of the regression if None.
-        """
+        """Normal equations of the weighted rows of some parts and of the priors, or other ones."""
         matrix, score = (x.copy() for x in prior or (self.prior_matrix, self._prior_score))
         power = self._prior_power
         for part in parts:
@@ -451,8 +427,7 @@ class JointRegression:
         """
         used = [self._used(left_out) & ~unused for left_out in variants]
         out = np.zeros((len(folds), len(variants), self.n))
-        measured = np.where(self.moving, self.torque, 0.0)
-        parts = [self._products(fold, measured) for fold in folds]
+        parts = [self._products(fold) for fold in folds]
         information = np.diag(self.prior_matrix)[per_fold] * np.ones((len(folds), 1))
         if change is not None:
             information = information * change
@@ -506,9 +481,8 @@ class JointRegression:
         Returns:
             Columns, shape (N, k), and their positions among the active coefficients, shape (k,).
         """
-        gram, active = self._grams[joint], self.solution.active
-        on = active[gram.places]
-        return gram.columns[:, on], (np.cumsum(active) - 1)[gram.places[on]]
+        acting, positions = self._acting(self._grams[joint], self.solution)
+        return self._grams[joint].columns[:, acting], positions
 
     def fitted_per_joint(self) -> FloatArray:
         """Return the number of coefficients that are fitted to the rows of each joint, shape (n,).
@@ -541,9 +515,9 @@ class JointRegression:
             the information of that coefficient after their elimination.
         """
         batch = CandidateBatch.of([column], self.moving)
-        cross, _ = self._coupling(self._products_with(batch, solution), solution)
+        cross, _, _ = self._coupling(batch, solution)
         change = -solution.solve(cross)
-        square = self.weights @ batch.groups[0].squares[:, 0, 0, 0]
+        square = self.weights @ batch.squares[0][:, 0, 0]
         return change[:, 0], float(square + (cross.T @ change)[0, 0])
 
     def joints_of(self, effects: Iterable[int]) -> set[int]:
@@ -571,66 +545,81 @@ class JointRegression:
             batch: Columns of the candidates.
         """
         solution = self.solution
-        products = self._products_with(batch, solution)
-        cross, score = self._coupling(products, solution)
+        cross, score, shared = self._coupling(batch, solution)
         change = solution.solve(cross)
-        rows = self.independent_share * self.moving.sum(axis=0)
-        out: list[CandidateFit | None] = [None] * batch.count
-        for group in batch.groups:
-            c, information = group.solved(self.weights, cross, change, score)
-            moved = np.einsum("amk,mk->am", change[:, group.places], c)
-            gains = 0.5 * np.sum(score[group.places] * c, axis=1)
-            log_gains = -0.5 * np.sum(group.prior * c**2, axis=1)
-            for part, squares, count in zip(products, group.squares, rows.tolist(), strict=True):
-                if part.power > 0.0:
-                    remaining = part.remaining(group, squares, c, moved) / part.power
-                    log_gains -= 0.5 * count * np.log(np.maximum(remaining, MIN_REMAINING))
-            for i, member in enumerate(group.members.tolist()):
-                both = float(gains[i]), float(log_gains[i])
-                out[member] = CandidateFit(c[i], *both, information[i], group.prior[i])
-        return [fit for fit in out if fit is not None]
+        fits = []
+        for part, squares in zip(batch.parts, batch.squares, strict=True):
+            square = np.tensordot(self.weights, squares, 1) + np.diag(batch.prior[part])
+            schur = square - cross[:, part].T @ change[:, part]
+            schur = 0.5 * (schur + schur.T)
+            values, vectors = np.linalg.eigh(schur)
+            kept = values > MIN_EIGENVALUE * max(float(np.diag(square).max()), 1e-300)
+            along = np.einsum("kv,k->v", vectors, score[part])
+            along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
+            c = np.einsum("kv,v->k", vectors, along)
+            gain = 0.5 * float(np.sum(score[part] * c))
+            fits.append(CandidateFit(c, gain, 0.0, schur, batch.prior[part]))
+        log_gains = self._log_gains(batch, shared, change, [fit.coefficients for fit in fits])
+        return [
+            replace(fit, log_gain=gain) for fit, gain in zip(fits, log_gains.tolist(), strict=True)
+        ]
 
-    def _products_with(self, batch: CandidateBatch, solution: Solution) -> list[JointProducts]:
-        """Products of the active columns, the residual and all columns of a batch, by joint."""
-        position = np.where(solution.active, np.cumsum(solution.active) - 1, -1)
-        total = sum(group.places.size for group in batch.groups)
-        out = []
-        for j, gram in enumerate(self._grams):
-            on = position[gram.places]
-            acting = np.flatnonzero(on >= 0)
-            x, places, c = batch.values[j], batch.places[j], solution.coefficients[gram.places]
+    def _log_gains(
+        self,
+        batch: CandidateBatch,
+        shared: Sequence[tuple[FloatArray, FloatArray]],
+        change: FloatArray,
+        fitted: Sequence[FloatArray],
+    ) -> FloatArray:
+        """Gains of log-likelihood with the variance that remains next to each candidate.
+
+        With the products of `_coupling`, and the change (a, S) of the active coefficients, which
+        fall by that much per unit of each column.
+        """
+        x = linalg.block_diag(*(c[:, None] for c in fitted))  # a column for each candidate
+        squares = np.array([q @ c @ c for q, c in zip(batch.squares, fitted, strict=True)])
+        moved, out = change @ x, -0.5 * batch.prior @ x**2
+        rows = self.independent_share * self.moving.sum(axis=0)
+        for j, (gram, (products, target), places) in enumerate(
+            zip(self._grams, shared, batch.places, strict=True)
+        ):
+            acting, positions = self._acting(gram, self.solution)
+            added, u, c = x[places], moved[positions], self.solution.coefficients[gram.places]
             score = gram.score - gram.matrix @ c
-            shared, target = np.zeros((len(acting), total)), np.zeros(total)
-            if len(places):
-                products = gram.columns.T @ x
-                shared[:, places] = products[acting]
-                target[places] = x.T @ self.torque[:, j] - products.T @ c
-            out.append(
-                JointProducts(
-                    on[acting],
-                    gram.matrix[np.ix_(acting, acting)],
-                    score[acting],
-                    gram.power - float(c @ (gram.score + score)),
-                    shared,
-                    target,
-                )
-            )
-        return out
+            power = gram.power - float(c @ (gram.score + score))
+            if power <= 0.0:
+                continue
+            others = gram.matrix[np.ix_(acting, acting)] @ u - 2.0 * (products @ added)
+            error = power + squares[:, j] - 2.0 * target @ added + 2.0 * score[acting] @ u
+            remaining = (error + np.sum(u * others, axis=0)) / power
+            out -= 0.5 * rows[j] * np.log(np.maximum(remaining, MIN_REMAINING))
+        return np.asarray(out)
+
+    def _acting(self, gram: _JointGram, solution: Solution) -> tuple[IntArray, IntArray]:
+        """Columns of a joint whose coefficients are active, and their places among these."""
+        acting = np.flatnonzero(solution.active[gram.places])
+        return acting, (np.cumsum(solution.active) - 1)[gram.places[acting]]
 
     def _coupling(
-        self, products: Sequence[JointProducts], solution: Solution
-    ) -> tuple[FloatArray, FloatArray]:
-        """Information that the active coefficients share with all columns, and the columns' score.
+        self, batch: CandidateBatch, solution: Solution
+    ) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
+        """Information that active coefficients and columns share, score, and products by joint.
 
-        Returns:
-            Shapes (a, S) and (S,).
+        Shapes (a, S), (S,), and of each joint those of its columns with the active ones and with
+        the residual, (b, S_j) and (S_j,).
         """
-        total = len(products[0].target)
+        shared, total = [], len(batch.prior)
         cross, score = np.zeros((int(solution.active.sum()), total)), np.zeros(total)
-        for part, weight in zip(products, self.weights.tolist(), strict=True):
-            cross[part.active] += weight * part.shared
-            score += weight * part.target
-        return cross, score
+        for j, (gram, x, places) in enumerate(
+            zip(self._grams, batch.values, batch.places, strict=True)
+        ):
+            products = gram.columns.T @ x
+            target = x.T @ self.torque[:, j] - products.T @ solution.coefficients[gram.places]
+            acting, positions = self._acting(gram, solution)
+            shared.append((products[acting], target))
+            cross[np.ix_(positions, places)] += self.weights[j] * products[acting]
+            score[places] += self.weights[j] * target
+        return cross, score, shared
 
 
 def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:

@@ -35,15 +35,15 @@ def reason(estimate: EffectEstimate) -> str:
     Args:
         estimate: An effect that is not asserted.
     """
-    if estimate.evidence.spoils_prediction:
+    if estimate.spoils_prediction:
         return SPOILS_PREDICTION
-    if estimate.effect in DENSE_NAMES and estimate.unique_severity < MIN_SEVERITY:
+    if estimate.effect in DENSE_NAMES and estimate.size < MIN_SEVERITY:
         return TOO_SMALL
     if estimate.probability >= MIN_PROBABILITY:
         return EXPLAINED_AS_WELL
     probable = estimate.probable
     weak = WEAK_FRICTION if estimate.effect in FRICTIONS else WEAK_EVIDENCE
-    if estimate.evidence.by_errors > estimate.evidence.log_bayes_factor:
+    if estimate.by_errors > estimate.log_bayes_factor:
         weak = ERRORS_OF_POSITIONS
     factors = {
         TOO_SMALL: probable.size,

@@ -209,16 +209,10 @@ def _spectrum_peak(
 
     A least-squares periodogram over the angle (Lomb 1976), by Fourier transforms of sums in narrow
     bins of the angle. Rows where the wave lies above the cutoff frequency do not count; the speeds
-    are divided into classes for that.
+    are divided into classes for that. The amplitude may grow with the square of the speed.
 
-    Args:
-        fitted: The joint model whose residual it fits.
-        joint: Index of the joint.
-        low: Smallest order [1/rad or 1/m].
-        grows_with_speed: Whether its amplitude grows with the square of the speed.
-
-    Returns:
-        Order [1/rad or 1/m], half the power of its wave [(N m)²], and number of independent orders.
+    Returns the order [1/rad or 1/m], half the power of its wave [(N m)²], and the number of
+    independent orders.
     """
     rows = np.flatnonzero(fitted.regression.moving[:, joint])
     angle, speed = (x[rows] for x in _angle_and_speed(fitted.motions, joint))
@@ -267,12 +261,8 @@ def _refined(
 ) -> list[_Wave]:
     """Refine orders by Gauss-Newton steps, jointly with all coefficients of a joint model.
 
-    Args:
-        fitted: The joint model, without the waves.
-        joint: Index of the joint.
-        known: Waves that were refined without the last one.
-        order: Order of the last one, of a peak in the order spectrum [1/rad].
-        width: Width of a peak [1/rad].
+    The joint model is without the waves. Those that are known were refined without the last one,
+    whose order is that of a peak in the order spectrum of some width [1/rad].
     """
     distances = width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
 

@@ -11,16 +11,16 @@ in the Laplace approximation of `posterior`. The log odds are ln B_ab/T′ with 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
 from ..designer.isolability_forecast import CONFUSABLE_PAIRS
 from ..effects import EFFECTS_BY_NAME
-from ..effects.effect import CandidateModel
+from ..effects.effect import CandidateModel, Key
 from ..effects.form_error import with_form_error
 from . import probability, rare_candidates
-from .diagnosis import Diagnosis
 from .estimates import EffectEstimate
 from .joint_model import JointModel
 from .rare_candidates import Candidate, CandidateShapes
@@ -40,47 +40,63 @@ def log_odds(log_bayes_factor: float) -> float:
     return log_bayes_factor / probability.RARE_TEMPERATURE
 
 
-def rivals_of(diagnosis: Diagnosis, estimate: EffectEstimate) -> tuple[str, ...]:
-    """Return the effects that may stand in the place of a finding.
+def not_excluded(
+    model: JointModel, effects: Sequence[EffectEstimate], trusted: bool
+) -> dict[Key, dict[str, float]]:
+    """Return the log Bayes factor of each finding over every rival that is not excluded.
 
-    They are its equivalents, and those with which it is often confused and which the model does not
-    have at the joint anyway. An effect of no single joint, as a delay of the clock, is not confused
-    with one of a joint.
+    Rivals are its equivalents, and the effects with which it is often confused and which the model
+    does not have at the joint anyway. An effect of no single joint, as a delay of the clock, is not
+    confused with one of a joint.
 
     Args:
-        diagnosis: The diagnosis.
-        estimate: A finding of it.
+        model: The joint model.
+        effects: Estimates of all effects.
+        trusted: Whether the base model is trusted, so that effects may be found that a refit of it
+            absorbs.
     """
-    if estimate.joint is None:
-        return estimate.equivalents
-    present = {e.effect for e in diagnosis.effects if e.needed and e.joint == estimate.joint}
-    confusable = (
-        name
-        for pair in CONFUSABLE_PAIRS
-        if estimate.effect in pair
-        for name in pair
-        if name not in present
-        and (diagnosis.identified.options.trusted or not EFFECTS_BY_NAME[name].prior_only)
-    )
-    return tuple(dict.fromkeys((*estimate.equivalents, *confusable)))
+    out = {}
+    for finding in (effect for effect in effects if effect.asserted):
+        names = list(finding.equivalents)
+        if finding.joint is not None:
+            present = {e.effect for e in effects if e.needed and e.joint == finding.joint}
+            pairs = [pair for pair in CONFUSABLE_PAIRS if finding.effect in pair]
+            names += [
+                name
+                for name in itertools.chain(*pairs)
+                if name not in present and (trusted or not EFFECTS_BY_NAME[name].prior_only)
+            ]
+        if not names:
+            continue
+        names = list(dict.fromkeys(names))
+        evidence = compare(model, effects, finding.joint, (finding.effect, *names))
+        factors = {name: evidence[finding.effect] - evidence[name] for name in names}
+        out[finding.key] = {
+            name: factor
+            for name, factor in factors.items()
+            if name in finding.equivalents or log_odds(factor) < DECIDED_LOG_ODDS
+        }
+    return out
 
 
-def compare(diagnosis: Diagnosis, joint: int | None, names: Sequence[str]) -> dict[str, float]:
+def compare(
+    model: JointModel, effects: Sequence[EffectEstimate], joint: int | None, names: Sequence[str]
+) -> dict[str, float]:
     """Compare the members of a class.
 
     An effect that the joint model lacks enters with its best plausible form; one that has none
     counts like no effect.
 
     Args:
-        diagnosis: The diagnosis whose joint model is compared.
+        model: The joint model.
+        effects: Estimates of all effects.
         joint: Index of the joint; None for effects of no single joint.
         names: Names of the effects.
 
     Returns:
         By name, the log evidence of the model with this member alone, up to a common constant.
     """
-    model = diagnosis.model
-    needed = {e.key for e in diagnosis.effects if e.needed}
+    needed = {e.key for e in effects if e.needed}
     members = {
         name: [m for m in model.models if m.effect == name and _is_at(m, joint)] for name in names
     }

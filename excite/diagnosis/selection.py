@@ -17,7 +17,8 @@ import numpy as np
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
-from . import cross_validation, filter_search, joint_model, posterior, probability
+from . import cross_validation, joint_model, posterior, probability
+from .filter_search import FilterFits
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
 from .position_errors import PositionErrors
@@ -164,9 +165,7 @@ class _Search:
     ) -> None:
         self._identified, self._motions, self._progress = identified, motions, progress
         self._position_errors = position_errors
-        self._start = filter_search.first_round(
-            identified, motions, position_errors.filter_evidence
-        )
+        self._start = FilterFits(identified, motions).chosen(position_errors.filter_evidence)
         self._error_evidence: dict[Key, float] = {}
         self.model = self._fit(())
         self._error_evidence |= self._position_errors.evidence((), self.model)
@@ -373,7 +372,7 @@ class _Search:
             return self._beyond_position_errors(_Addition(shape, extended, evidence))
         if not is_large and key[0] not in LAST_RESORTS:
             self._small[key] = replace(
-                evidence, effects=(), is_in_model=False, spoils_prediction=not is_predictive
+                evidence, members=(), is_in_model=False, spoils_prediction=not is_predictive
             )
         return None
 
@@ -391,7 +390,7 @@ class _Search:
         if evidence.is_needed:
             return replace(addition, joint=model, evidence=evidence)
         if key[0] not in LAST_RESORTS:
-            self._small[key] = replace(evidence, effects=(), is_in_model=False)
+            self._small[key] = replace(evidence, members=(), is_in_model=False)
         return None
 
     def _add(self, chosen: _Addition, scores: Mapping[Key, float]) -> None:
@@ -437,8 +436,8 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
         return model.keeping([i for i in range(len(model.models)) if i not in left_out])
 
     reduced = without(replaced)
-    named = posterior.log_bayes_factor(model, reduced)
-    largest = max(posterior.log_bayes_factor(model, without([i])) for i in replaced)
+    named = model.log_evidence - reduced.log_evidence
+    largest = model.log_evidence - min(without([i]).log_evidence for i in replaced)
     sigma = reduced.regression.residual_rms(reduced.solution)
     flexible = flexible_models(model.motions, sigma, [joint])
     # a smooth curve of the position is a spring

@@ -19,7 +19,7 @@ from ..effects.effect import CandidateModel
 from . import noise, posterior
 from .flexible_models import EXPERIMENTS, UNMODELLED
 from .joint_model import JointModel
-from .motion_rows import MIN_BIN_ROWS, MotionRows, motion_rows
+from .motion_rows import MotionRows, binned_means
 from .noise import NoiseEstimate
 from .posterior import EffectEvidence
 from .regression import rms
@@ -103,8 +103,7 @@ def find(
         residual: That residual, zero at standstill, shape (N, n) [N m].
         by_errors: Residual that errors of the positions alone leave, shape (N, n) [N m].
     """
-    rows = motion_rows(model.motions)
-    regression = model.regression
+    rows, regression = model.rows, model.regression
     solution = regression.without(posterior.left_out(evidence))
     products, expected = (
         noise.products_of_periods(estimate.periods, model.motions, x) for x in (residual, by_errors)
@@ -112,13 +111,13 @@ def find(
     present = posterior.probabilities(model.n, evidence)
     out = []
     for entry in evidence:
-        if entry.name != UNMODELLED or not entry.is_in_model:
+        if entry.effect != UNMODELLED or not entry.is_in_model:
             continue
         assert entry.joint is not None
         after = float(rms(residual, regression.moving)[entry.joint])
-        size = float(entry.severity[entry.joint])
-        shape = model.models[entry.effects[0]]
-        part = regression.slices[entry.effects[0]]
+        size = float(entry.growth[entry.joint])
+        shape = model.models[entry.members[0]]
+        part = regression.slices[entry.members[0]]
         change = np.zeros(len(solution.coefficients))
         change[part] = solution.coefficients[part]
         torque = regression.torque_along(change)[:, entry.joint]
@@ -191,15 +190,5 @@ def _curve(
     unit = ("m" if rows.linear[over] else "rad") + ("/s" if quantity == "dq" else "")
     label = f"{'speed' if quantity == 'dq' else 'position'} [{unit}]"
     x = (rows.dq if quantity == "dq" else rows.q)[moving, over]
-    curve = _binned_means(x, y[moving])
-    return ResidualResponse(label, *curve, other=None if over == joint else over)
-
-
-def _binned_means(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means of y in equal bins of x that have enough rows, shapes (b,)."""
-    edges = np.linspace(x.min(), x.max(), RESPONSE_BINS + 1)
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, RESPONSE_BINS - 1)
-    count = np.bincount(place, minlength=RESPONSE_BINS)
-    enough = count >= MIN_BIN_ROWS
-    mean = np.bincount(place, y, minlength=RESPONSE_BINS) / np.maximum(count, 1)
-    return 0.5 * (edges[1:] + edges[:-1])[enough], np.asarray(mean[enough], float)
+    curve = binned_means(x, y[moving], np.linspace(x.min(), x.max(), RESPONSE_BINS + 1))
+    return ResidualResponse(label, *curve[:2], other=None if over == joint else over)

@@ -176,14 +176,9 @@ def test_columns_equal_the_catalogues_below_its_band(symbolic: SymbolicEffect):
     fine = np.column_stack([np.interp(t, times, column) for column in flat.T])
     low = band.filter(fine, Grid.KEPT).reshape(-1, *ours.shape[1:])
     is_single = symbolic.effect in SINGLE_CURVES
-    model = CandidateModel(
-        symbolic.effect,
-        symbolic.joint,
-        single_curve if is_single else EFFECTS_BY_NAME[symbolic.effect].torque_columns,
-        symbolic.values,
-        symbolic.other,
-    )
-    expected = model.columns(recorded())
+    definition = EFFECTS_BY_NAME[symbolic.effect]
+    model = CandidateModel(definition, symbolic.joint, symbolic.values, symbolic.other)
+    expected = single_curve(recorded(), model) if is_single else model.columns(recorded())
     assert expected.shape == low.shape
     # the middle period, away from the ends
     kept = t[:: band.steps(Grid.KEPT)]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -16,10 +15,10 @@ from .effect import (
     NonlinearParameter,
     grid_candidates,
     harmonic_columns,
-    pair_amplitude,
-    variants_within,
+    pair_parameters,
+    within,
 )
-from .recorded_motion import RecordedMotion, radian
+from .recorded_motion import FittedRobot, RecordedMotion, radian
 
 MAX_AMPLITUDE = 0.1
 """Largest plausible error of an encoder [rad], see `recorded_motion.radian`."""
@@ -38,62 +37,61 @@ ALIAS_ORDER_FACTOR = 1.25
 """Factor within which the order is optimised there."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+class _EncoderError(Effect):
     """Torque by an error δ of the recorded position: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
-    joint, robot = model.joint_index, motion.fitted_robot
-    by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in motion.derivatives)
-    error = harmonic_columns(model.values, motion.coarse_samples.q[:, joint])
-    spectrum = motion.band.transform(error, Grid.COARSE)
-    first, second = spectrum.filter(Grid.COARSE, 1, 2.0), spectrum.filter(Grid.COARSE, 2, 2.0)
-    torque = by_q * error[:, None] + by_v * first[:, None] + mass * second[:, None]
-    torque[:, joint] += (
-        robot.actuator_parameter("rotor_inertia")[joint] * second
-        + robot.actuator_parameter("viscous")[joint] * first
-    )
-    return -motion.lowpass(torque, Grid.COARSE)
 
-
-def _family(
-    joint: int, unit: float, multiples: Mapping[str, float]
-) -> Callable[[float], CandidateModel]:
-    """Return the models of a joint by their order, a single wave or one with its multiples.
-
-    Args:
-        joint: Index of the joint.
-        unit: What `recorded_motion.radian` returns.
-        multiples: Multiples of the order that are fitted jointly.
-    """
-
-    def model(order: float) -> CandidateModel:
-        def variants() -> list[NonlinearParameter]:
-            families = [_family(joint, unit, multiples)] if multiples else []
-            return variants_within(ALIAS_ORDER_RATIO * order, ALIAS_ORDER_FACTOR, families)
-
-        return CandidateModel(
-            "encoder_error",
-            joint,
-            _columns,
-            {"order": order, **multiples},
-            parameters=pair_amplitude(order=order),
-            is_plausible=lambda c: bool(np.hypot(c[::2], c[1::2]).max() < MAX_AMPLITUDE * unit),
-            variants=variants,
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        joint, robot = model.joint_index, motion.fitted_robot
+        by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in motion.derivatives)
+        error = harmonic_columns(model.values, motion.coarse_samples.q[:, joint])
+        spectrum = motion.band.transform(error, Grid.COARSE)
+        first, second = spectrum.filter(Grid.COARSE, 1, 2.0), spectrum.filter(Grid.COARSE, 2, 2.0)
+        torque = by_q * error[:, None] + by_v * first[:, None] + mass * second[:, None]
+        torque[:, joint] += (
+            robot.actuator_parameter("rotor_inertia")[joint] * second
+            + robot.actuator_parameter("viscous")[joint] * first
         )
+        return -motion.lowpass(torque, Grid.COARSE)
 
-    return model
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        """Yield single waves, and waves with their multiples.
+
+        The torque of a wave grows with the square of its order, so that the multiples of an
+        eccentric disc's error matter. Orders above those of the grid are sought in the residual.
+        """
+        for j in range(motions[0].n):
+            unit = radian(motions, j)
+            for grid, multiples in ((ORDERS, {}), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
+                orders = (np.array(grid) / unit).tolist()
+                values = {"order": orders[0], **multiples}
+                model = CandidateModel(self, j, values, facts={"unit": unit})
+                yield from grid_candidates(model, "order", orders)
+
+    def parameters(
+        self, model: CandidateModel, c: FloatArray, base: FittedRobot
+    ) -> dict[str, float]:
+        return pair_parameters(model, c)
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        amplitudes = np.hypot(c[::2], c[1::2])
+        return bool(amplitudes.max() < MAX_AMPLITUDE * model.facts["unit"])
+
+    def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
+        if not MULTIPLES.keys() <= model.values.keys():
+            return []
+        alias = model.with_values(order=ALIAS_ORDER_RATIO * model.values["order"])
+        return [within(alias, "order", ALIAS_ORDER_FACTOR)]
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Single waves, and waves with their multiples.
-
-    The torque of a wave grows with the square of its order, so that the multiples of an eccentric
-    disc's error matter. Orders above those of the grid are sought in the residual.
-    """
-    for j in range(motions[0].n):
-        unit = radian(motions, j)
-        for orders, multiples in ((ORDERS, {}), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
-            yield from grid_candidates(
-                (np.array(orders) / unit).tolist(), _family(j, unit, multiples)
-            )
+ENCODER_ERROR = _EncoderError(
+    "encoder_error",
+    "q + ε cos(kq + φ), with its multiples",
+    {"amplitude": "rad", "order": "1/turn"},
+    "once or a few times a turn, growing with the square of speed",
+    "constant speeds, slow and fast, over a turn",
+    form_std={"amplitude": 0.4, "order": 0.4},
+)
+"""Periodic encoder error; users call it encoder eccentricity or sensor ripple."""
 
 
 def high_order(
@@ -108,21 +106,7 @@ def high_order(
         width: Distance within which the order may be optimised [1/rad or 1/m].
         alternatives: Number of orders that were searched.
     """
-
-    def model(order: float) -> CandidateModel:
-        return replace(_family(joint, unit, {})(order), alternatives=alternatives)
-
-    return NonlinearParameter(order, order - width, order + width, model).at(order)
-
-
-ENCODER_ERROR = Effect(
-    "encoder_error",
-    "q + ε cos(kq + φ), with its multiples",
-    _columns,
-    _candidates,
-    {"amplitude": "rad", "order": "1/turn"},
-    "once or a few times a turn, growing with the square of speed",
-    "constant speeds, slow and fast, over a turn",
-    form_std={"amplitude": 0.4, "order": 0.4},
-)
-"""Periodic encoder error; users call it encoder eccentricity or sensor ripple."""
+    model = CandidateModel(
+        ENCODER_ERROR, joint, {"order": order}, facts={"unit": unit}, alternatives=alternatives
+    )
+    return NonlinearParameter(model, "order", order, order - width, order + width).current

@@ -1,0 +1,53 @@
+"""Torque of one joint that follows from its present motion and load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._types import FloatArray
+from .effect import CandidateModel, Effect, single_joint_columns
+from .friction_runtime import JointMotion, columns
+from .hysteresis import direction
+from .recorded_motion import RecordedMotion
+
+
+@dataclass(frozen=True, eq=False)
+class JointTorque(Effect):
+    """An effect whose columns are those of `friction_runtime.columns`.
+
+    Its dry part has the direction of `hysteresis.direction`.
+    """
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        """Return the low-passed columns at the motion's rows, shape (N, n, k)."""
+        return single_joint_columns(motion, model.joint_index, torque_at_samples(motion, model))
+
+
+def torque_at_samples(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Return the torque of a joint per unit of each coefficient, at every sample.
+
+    Args:
+        motion: The recorded motion.
+        model: A model of a `JointTorque`.
+
+    Returns:
+        Shape (M, k) [N m].
+    """
+    s, j = motion.samples, model.joint_index
+    other = j if model.other is None else model.other
+    x = JointMotion(
+        s.q[:, j],
+        s.dq[:, j],
+        s.ddq[:, j],
+        motion.transmitted_torque[:, j],
+        s.dq[:, other],
+        s.ddq[:, other],
+        float(motion.widths[j]),
+    )
+    dry, smooth = columns(model.effect, dict(model.values), x)
+    if dry:
+        sign = direction(motion, model)
+        dry = [sign * column for column in dry]
+    return np.array([np.broadcast_to(column, len(s)) for column in (*dry, *smooth)]).T

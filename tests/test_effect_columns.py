@@ -20,7 +20,7 @@ from excite.designer.effect_columns import (
 )
 from excite.designer.presliding import presliding_state
 from excite.effects import EFFECTS_BY_NAME
-from excite.effects.effect import CandidateModel, harmonic_columns, single_joint_columns
+from excite.effects.effect import CandidateModel, single_joint_columns
 from excite.effects.recorded_motion import RecordedMotion, fitted_robot
 from excite.identification.lowpass import Grid
 from excite.identification.segments import RecordingSegment
@@ -146,7 +146,8 @@ def single_curve(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     v, j = model.values, JOINT
     speed, load = np.abs(motion.samples.dq[:, j]), np.abs(motion.transmitted_torque[:, j])
     if model.effect == "torque_ripple":
-        return single_joint_columns(motion, j, harmonic_columns(v, motion.samples.q[:, j]))
+        angle = v["order"] * motion.samples.q[:, j]
+        return single_joint_columns(motion, j, np.column_stack([np.cos(angle), np.sin(angle)]))
     if model.effect == "hysteresis":
         return single_joint_columns(
             motion, j, dahl(motion.samples.q[:, j], v["reach"]) - motion.sign(j)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from .._types import FloatArray
-from .effect import CandidateModel
+from .effect import CandidateModel, Values
 from .friction import max_speed
 from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion
@@ -31,9 +31,7 @@ class _AsymmetricViscous(JointTorque):
         """Check that it dissipates energy in both directions, with all friction."""
         return bool(abs(c[0]) < model.facts["limit"])
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         viscous = float(base.actuator_parameter("viscous")[model.joint_index])
         return {"positive": viscous + float(c[0]), "negative": viscous - float(c[0])}
 

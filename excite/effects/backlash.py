@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect, NonlinearParameter, grid_candidates, within
+from .effect import CandidateModel, Effect, NonlinearParameter, Values, grid_candidates, within
 from .gear_dynamics import link_lag_torque, simulate_backlash_gap
 from .recorded_motion import FittedRobot, RecordedMotion, radian
 
@@ -53,9 +53,7 @@ class _Backlash(Effect):
                     model = CandidateModel(self, j, values, facts={"max_frequency": max_frequency})
                     yield from grid_candidates(model, "width", widths)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"width": float(model.values["width"] * c[0])}
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect, NonlinearParameter, grid_candidates, within
+from .effect import CandidateModel, Effect, NonlinearParameter, Values, grid_candidates, within
 from .gear_dynamics import (
     FREQUENCY_FACTOR,
     MIN_STIFFNESS_SHARE,
@@ -176,9 +176,7 @@ class _BaseCompliance(Effect):
                 model = CandidateModel(self, None, values, motions=motions)
                 yield from grid_candidates(model, "frequency", frequencies)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"frequency": model.values["frequency"]}
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:

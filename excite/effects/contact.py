@@ -9,7 +9,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect, NonlinearParameter
+from .effect import CandidateModel, Effect, NonlinearParameter, Values
 from .recorded_motion import FittedRobot, RecordedMotion
 
 COURSES = ((1.0, 0.0, 0.0), (1.348, 1.0, 0.0), (1.6, 0.0, 8.0))
@@ -26,10 +26,7 @@ factor of two apart, so that the true length is within √2 of one. The range of
 
 
 class _Contact(Effect):
-    """Torque −Jᵀ f of a force f on a link's centre of mass during an interval.
-
-    The force is in the base frame; one column per basis function and component.
-    """
+    """Torque −Jᵀ f of a force f, in the base frame, on a link's centre of mass in an interval."""
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         course = _course(motion, model)
@@ -38,9 +35,7 @@ class _Contact(Effect):
         torque = -np.einsum("tk,txj->tjkx", course, motion.link_jacobians[:, model.joint_index])
         return motion.lowpass(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the largest force of the course [N]."""
         return {"force": float(np.linalg.norm(c.reshape(-1, 3), axis=1).max())}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .._types import FloatArray
 from ..identification.lowpass import Grid
 from ..schemas.effects import is_recording_filter
-from .effect import CandidateModel, Effect, grid_candidates, single_joint_rows
+from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_rows
 from .recorded_motion import FittedRobot, RecordedMotion, interpolated
 
 DELAYS = (0.003, 0.008, 0.02)
@@ -123,9 +123,7 @@ class _Delay(Effect):
             delayed = CandidateModel(self, joint, {"measured": 1.0, "seconds": DELAYS[0]})
             yield from grid_candidates(delayed, "seconds", DELAYS)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {} if is_recording_filter(model.values) else {"seconds": float(c[0])}
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
@@ -167,7 +165,7 @@ def _delayed(motion: RecordedMotion, torque: FloatArray, seconds: float) -> Floa
     return interpolated(motion.times - seconds, motion.times, torque)
 
 
-def _filter_of(values: Mapping[str, float]) -> LowPass:
+def _filter_of(values: Values) -> LowPass:
     """Return the filter of a candidate model with some values."""
     return LowPass(int(values["poles"]), int(values["passes"]), values["hertz"])
 

@@ -10,10 +10,10 @@ import numpy as np
 from .._types import FloatArray
 from .recorded_motion import FittedRobot, RecordedMotion
 
-HARMONIC_KEYS = {2: "twice", 3: "thrice"}
-"""Multiples of a spatial frequency that a candidate may fit jointly, by their key in its values."""
 MAX_VARIANT_STEPS = 4
 """Largest number of moves from a model variant to a better neighbouring one."""
+Values = dict[str, float]
+"""Quantities by their names."""
 Key = tuple[str, int | None]
 """Name of an effect and index of its joint; None for an effect of no single joint."""
 
@@ -69,9 +69,7 @@ class Effect:
         """Yield all candidate models for a robot with recorded motions: one of every joint."""
         return (CandidateModel(self, j) for j in range(motions[0].n if self.has_candidates else 0))
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the reported parameters by name: the coefficients, in the order of the units.
 
         Args:
@@ -143,11 +141,11 @@ class CandidateModel:
 
     definition: Effect
     joint: int | None
-    values: Mapping[str, float] = field(default_factory=dict)
+    values: Values = field(default_factory=dict)
     other: int | None = None
     interval: tuple[float, float] | None = None
     source: str = ""
-    facts: Mapping[str, float] = field(default_factory=dict)
+    facts: Values = field(default_factory=dict)
     motions: Sequence[RecordedMotion] = field(default=(), repr=False, compare=False)
     nonlinear: NonlinearParameter | None = None
     own_columns: Callable[[RecordedMotion], FloatArray] | None = None
@@ -200,7 +198,7 @@ class CandidateModel:
         """Return coefficients, shape (k,), without those of the discrepancy of its form."""
         return c[: len(c) - self.form_columns]
 
-    def parameters(self, c: FloatArray, base: FittedRobot) -> dict[str, float]:
+    def parameters(self, c: FloatArray, base: FittedRobot) -> Values:
         """Return the reported parameters by name, see `Effect.parameters`."""
         return self.definition.parameters(self, c, base)
 
@@ -305,20 +303,6 @@ def grid_candidates(
         yield NonlinearParameter(model, key, value, low, high).current
 
 
-def harmonic_columns(values: Mapping[str, float], angle: FloatArray) -> FloatArray:
-    """Return cosine and sine of a model's spatial frequency and its multiples.
-
-    Args:
-        values: Values of the model: "order" is the spatial frequency [1/rad].
-        angle: Joint angle [rad], shape (M,).
-
-    Returns:
-        Columns of shape (M, k).
-    """
-    numbers = [1, *(k for k, key in HARMONIC_KEYS.items() if key in values)]
-    return np.array([f(k * values["order"] * angle) for k in numbers for f in (np.cos, np.sin)]).T
-
-
 def single_joint_columns(motion: RecordedMotion, joint: int, x: FloatArray) -> FloatArray:
     """Return low-passed columns that act on one joint only.
 
@@ -349,6 +333,6 @@ def single_joint_rows(motion: RecordedMotion, joint: int, low: FloatArray) -> Fl
     return out.swapaxes(0, 1)
 
 
-def pair_parameters(model: CandidateModel, c: FloatArray) -> dict[str, float]:
+def pair_parameters(model: CandidateModel, c: FloatArray) -> Values:
     """Return the amplitude of a cosine and sine pair, the first coefficients, and its order."""
     return {"amplitude": float(np.hypot(c[0], c[1])), "order": model.values["order"]}

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect, NonlinearParameter, grid_candidates, within
+from .effect import CandidateModel, Effect, NonlinearParameter, Values, grid_candidates, within
 from .gear_dynamics import (
     FREQUENCY_FACTOR,
     elastic_deflection,
@@ -71,9 +71,7 @@ class _Elasticity(Effect):
                     yield from grid_candidates(replace(model, facts=facts), "stiffness", grid[:-1])
             yield stiffest
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         stiffness = model.values["stiffness"]
         if stiffness < model.facts["resonant_stiffness"]:
             return {"stiffness": stiffness}

@@ -9,12 +9,11 @@ import numpy as np
 from .._types import FloatArray
 from ..identification.lowpass import Grid
 from .effect import (
-    HARMONIC_KEYS,
     CandidateModel,
     Effect,
     NonlinearParameter,
+    Values,
     grid_candidates,
-    harmonic_columns,
     pair_parameters,
     within,
 )
@@ -28,8 +27,8 @@ two. An eccentric disc errs once a turn, its pattern a few times; higher orders 
 residual."""
 ORDERS_WITH_MULTIPLES = (1.0, 1.6, 2.5, 4.0)
 """Orders of the grid of waves with multiples [1/rad], which have no gaps between them."""
-MULTIPLES = dict.fromkeys(HARMONIC_KEYS.values(), 1.0)
-"""Values of a wave with its multiples."""
+MULTIPLES = {"twice": 2, "thrice": 3}
+"""Multiples of the order that may be fitted jointly, by their key in the values."""
 ALIAS_ORDER_RATIO = 1.5
 """Order of a wave with multiples over that of another for which it may be mistaken: two of its
 three waves lie close to two of the other's."""
@@ -43,7 +42,10 @@ class _EncoderError(Effect):
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         joint, robot = model.joint_index, motion.fitted_robot
         by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in motion.derivatives)
-        error = harmonic_columns(model.values, motion.coarse_samples.q[:, joint])
+        multiples = [1, *(k for key, k in MULTIPLES.items() if key in model.values)]
+        orders = [k * model.values["order"] for k in multiples]
+        q = motion.coarse_samples.q[:, joint]
+        error = np.array([f(order * q) for order in orders for f in (np.cos, np.sin)]).T
         spectrum = motion.band.transform(error, Grid.COARSE)
         first, second = spectrum.filter(Grid.COARSE, 1, 2.0), spectrum.filter(Grid.COARSE, 2, 2.0)
         torque = by_q * error[:, None] + by_v * first[:, None] + mass * second[:, None]
@@ -61,15 +63,13 @@ class _EncoderError(Effect):
         """
         for j in range(motions[0].n):
             unit = radian(motions, j)
-            for grid, multiples in ((ORDERS, {}), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
+            for grid, multiples in ((ORDERS, ()), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
                 orders = (np.array(grid) / unit).tolist()
-                values = {"order": orders[0], **multiples}
+                values = {"order": orders[0], **dict.fromkeys(multiples, 1.0)}
                 model = CandidateModel(self, j, values, facts={"unit": unit})
                 yield from grid_candidates(model, "order", orders)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return pair_parameters(model, c)
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:

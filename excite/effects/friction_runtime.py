@@ -10,8 +10,7 @@ Positions, velocities and loads have the shape (n,), or (environments, n) for ma
 The load is the torque of the rigid links, without rotors and friction [N m]: inverse dynamics of q,
 dq, ddq. Presliding hysteresis (Maxwell-slip elements), and other dry friction that builds up in the
 same elements, has a state, which `torque` advances by the change of q since the last call; `reset`
-forgets it. The state does not depend on time, so that
-repeated calls at one position change nothing.
+forgets it. The state does not depend on time: repeated calls at one position change nothing.
 
 MuJoCo: `install(mujoco, model, friction, beyond="mjcf")` subtracts from the passive forces what the
 exported MJCF does not hold. Isaac Lab: subtract `friction.torque(q, dq, load, beyond="isaaclab")`
@@ -124,18 +123,6 @@ def stateless(term: Term, x: JointMotion, m: Any = np) -> tuple[Any, Any]:
 _Columns = tuple[list[Any], list[Any]]
 
 
-def _friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
-    return [1.0], [x.dq]
-
-
-def _torque_offset(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
-    return [], [1.0]
-
-
-def _asymmetric_viscous(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
-    return [], [m.fabs(x.dq)]
-
-
 def _stribeck(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
     shares = [m.fabs(x.dq) / (speed * v["top_speed"]) for speed in STRIBECK_SPEEDS]
     return [m.exp(-share) for share in shares] + [m.exp(-(share**2)) for share in shares], []
@@ -150,10 +137,6 @@ def _nonlinear_viscous(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
     curves += [m.sign(share) * m.sqrt(size), share * size, share**3]
     # less the linear curve of equal friction at the largest speed
     return [], [curve - share for curve in curves]
-
-
-def _drag(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
-    return [], [x.dq * m.fabs(x.dq)]
 
 
 def _load_friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
@@ -206,17 +189,17 @@ def _coupling(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
     return [], friction if "light" in v else [*friction, v["ratio"] * x.other_ddq]
 
 
-_COLUMNS = {
-    "base": _friction,
-    "base_offset": _torque_offset,
-    "asymmetric_viscous": _asymmetric_viscous,
+_COLUMNS: dict[str, Any] = {
+    "base": lambda v, x, m: ([1.0], [x.dq]),
+    "base_offset": lambda v, x, m: ([], [1.0]),
+    "asymmetric_viscous": lambda v, x, m: ([], [m.fabs(x.dq)]),
     "stribeck": _stribeck,
     "nonlinear_viscous": _nonlinear_viscous,
-    "drag": _drag,
+    "drag": lambda v, x, m: ([], [x.dq * m.fabs(x.dq)]),
     "load_friction": _load_friction,
     "position_friction": _position_friction,
-    "friction": _friction,
-    "torque_offset": _torque_offset,
+    "friction": lambda v, x, m: ([1.0], [x.dq]),
+    "torque_offset": lambda v, x, m: ([], [1.0]),
     "spring": _spring,
     "torque_ripple": _torque_ripple,
     "coupling": _coupling,

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect
+from .effect import CandidateModel, Effect, Values
 from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_TILT_SINE = 0.7
@@ -35,9 +35,7 @@ class _GravityTilt(Effect):
         for large in (0.0, 1.0) if is_upright else (0.0,):
             yield CandidateModel(self, None, {"large": large})
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return roll and pitch, as in URDF, from the change of gravity across and along it."""
         if len(c) == 2:
             return {"roll": float(c[0]), "pitch": float(c[1])}

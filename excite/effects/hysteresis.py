@@ -14,7 +14,7 @@ from itertools import accumulate
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from .effect import CandidateModel, Effect, single_joint_rows
+from .effect import CandidateModel, Effect, Values, single_joint_rows
 from .friction_runtime import ELEMENTS, LAST_REACH, UNEQUAL_ELEMENTS, damping, reaches, shares
 from .recorded_motion import FittedRobot, RecordedMotion, radian
 
@@ -61,7 +61,7 @@ def _elements(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 
     def compute() -> FloatArray:
         q = motion.samples.q[:, j]
-        return np.column_stack([maxwell_slip(q, d) for d in reaches(dict(model.values)).tolist()])
+        return np.column_stack([maxwell_slip(q, d) for d in reaches(model.values).tolist()])
 
     name = f"Maxwell-slip elements of joint {j} from {model.values['reach']}"
     return motion.for_all_fits(name, compute)
@@ -101,7 +101,7 @@ def direction(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     sign = motion.sign(model.joint_index)
     if "share_0" not in model.values:
         return sign
-    share = shares(dict(model.values))
+    share = shares(model.values)
     return np.asarray(_elements(motion, model) @ share + (1.0 - share.sum()) * sign)
 
 
@@ -109,7 +109,7 @@ class _Hysteresis(Effect):
     """Presliding friction minus the smooth sign function that it replaces, and its damping."""
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-        j, values = model.joint_index, dict(model.values)
+        j, values = model.joint_index, model.values
 
         def low_passed() -> FloatArray:
             elements = _elements(motion, model)
@@ -123,10 +123,8 @@ class _Hysteresis(Effect):
         damped = motion.lowpass((motion.samples.dq[:, j] * (sticks @ damping(values)))[:, None])
         return single_joint_rows(motion, j, np.hstack([columns, damped]))
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
-        stiffness = float(np.sum(c[:ELEMENTS] / reaches(dict(model.values))))
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        stiffness = float(np.sum(c[:ELEMENTS] / reaches(model.values)))
         return {"amplitude": float(c[:ELEMENTS].sum()), "stiffness": stiffness}
 
 

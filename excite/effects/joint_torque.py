@@ -22,32 +22,23 @@ class JointTorque(Effect):
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         """Return the low-passed columns at the motion's rows, shape (N, n, k)."""
-        return single_joint_columns(motion, model.joint_index, torque_at_samples(motion, model))
+        return single_joint_columns(motion, model.joint_index, self._at_samples(motion, model))
 
-
-def torque_at_samples(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Return the torque of a joint per unit of each coefficient, at every sample.
-
-    Args:
-        motion: The recorded motion.
-        model: A model of a `JointTorque`.
-
-    Returns:
-        Shape (M, k) [N m].
-    """
-    s, j = motion.samples, model.joint_index
-    other = j if model.other is None else model.other
-    x = JointMotion(
-        s.q[:, j],
-        s.dq[:, j],
-        s.ddq[:, j],
-        motion.transmitted_torque[:, j],
-        s.dq[:, other],
-        s.ddq[:, other],
-        float(motion.widths[j]),
-    )
-    dry, smooth = columns(model.effect, dict(model.values), x)
-    if dry:
-        sign = direction(motion, model)
-        dry = [sign * column for column in dry]
-    return np.array([np.broadcast_to(column, len(s)) for column in (*dry, *smooth)]).T
+    def _at_samples(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        """Columns of the joint at every sample, shape (M, k)."""
+        s, j = motion.samples, model.joint_index
+        other = j if model.other is None else model.other
+        x = JointMotion(
+            s.q[:, j],
+            s.dq[:, j],
+            s.ddq[:, j],
+            motion.transmitted_torque[:, j],
+            s.dq[:, other],
+            s.ddq[:, other],
+            float(motion.widths[j]),
+        )
+        dry, smooth = columns(self.name, model.values, x)
+        if dry:
+            sign = direction(motion, model)
+            dry = [sign * column for column in dry]
+        return np.array([np.broadcast_to(column, len(s)) for column in (*dry, *smooth)]).T

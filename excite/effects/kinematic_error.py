@@ -11,7 +11,7 @@ import pinocchio as pin
 from .._types import FloatArray
 from ..identification.lowpass import Grid
 from ..robot.dynamics import inverse_dynamics
-from .effect import CandidateModel, Effect
+from .effect import CandidateModel, Effect, Values
 from .recorded_motion import FittedRobot, RecordedMotion
 
 ANGLE_STEP = 1e-4
@@ -57,9 +57,7 @@ class _KinematicError(Effect):
         for j, is_angle, moves_link in product(range(motions[0].n), (1.0, 0.0), (0.0, 1.0)):
             yield CandidateModel(self, j, {"angle": is_angle, "whole": moves_link})
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"angle" if model.values["angle"] else "length": float(np.linalg.norm(c))}
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:

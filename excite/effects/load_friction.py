@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel
+from .effect import CandidateModel, Values
 from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion
 
@@ -23,9 +23,7 @@ class _LoadFriction(JointTorque):
     The load itself is of either sign: the efficiency of gears differs by the direction of power.
     """
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"mu": float(c[0] + c[1] * model.facts["mean_load"] / model.values["scale"])}
 
 

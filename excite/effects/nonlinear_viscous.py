@@ -7,30 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, single_joint_rows
+from .effect import CandidateModel, Values, single_joint_rows
 from .friction import max_speed
 from .friction_runtime import ASINH_SPEEDS, TANH_SPEEDS, JointMotion, columns
-from .joint_torque import JointTorque, torque_at_samples
+from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion
 
 
 class _NonlinearViscous(JointTorque):
-    """Friction curves that are not linear in speed, less the linear one of equal friction at top.
-
-    Concave ones (asinh: Eyring viscosity; tanh, root) and convex ones (square, cube).
-    """
+    """Concave friction curves (asinh, tanh, root) and convex ones (square, cube)."""
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         j, top_speed = model.joint_index, model.values["top_speed"]
         curves = motion.for_all_fits(
             f"viscous curves of joint {j} up to {top_speed}",
-            lambda: motion.lowpass(torque_at_samples(motion, model)),
+            lambda: motion.lowpass(self._at_samples(motion, model)),
         )
         return single_joint_rows(motion, j, curves)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the power whose deviation from a line fits best; friction opposes motion."""
         share = np.linspace(0.02, 1.0, 60)
         _, curves = columns(self.name, {"top_speed": 1.0}, JointMotion(dq=share))

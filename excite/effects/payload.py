@@ -10,7 +10,7 @@ from .._types import FloatArray
 from ..identification.lowpass import Grid
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import pseudo_inertia
-from .effect import CandidateModel, Effect
+from .effect import CandidateModel, Effect, Values
 from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_CENTRE_DISTANCE = 1.5
@@ -54,9 +54,7 @@ class _Payload(Effect):
                 values = {"link": float(link), "count": float(count)}
                 yield CandidateModel(self, joint, values, motions=motions)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         reach = float(np.linalg.norm(c[1:4]))
         # otherwise a tool was moved, which is no body of its own
         is_body = c[0] != 0.0 and reach <= MAX_CENTRE_DISTANCE * abs(c[0])

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, grid_candidates
+from .effect import CandidateModel, Values, grid_candidates
 from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion, position_range, radian
 
@@ -34,9 +34,7 @@ class _PositionFriction(JointTorque):
                 values = {"order": orders[0], "waves": waves, "low": low, "high": high}
                 yield from grid_candidates(CandidateModel(self, j, values), "order", orders)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"amplitude": float(np.hypot(c[0], c[1]))}
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from .._types import FloatArray
 from ..robot.samples import MIN_TRAVEL
-from .effect import CandidateModel, grid_candidates
+from .effect import CandidateModel, Values, grid_candidates
 from .friction_runtime import SPRING_FORMS, JointMotion, columns
 from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion, position_range
@@ -42,7 +42,7 @@ class _Spring(JointTorque):
             if high - low >= MIN_TRAVEL:
                 yield from self._candidates(j, {"low": low, "high": high})
 
-    def _candidates(self, j: int, ends: Mapping[str, float]) -> Iterator[CandidateModel]:
+    def _candidates(self, j: int, ends: Values) -> Iterator[CandidateModel]:
         length = ends["high"] - ends["low"]
         for form in range(len(SPRING_FORMS)):
             values = {"form": float(form), **({} if form in UNBOUNDED_FORMS else ends)}
@@ -62,12 +62,10 @@ class _Spring(JointTorque):
         """Return the model with another value; that of a bend is its distance from the low end."""
         return super().varied(model, key, value + (model.facts["low"] if key == "bend" else 0.0))
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the steepest slope, with the sign of the whole curve, and half of the range."""
         q = np.linspace(model.facts["low"], model.facts["high"], CURVE_POINTS)
-        torque = np.column_stack(columns(self.name, dict(model.values), JointMotion(q))[1]) @ c
+        torque = np.column_stack(columns(self.name, model.values, JointMotion(q))[1]) @ c
         steepest = np.abs(np.gradient(torque, q)).max() * np.sign((q - q.mean()) @ torque)
         return {"stiffness": float(steepest), "amplitude": 0.5 * float(np.ptp(torque))}
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel
+from .effect import CandidateModel, Values
 from .friction import max_speed
 from .friction_runtime import STRIBECK_SPEEDS, JointMotion, columns
 from .joint_torque import JointTorque
@@ -17,13 +17,11 @@ from .recorded_motion import FittedRobot, RecordedMotion
 class _Stribeck(JointTorque):
     """Exponential and Gaussian curves."""
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the excess at rest, and the speed at which it has fallen to 1/e."""
         top_speed = model.values["top_speed"]
         speeds = np.geomspace(1e-3, 1.0, 400) * top_speed
-        curves, _ = columns(self.name, dict(model.values), JointMotion(dq=speeds))
+        curves, _ = columns(self.name, model.values, JointMotion(dq=speeds))
         below = np.column_stack(curves) @ c < float(c.sum()) / np.e
         velocity = speeds[int(np.argmax(below))] if below.any() else top_speed
         return {"amplitude": float(c.sum()), "velocity": float(velocity)}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from .._types import FloatArray
 from ..errors import UnusableInput
-from .effect import CandidateModel, Effect, grid_candidates, single_joint_columns
+from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_columns
 from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_COLD_EXCESS = 3.0
@@ -33,8 +33,8 @@ class _ThermalDrift(Effect):
     """
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-        values, j = model.values, model.joint_index
-        friction = values["coulomb"] * motion.sign(j) + values["viscous"] * motion.samples.dq[:, j]
+        j = model.joint_index
+        friction = _friction_torque(motion, j, model.values)
         return single_joint_columns(motion, j, _warming(motion, model) * friction)
 
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -45,18 +45,18 @@ class _ThermalDrift(Effect):
             yield from self._by_temperature(motions, j)
 
     def _by_time(
-        self, motions: Sequence[RecordedMotion], j: int, origin: Mapping[str, float]
+        self, motions: Sequence[RecordedMotion], j: int, origin: Values
     ) -> Iterator[CandidateModel]:
         """Exponential changes with run time, and with the heat of the joint's friction losses."""
         length = max(float(_run_time(motion, origin)[-1]) for motion in motions)
-        coulomb, viscous = _base_friction(motions[0].fitted_robot, j)
-        losses = [_friction_losses(motion, j, coulomb, viscous) for motion in motions]
+        friction = _base_friction(motions[0].fitted_robot, j)
+        losses = [_friction_losses(motion, j, friction) for motion in motions]
         power = float(np.mean(np.concatenate(losses)))
         constants = (np.array(TIME_CONSTANTS) * length).tolist()
         by_run_time = CandidateModel(
             self,
             j,
-            {"time_constant": constants[0], "coulomb": coulomb, "viscous": viscous, **origin},
+            {"time_constant": constants[0], **friction, **origin},
             facts={"mean_speed": _mean_speed(motions, j)},
             motions=motions,
             signature="friction changes with run time",
@@ -76,27 +76,27 @@ class _ThermalDrift(Effect):
         temperatures = np.concatenate([motion.temperature[:, j] for motion in motions])
         if not np.ptp(temperatures) > MIN_TEMPERATURE_RANGE:  # also where it is not a number
             return
-        coulomb, viscous = _base_friction(motions[0].fitted_robot, j)
+        friction = _base_friction(motions[0].fitted_robot, j)
         mean = float(temperatures.mean())
         facts = {
             "mean_speed": _mean_speed(motions, j),
             "below": mean - float(temperatures.min()),
             "above": float(temperatures.max()) - mean,
         }
-        for changing_coulomb in (coulomb, 0.0):  # lubricant thins; dry friction may change or not
-            values = {"reference": mean, "coulomb": changing_coulomb, "viscous": viscous}
+        # lubricant thins; dry friction may change or not
+        for changing in (friction, {**friction, "coulomb": 0.0}):
+            values = {"reference": mean, **changing}
             signature = "friction changes with temperature"
             yield CandidateModel(self, j, values, facts=facts, signature=signature)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the change of friction at mean speed, by temperature that over the whole range."""
         values, facts = model.values, model.facts
-        coulomb, viscous = _base_friction(base, model.joint_index)
-        speed = facts["mean_speed"]
-        share = (values["coulomb"] + values["viscous"] * speed) / (coulomb + viscous * speed)
-        change = float(c[0]) * share
+        changing, friction = (
+            part["coulomb"] + part["viscous"] * facts["mean_speed"]
+            for part in (values, _base_friction(base, model.joint_index))
+        )
+        change = float(c[0]) * (changing / friction)
         if "reference" not in values:
             return {"change": change, "time_constant": values["time_constant"]}
         span = facts["below"] + facts["above"]
@@ -120,11 +120,7 @@ class _ThermalDrift(Effect):
 
 
 def _warming(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Return the change of friction per coefficient, over friction; shape (M,).
-
-    Raises:
-        UnusableInput: If the friction depends on a temperature that was not recorded.
-    """
+    """Return the change of friction per coefficient, over friction; shape (M,)."""
     values, j = model.values, model.joint_index
     if "power" in values:
         return warming_by_losses(motion, model)
@@ -140,7 +136,7 @@ def _warming(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return warming
 
 
-def _run_time(motion: RecordedMotion, values: Mapping[str, float]) -> FloatArray:
+def _run_time(motion: RecordedMotion, values: Values) -> FloatArray:
     """Return the time since the joint was cold [s], shape (M,).
 
     That is the start of the recording, or an "origin" by the clock of all recordings. A recording
@@ -161,30 +157,30 @@ def warming_by_losses(motion: RecordedMotion, model: CandidateModel) -> FloatArr
     constant = model.values["time_constant"]
     decay = float(np.exp(-1.0 / (motion.segment.rate * constant)))
     initial = float(1.0 - np.exp(-_run_time(motion, model.values)[0] / constant))
-    losses = _friction_losses(
-        motion, model.joint_index, model.values["coulomb"], model.values["viscous"]
-    )
-    power = losses / model.values["power"]
+    power = _friction_losses(motion, model.joint_index, model.values) / model.values["power"]
     return np.asarray(
         lfilter([0.0, 1.0 - decay], [1.0, -decay], power)
         + initial * np.exp(-(motion.times - motion.times[0]) / constant)
     )
 
 
-def _friction_losses(
-    motion: RecordedMotion, joint: int, coulomb: float, viscous: float
-) -> FloatArray:
-    """Power that friction dissipates [W], shape (M,)."""
+def _friction_torque(motion: RecordedMotion, joint: int, friction: Values) -> FloatArray:
+    """Torque of Coulomb and viscous friction [N m], shape (M,)."""
     speed = motion.samples.dq[:, joint]
-    return np.asarray((coulomb * motion.sign(joint) + viscous * speed) * speed)
+    return friction["coulomb"] * motion.sign(joint) + friction["viscous"] * speed
 
 
-def _base_friction(base: FittedRobot, joint: int) -> tuple[float, float]:
+def _friction_losses(motion: RecordedMotion, joint: int, friction: Values) -> FloatArray:
+    """Power that friction dissipates [W], shape (M,)."""
+    return _friction_torque(motion, joint, friction) * motion.samples.dq[:, joint]
+
+
+def _base_friction(base: FittedRobot, joint: int) -> Values:
     """Coulomb and viscous friction of the base model; the former is positive."""
     coulomb, viscous = (
         float(base.actuator_parameter(kind)[joint]) for kind in ("coulomb", "viscous")
     )
-    return max(coulomb, 1e-9), viscous
+    return {"coulomb": max(coulomb, 1e-9), "viscous": viscous}
 
 
 def _mean_speed(motions: Sequence[RecordedMotion], joint: int) -> float:

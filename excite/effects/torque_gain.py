@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, single_joint_columns
+from .effect import CandidateModel, Effect, Values, single_joint_columns
 from .recorded_motion import FittedRobot, RecordedMotion
 
 CHANGES = (-0.7, 2.0)
@@ -26,9 +26,7 @@ class _TorqueGain(Effect):
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         return (CandidateModel(self, j, {"measured": 1.0}) for j in range(motions[0].n))
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         # the recorded torque is the true one over the gain
         return {"gain": 1.0 - float(c[0])}
 

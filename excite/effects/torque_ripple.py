@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, pair_parameters
+from .effect import CandidateModel, Values, pair_parameters
 from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion
 
@@ -15,9 +15,7 @@ from .recorded_motion import FittedRobot, RecordedMotion
 class _TorqueRipple(JointTorque):
     """A wave of one order, and one that grows with the load."""
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return pair_parameters(model, c)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from .._types import FloatArray
 from ..identification.standstill import STANDSTILL_SPEED_RATIO
-from .effect import CandidateModel, Effect, grid_candidates, single_joint_columns
+from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_columns
 from .recorded_motion import FittedRobot, RecordedMotion
 
 POWERS = (2.0, 3.0, 5.0)
@@ -59,9 +59,7 @@ class _TorqueSaturation(Effect):
                 model = CandidateModel(self, joint, values, facts=facts)
                 yield from grid_candidates(model, "level", levels)
 
-    def parameters(
-        self, model: CandidateModel, c: FloatArray, base: FittedRobot
-    ) -> dict[str, float]:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"loss": _relative_loss(model, model.values["largest"]) * float(c[0])}
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
@@ -87,7 +85,7 @@ def _relative_loss(model: CandidateModel, torque: float) -> float:
     return float(lost_torque(model.values, np.array([torque]))[0]) / torque
 
 
-def lost_torque(values: Mapping[str, float], x: FloatArray) -> FloatArray:
+def lost_torque(values: Values, x: FloatArray) -> FloatArray:
     """Return the lost torque per coefficient, shape (M,): a power of x, or all above a level."""
     if "level" in values:
         bend = values["bend"]
@@ -95,7 +93,7 @@ def lost_torque(values: Mapping[str, float], x: FloatArray) -> FloatArray:
     return np.asarray(x * (np.abs(x) / values["largest"]) ** (values["power"] - 1.0))
 
 
-def recorded_torque(loss: float, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
+def recorded_torque(loss: float, values: Values, torque: FloatArray) -> FloatArray:
     """Return the torque that is recorded while a saturating actuator produces a torque.
 
     Solves x − c · lost(x) = τ for x.

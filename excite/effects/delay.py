@@ -48,13 +48,14 @@ class LowPass:
         Args:
             frequencies: The frequencies [Hz], shape (k,).
         """
-        s = 1j * frequencies / self.hertz
-        angles = 0.5 * np.pi * (1.0 + (2.0 * np.arange(self.poles) + 1.0) / self.poles)
-        poles = np.exp(1j * angles)
-        once = np.prod([pole / (pole - s) for pole in poles], axis=0)
+        from scipy import signal  # slow to import
+
+        b, a = signal.butter(self.poles, 1.0, analog=True)
+        omega = frequencies / self.hertz
+        once = signal.freqs(b, a, omega)[1]
         if self.passes == 2:
             return np.abs(once) ** 2 + 0j
-        return np.asarray(once * np.exp(-s * np.sum(1.0 / poles).real))
+        return np.asarray(once * np.exp(1j * omega * a[-2]))  # its delay at low frequencies
 
     def slope(self, frequencies: FloatArray) -> NDArray[np.complex128]:
         """Return the derivative of the response by the logarithm of the corner frequency.

@@ -97,9 +97,15 @@ def columns(
         m: Module of the functions: numpy, or casadi for symbols.
 
     Returns:
-        Factors of the sign of the velocity, and after them the columns without a sign [N m or N].
+        Factors of the sign of the velocity, and after them the columns without a sign, both over
+        `unit`.
     """
     return _COLUMNS[effect](v, x, m)
+
+
+def unit(v: dict[str, float]) -> float:
+    """Return the torque over which columns are stated [N m or N]: that of load friction, or 1."""
+    return v.get("scale", 1.0)
 
 
 def stateless(term: Term, x: JointMotion, m: Any = np) -> tuple[Any, Any]:
@@ -117,7 +123,7 @@ def stateless(term: Term, x: JointMotion, m: Any = np) -> tuple[Any, Any]:
     c = term.coefficients
     parts = zip(c[len(dry) :], smooth, strict=True), zip(c[: len(dry)], dry, strict=True)
     smooth_part, dry_part = (sum(a * column for a, column in part) for part in parts)
-    return smooth_part, dry_part
+    return unit(term.values) * smooth_part, unit(term.values) * dry_part
 
 
 _Columns = tuple[list[Any], list[Any]]
@@ -140,8 +146,8 @@ def _nonlinear_viscous(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
 
 
 def _load_friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
-    size = m.fabs(x.load)
-    return [size, size**2 / v["scale"]], [x.load]
+    share = m.fabs(x.load) / v["scale"]
+    return [share, share**2], [x.load / v["scale"]]
 
 
 def _position_friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:

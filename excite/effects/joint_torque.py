@@ -8,7 +8,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, single_joint_columns
-from .friction_runtime import JointMotion, columns
+from .friction_runtime import JointMotion, columns, unit
 from .hysteresis import direction
 from .recorded_motion import RecordedMotion
 
@@ -41,4 +41,5 @@ class JointTorque(Effect):
         if dry:
             sign = direction(motion, model)
             dry = [sign * column for column in dry]
-        return np.array([np.broadcast_to(column, len(s)) for column in (*dry, *smooth)]).T
+        stated = [np.broadcast_to(column, len(s)) for column in (*dry, *smooth)]
+        return unit(model.values) * np.array(stated).T

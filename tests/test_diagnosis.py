@@ -274,7 +274,7 @@ def test_a_curve_of_viscous_friction_is_a_power_that_opposes_motion(curve, conve
     shape = nonlinear_viscous.dense_model(motions(), 0)
     coefficients = np.full(len(shape.nonnegative), 0.05)
     coefficients[curve] = 1.0
-    estimate = shape.parameters(coefficients)
+    estimate = shape.parameters(coefficients, motions()[0].fitted_robot)
     assert estimate["coefficient"] > 0.0 and (estimate["exponent"] > 1.0) == convex
 
 

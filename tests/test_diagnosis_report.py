@@ -26,6 +26,7 @@ from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document, withhold_findings
 from excite.diagnosis.estimates import EffectEstimate
 from excite.diagnosis.probability import Probability
+from excite.effects import EFFECTS_BY_NAME
 from excite.recordings import Remark, RemarkKind
 from excite.report import diagnosis_page
 from excite.report.figures.diagnosis import draw_budget
@@ -280,7 +281,7 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
     effect = next(e for e in result.effects if e.effect == "stribeck" and e.needed)
 
     (shape,) = effect.models
-    spring = (dataclasses.replace(shape, effect="spring"),)
+    spring = (dataclasses.replace(shape, definition=EFFECTS_BY_NAME["spring"]),)
 
     def changed(probable: Probability, **evidence: Any) -> EffectEstimate:
         return dataclasses.replace(effect, is_in_model=False, probable=probable, **evidence)
@@ -303,7 +304,8 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
 def test_exponent_that_may_be_one_has_no_value() -> None:
     result = diagnosis_of(2.0)
     stribeck = result.findings[0]
-    renamed = (dataclasses.replace(stribeck.models[0], effect="nonlinear_viscous"),)
+    definition = EFFECTS_BY_NAME["nonlinear_viscous"]
+    renamed = (dataclasses.replace(stribeck.models[0], definition=definition),)
     effect = dataclasses.replace(stribeck, models=renamed)
     stated = []
     for std in (0.05, 0.2):

@@ -20,7 +20,7 @@ from excite.designer.effect_columns import (
 )
 from excite.designer.presliding import presliding_state
 from excite.effects import EFFECTS_BY_NAME
-from excite.effects.effect import CandidateModel, harmonic_columns, single_joint_columns
+from excite.effects.effect import CandidateModel, single_joint_columns
 from excite.effects.recorded_motion import RecordedMotion, fitted_robot
 from excite.identification.lowpass import Grid
 from excite.identification.segments import RecordingSegment
@@ -146,7 +146,8 @@ def single_curve(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     v, j = model.values, JOINT
     speed, load = np.abs(motion.samples.dq[:, j]), np.abs(motion.transmitted_torque[:, j])
     if model.effect == "torque_ripple":
-        return single_joint_columns(motion, j, harmonic_columns(v, motion.samples.q[:, j]))
+        angle = v["order"] * motion.samples.q[:, j]
+        return single_joint_columns(motion, j, np.column_stack([np.cos(angle), np.sin(angle)]))
     if model.effect == "hysteresis":
         return single_joint_columns(
             motion, j, dahl(motion.samples.q[:, j], v["reach"]) - motion.sign(j)
@@ -176,14 +177,9 @@ def test_columns_equal_the_catalogues_below_its_band(symbolic: SymbolicEffect):
     fine = np.column_stack([np.interp(t, times, column) for column in flat.T])
     low = band.filter(fine, Grid.KEPT).reshape(-1, *ours.shape[1:])
     is_single = symbolic.effect in SINGLE_CURVES
-    model = CandidateModel(
-        symbolic.effect,
-        symbolic.joint,
-        single_curve if is_single else EFFECTS_BY_NAME[symbolic.effect].torque_columns,
-        symbolic.values,
-        symbolic.other,
-    )
-    expected = model.columns(recorded())
+    definition = EFFECTS_BY_NAME[symbolic.effect]
+    model = CandidateModel(definition, symbolic.joint, symbolic.values, symbolic.other)
+    expected = single_curve(recorded(), model) if is_single else model.columns(recorded())
     assert expected.shape == low.shape
     # the middle period, away from the ends
     kept = t[:: band.steps(Grid.KEPT)]

@@ -104,7 +104,8 @@ def test_a_stiffness_with_a_resonance_above_the_cutoff_is_corrected_by_its_coeff
         (c,) = np.linalg.lstsq(
             other.columns(recorded).reshape(-1, 1), exact.columns(recorded).ravel(), rcond=None
         )[0]
-        assert other.parameters(np.array([c]))["stiffness"] == pytest.approx(stiffness, rel=0.005)
+        estimate = other.parameters(np.array([c]), recorded.fitted_robot)
+        assert estimate["stiffness"] == pytest.approx(stiffness, rel=0.005)
         assert other.is_plausible(np.array([c]))
         assert abs(over / c - 1.0) >= min_correction  # as without inertia
 

@@ -159,7 +159,7 @@ def on_base(
     posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
     return [
         replace(effect, parameters=posterior_of.parameters(effect.members, base))
-        if effect.parameters and any(shape.parameters_on_base for shape in effect.models)
+        if effect.parameters and any(shape.definition.depends_on_base for shape in effect.models)
         else effect
         for effect in effects
     ]
@@ -397,7 +397,7 @@ class _Posterior:
         c = self.solution.coefficients[part]
         if not shape.is_plausible(shape.plain(c)):
             return {}
-        values = shape.reported(shape.plain(c), base)
+        values = shape.parameters(shape.plain(c), base)
         cloud = []
         shift, log_std = self._nonlinear(shape, c, places)
         logs = log_std * np.random.default_rng(2).normal(size=len(draws))
@@ -407,8 +407,8 @@ class _Posterior:
             moved = shape
             if shape.nonlinear is not None and log:
                 factor = float(np.exp(np.clip(log, -MAX_LOG_CHANGE, MAX_LOG_CHANGE)))
-                moved = shape.nonlinear.model(shape.nonlinear.value * factor)
-            cloud.append(moved.reported(shape.plain(changed), base))
+                moved = shape.nonlinear.at(shape.nonlinear.value * factor)
+            cloud.append(moved.parameters(shape.plain(changed), base))
         form = EFFECTS_BY_NAME[shape.effect].form_std
         out = {}
         for key, value in values.items():
@@ -437,7 +437,7 @@ class _Posterior:
             return none
         parts = []
         for step in (LOG_STEP, -LOG_STEP):
-            moved = shape.nonlinear.model(shape.nonlinear.value * float(np.exp(step)))
+            moved = shape.nonlinear.at(shape.nonlinear.value * float(np.exp(step)))
             columns = self.model.columns(moved)
             if columns is None or columns.count > len(c):
                 return none

@@ -136,8 +136,7 @@ class FilterFits:
 
 def _computed_once(model: CandidateModel) -> CandidateModel:
     """Return a model that remembers its columns along each motion."""
-    columns = cache(model.columns)
-    return replace(model, torque_columns=lambda motion, _: columns(motion))
+    return replace(model, own_columns=cache(model.columns))
 
 
 def _gain(model: JointModel, plain: JointModel) -> FloatArray:

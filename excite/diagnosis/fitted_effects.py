@@ -74,15 +74,8 @@ def restored(stated: EffectDocument, robot: Robot) -> FittedEffect:
     )
     interval = None if stated.time is None else (float(stated.time[0]), float(stated.time[1]))
     values = {key: float(value) for key, value in stated.values.items()}
-    model = CandidateModel(
-        stated.effect,
-        joint,
-        EFFECTS_BY_NAME[stated.effect].torque_columns,
-        values,
-        other,
-        interval,
-        stated.recording or "",
-    )
+    definition = EFFECTS_BY_NAME[stated.effect]
+    model = CandidateModel(definition, joint, values, other, interval, stated.recording or "")
     return FittedEffect(model, np.array(stated.coefficients, float))
 
 
@@ -180,12 +173,11 @@ def _effect_torque(
         )
         out = torque(of_motion, motion)
         for part in of_measured_torque:
-            predicted_torque = EFFECTS_BY_NAME[part.shape.effect].predicted_torque
-            assert predicted_torque is not None  # every effect of measured torque has it
             produced = motion.motor_torque + out
-            out += band.filter(
-                predicted_torque(motion, part.shape, part.coefficients, produced), Grid.RECORDED
+            change = part.shape.definition.predicted_torque(
+                motion, part.shape, part.coefficients, produced
             )
+            out += band.filter(change, Grid.RECORDED)
         return out
 
     return effect_torque

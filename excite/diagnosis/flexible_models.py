@@ -9,7 +9,7 @@ few coefficients and wins where its form is right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,9 +18,10 @@ from scipy import linalg, signal
 from .._types import FloatArray
 from ..effects.effect import (
     CandidateModel,
+    Effect,
     NonlinearParameter,
     single_joint_rows,
-    variants_within,
+    within,
 )
 from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..identification.lowpass import Grid
@@ -79,6 +80,10 @@ def flexible_models(
             yield from _resonances(columns, state, drive)
 
 
+_FLEXIBLE = Effect(UNMODELLED, "a smooth function of one or two states", {}, "", "")
+"""Definition of models that state their columns themselves."""
+
+
 @dataclass(frozen=True)
 class _Columns:
     """Makes candidate models from features of a joint at all rows of some motions."""
@@ -98,14 +103,14 @@ class _Columns:
         by_motion = {_key(motion): part for motion, part in zip(self.motions, parts, strict=True)}
         joint = self.joint
 
-        def columns(motion: RecordedMotion, _model: CandidateModel) -> FloatArray:
+        def columns(motion: RecordedMotion) -> FloatArray:
             return single_joint_rows(motion, joint, by_motion[_key(motion)])
 
         return CandidateModel(
-            UNMODELLED,
+            _FLEXIBLE,
             joint,
-            columns,
             other=other,
+            own_columns=columns,
             prior_std=self.sigma / np.sqrt(max(scaled.shape[1], 1)),
             signature=regime,
         )
@@ -162,34 +167,48 @@ def _bumps(place: FloatArray) -> FloatArray:
 
 
 def _resonances(columns: _Columns, state: str, regime: str) -> Iterator[CandidateModel]:
-    """Yield oscillators z̈ + 2ζω ż + ω² z = u that an acceleration or a load drives.
-
-    The columns are ω² z, ω ż, and the free oscillation from the start of each motion.
-    """
+    """Yield oscillators z̈ + 2ζω ż + ω² z = u that an acceleration or a load drives."""
     drives = []
     for motion in columns.motions:
         x = motion.coarse_samples.ddq if state == "ddq" else motion.rigid_torque
         u = x[:, columns.joint]
         drives.append(u - u.mean())
 
-    def family(damping: float) -> Callable[[float], CandidateModel]:
-        def model(hertz: float) -> CandidateModel:
-            driven = _driven(columns.motions, drives, hertz, damping)
-            families = [family(damping * f) for f in (1.0 / DAMPING_STEP, DAMPING_STEP)]
-            return replace(
-                columns.model(driven, regime),
-                values={"frequency": hertz, "damping": damping},
-                variants=lambda: variants_within(hertz, FREQUENCY_STEP, families),
-            )
-
-        return model
-
+    resonance = _Resonance(
+        *(UNMODELLED, "z̈ + 2ζω ż + ω² z = u", {}, "", ""),
+        columns=columns,
+        drives=drives,
+        regime=regime,
+    )
     for damping in DAMPING_RATIOS:
-        make = family(damping)
+        model = CandidateModel(resonance, columns.joint, {"frequency": 0.0, "damping": damping})
         for low, middle, high in zip(
             FREQUENCIES[:-2], FREQUENCIES[1:-1], FREQUENCIES[2:], strict=True
         ):
-            yield NonlinearParameter(float(middle), float(low), float(high), make).current
+            grid = float(middle), float(low), float(high)
+            yield NonlinearParameter(model, "frequency", *grid).current
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Resonance(Effect):
+    """Definition of an oscillator that some torque drives.
+
+    The columns are ω² z, ω ż, and the free oscillation from the start of each motion.
+    """
+
+    columns: _Columns
+    drives: Sequence[FloatArray]
+    regime: str
+
+    def varied(self, model: CandidateModel, key: str, value: float) -> CandidateModel:
+        values = {**model.values, key: value}
+        driven = _driven(self.columns.motions, self.drives, values["frequency"], values["damping"])
+        return replace(self.columns.model(driven, self.regime), definition=self, values=values)
+
+    def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
+        ratios = (model.values["damping"] * f for f in (1.0 / DAMPING_STEP, DAMPING_STEP))
+        variants = [model.with_values(damping=ratio) for ratio in ratios]
+        return [within(variant, "frequency", FREQUENCY_STEP) for variant in variants]
 
 
 def _driven(

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
-
-import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, is_between, single_joint_columns
+from .effect import CandidateModel, Values
 from .friction import max_speed
+from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_EXCESS = 1.5
@@ -17,44 +15,34 @@ MAX_EXCESS = 1.5
 friction that refits with it may be larger by half."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """|q̇|: half of the difference between both directions."""
-    return single_joint_columns(
-        motion, model.joint_index, np.abs(motion.samples.dq[:, model.joint_index])
-    )
+class _AsymmetricViscous(JointTorque):
+    """Half of the difference between both directions; their mean is that of the base model."""
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        for j in range(motions[0].n):
+            viscous, coulomb = (
+                max(float(motions[0].fitted_robot.actuator_parameter(kind)[j]), 1e-9)
+                for kind in ("viscous", "coulomb")
+            )
+            limit = MAX_EXCESS * (viscous + coulomb / max(max_speed(motions, j), 1e-9))
+            yield CandidateModel(self, j, facts={"limit": limit})
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        """Check that it dissipates energy in both directions, with all friction."""
+        return bool(abs(c[0]) < model.facts["limit"])
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        viscous = float(base.actuator_parameter("viscous")[model.joint_index])
+        return {"positive": viscous + float(c[0]), "negative": viscous - float(c[0])}
 
 
-def _parameters(joint: int, c: FloatArray, base: FittedRobot) -> dict[str, float]:
-    """Viscous friction in both directions, whose mean is that of the base model."""
-    viscous = float(base.actuator_parameter("viscous")[joint])
-    return {"positive": viscous + float(c[0]), "negative": viscous - float(c[0])}
-
-
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """One candidate a joint; it must dissipate energy in both directions, with all friction."""
-    for j in range(motions[0].n):
-        viscous, coulomb = (
-            max(float(motions[0].fitted_robot.actuator_parameter(kind)[j]), 1e-9)
-            for kind in ("viscous", "coulomb")
-        )
-        limit = MAX_EXCESS * (viscous + coulomb / max(max_speed(motions, j), 1e-9))
-        yield CandidateModel(
-            "asymmetric_viscous",
-            j,
-            _columns,
-            parameters_on_base=partial(_parameters, j),
-            is_plausible=is_between(-limit, limit),
-        )
-
-
-ASYMMETRIC_VISCOUS = Effect(
+ASYMMETRIC_VISCOUS = _AsymmetricViscous(
     "asymmetric_viscous",
     "F_v+ for q̇ > 0, F_v− for q̇ < 0",
-    _columns,
-    _candidates,
     {"positive": "N m s/rad", "negative": "N m s/rad"},
     "torque against speed has another slope in each direction",
     "constant speeds in both directions, several of them",
+    depends_on_base=True,
     form_std={"positive": 0.09, "negative": 0.09},
 )
 """Direction-dependent viscous friction."""

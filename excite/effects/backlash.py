@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import (
-    CandidateModel,
-    Effect,
-    NonlinearParameter,
-    grid_candidates,
-    is_between,
-    variants_within,
-)
+from .effect import CandidateModel, Effect, NonlinearParameter, Values, grid_candidates, within
 from .gear_dynamics import link_lag_torque, simulate_backlash_gap
-from .recorded_motion import RecordedMotion, radian
+from .recorded_motion import FittedRobot, RecordedMotion, radian
 
 WIDTHS = np.geomspace(1e-4, 1e-2, 13)
 """Grid of backlash widths [rad], see `recorded_motion.radian`."""
@@ -33,63 +26,52 @@ SCALES = (0.4, 2.5)
 """Plausible coefficients of the torque of a width [1]; beyond lies another width of the grid."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+class _Backlash(Effect):
     """Torque of a link in its backlash gap, which its load drives from side to side."""
-    j, values = model.joint_index, model.values
-    lag = simulate_backlash_gap(
-        motion.free_acceleration[:, j],
-        1.0 / motion.segment.rate,
-        0.5 * values["width"],
-        2.0 * np.pi * values["hold"],
-    )
-    return link_lag_torque(motion, j, lag, Grid.RECORDED)
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        j, values = model.joint_index, model.values
+        lag = simulate_backlash_gap(
+            motion.free_acceleration[:, j],
+            1.0 / motion.segment.rate,
+            0.5 * values["width"],
+            2.0 * np.pi * values["hold"],
+        )
+        return link_lag_torque(motion, j, lag, Grid.RECORDED)
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        """Yield backlash of every joint whose load changes sign; otherwise the gap stays closed."""
+        # the samples must follow the link
+        max_frequency = min(
+            MAX_HOLDING_FREQUENCY, *(motion.segment.rate / (2.0 * np.pi) for motion in motions)
+        )
+        for j in range(motions[0].n):
+            if any(np.ptp(np.sign(motion.rigid_torque[:, j])) > 1.0 for motion in motions):
+                widths = (radian(motions, j) * WIDTHS).tolist()
+                for frequency in (f for f in HOLDING_FREQUENCIES if f <= max_frequency):
+                    values = {"width": widths[0], "hold": frequency}
+                    model = CandidateModel(self, j, values, facts={"max_frequency": max_frequency})
+                    yield from grid_candidates(model, "width", widths)
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        return {"width": float(model.values["width"] * c[0])}
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        return bool(SCALES[0] < c[0] < SCALES[1])
+
+    def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
+        frequencies = (model.values["hold"] * f for f in (1.0 / VARIANT_FACTOR, VARIANT_FACTOR))
+        return [
+            within(model.with_values(hold=frequency), "width", VARIANT_FACTOR)
+            for frequency in frequencies
+            if 0.0 < frequency <= model.facts["max_frequency"]
+        ]
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Backlash of every joint whose load changes sign; otherwise the gap stays closed."""
-    # the samples must follow the link
-    max_frequency = min(
-        MAX_HOLDING_FREQUENCY, *(motion.segment.rate / (2.0 * np.pi) for motion in motions)
-    )
-
-    def family(joint: int, holding_frequency: float) -> Callable[[float], CandidateModel]:
-        def model(width: float) -> CandidateModel:
-            neighbours = [
-                holding_frequency * factor
-                for factor in (1.0 / VARIANT_FACTOR, VARIANT_FACTOR)
-                if 0.0 < holding_frequency * factor <= max_frequency
-            ]
-
-            def variants() -> list[NonlinearParameter]:
-                return variants_within(
-                    width, VARIANT_FACTOR, (family(joint, f) for f in neighbours)
-                )
-
-            return CandidateModel(
-                "backlash",
-                joint,
-                _columns,
-                {"width": width, "hold": holding_frequency},
-                parameters=lambda c: {"width": float(width * c[0])},
-                is_plausible=is_between(*SCALES),
-                variants=variants,
-            )
-
-        return model
-
-    for j in range(motions[0].n):
-        if any(np.ptp(np.sign(motion.rigid_torque[:, j])) > 1.0 for motion in motions):
-            widths = (radian(motions, j) * WIDTHS).tolist()
-            for frequency in (f for f in HOLDING_FREQUENCIES if f <= max_frequency):
-                yield from grid_candidates(widths, family(j, frequency))
-
-
-BACKLASH = Effect(
+BACKLASH = _Backlash(
     "backlash",
     "ẍ = τ/M inside a gap ±b/2 with inelastic impacts at its boundaries, x seen from the motor "
     "encoder",
-    _columns,
-    _candidates,
     {"width": "rad"},
     "a kick where the load changes sign",
     "slow reversals through zero load",

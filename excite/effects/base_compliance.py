@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from math import factorial
 
 import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import (
-    CandidateModel,
-    Effect,
-    NonlinearParameter,
-    grid_candidates,
-    named_coefficients,
-    variants_within,
-)
+from .effect import CandidateModel, Effect, NonlinearParameter, Values, grid_candidates, within
 from .gear_dynamics import (
     FREQUENCY_FACTOR,
     MIN_STIFFNESS_SHARE,
@@ -24,7 +17,7 @@ from .gear_dynamics import (
     simulate_oscillator,
     solve_linear_recursion,
 )
-from .recorded_motion import RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion
 
 MODES = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides horizontally, tilts about both horizontal axes, turns about the
@@ -51,42 +44,6 @@ MAX_FREQUENCY_RATIO = 2.0
 MAX_SCALE, MAX_OPPOSED = 4.0, 0.3
 """Largest plausible coefficient of the response to a force, by errors of the robot's inertia, and
 the largest one against the force, over the largest along it."""
-
-
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Torque of a base on springs, a column for the force along each coordinate.
-
-    (M + I₀) ẍ + (∂τ/∂ẋ + D) ẋ + (∂τ/∂x + K) x = force of the robot minus its mean; see
-    `FloatingBaseDynamics`. The inertia is that in the present pose; the frequencies are stated for
-    all joints at zero, so that the springs are the same in all recordings. A tilting base also
-    tilts gravity, which dominates in slow motion.
-    """
-    values = model.values
-    axes = list(MODES[int(values["way"])])
-    dynamics, upright = motion.base_dynamics, motion.upright_inertia[axes]
-    mass, by_speed, by_place = (
-        x[:, :, axes] for x in (dynamics.mass, dynamics.by_speed, dynamics.by_place)
-    )
-    inertia = upright + values["stand"] * upright.max()
-    spring = (
-        2.0 * np.pi * values["frequency"] * values["apart"] ** np.arange(len(axes))
-    ) ** 2 * inertia
-    damping = 2.0 * values["damping"] * np.sqrt(spring * inertia)
-    # gravity may not take more of a spring's stiffness than a standing base can lose
-    toppling = float(np.abs(by_place[:, axes]).sum(axis=2).max() / spring.min())
-    stiffness = np.diag(spring) + by_place[:, axes] * min(
-        1.0, (1.0 - MIN_STIFFNESS_SHARE) / max(toppling, 1e-9)
-    )
-    base_motion = simulate_base(
-        mass[:, axes] + np.diag(inertia - upright),
-        by_speed[:, axes] + np.diag(damping),
-        stiffness,
-        (dynamics.reaction.mean(axis=0) - dynamics.reaction)[:, axes],
-        1.0 / motion.band.rate_of(Grid.COARSE),
-    )
-    on_joints = (x[:, 6:] for x in (by_place, by_speed, mass))
-    torque = [part @ x for part, x in zip(on_joints, base_motion, strict=True)]
-    return motion.lowpass(np.sum(torque, axis=0), Grid.COARSE)
 
 
 def simulate_base(
@@ -151,69 +108,6 @@ def matrix_exponential(a: FloatArray) -> tuple[FloatArray, FloatArray]:
     return exponential, mean
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Frequencies and damping ratios of every mode.
-
-    Variants change damping, the pedestal's inertia, and the ratio of two frequencies.
-    """
-
-    def family(
-        mode: int, damping: float, pedestal: float = PEDESTAL_INERTIA, ratio: float = 1.0
-    ) -> Callable[[float], CandidateModel]:
-        def model(frequency: float) -> CandidateModel:
-            def variants() -> list[NonlinearParameter]:
-                out = variants_within(
-                    frequency,
-                    FREQUENCY_FACTOR,
-                    (
-                        family(mode, z, pedestal, ratio)
-                        for z in neighbouring_damping_ratios(damping)
-                    ),
-                )
-                for p in (pedestal / PEDESTAL_FACTOR, pedestal * PEDESTAL_FACTOR):
-                    if MIN_PEDESTAL_INERTIA < p < MAX_PEDESTAL_INERTIA:
-                        # the same frequency under the moving robot
-                        f = (
-                            frequency
-                            * _upright_frequency_ratio(motions, MODES[mode], p)
-                            / _upright_frequency_ratio(motions, MODES[mode], pedestal)
-                        )
-                        out += variants_within(
-                            f, FREQUENCY_FACTOR, [family(mode, damping, p, ratio)]
-                        )
-                neighbours = ratio / FREQUENCY_RATIO_FACTOR, ratio * FREQUENCY_RATIO_FACTOR
-                for r in neighbours if len(MODES[mode]) > 1 else ():
-                    if 1.0 / MAX_FREQUENCY_RATIO < r < MAX_FREQUENCY_RATIO:
-                        out += variants_within(
-                            frequency, FREQUENCY_FACTOR, [family(mode, damping, pedestal, r)]
-                        )
-                return out
-
-            return CandidateModel(
-                "base_compliance",
-                None,
-                _columns,
-                {
-                    "frequency": frequency,
-                    "damping": damping,
-                    "way": float(mode),
-                    "stand": pedestal,
-                    "apart": ratio,
-                },
-                parameters=named_coefficients(frequency=frequency),
-                is_plausible=_follows_force,
-                variants=variants,
-            )
-
-        return model
-
-    for mode, axes in enumerate(MODES):
-        ratio = _upright_frequency_ratio(motions, axes, PEDESTAL_INERTIA)
-        frequencies = (FREQUENCIES * ratio).tolist()
-        for damping in DAMPING_RATIOS:
-            yield from grid_candidates(frequencies, family(mode, damping))
-
-
 def _upright_frequency_ratio(
     motions: Sequence[RecordedMotion], axes: Sequence[int], pedestal: float
 ) -> float:
@@ -229,17 +123,92 @@ def _upright_frequency_ratio(
     return float(np.exp(0.5 * np.mean(np.log((in_motion + added) / (upright + added)))))
 
 
-def _follows_force(c: FloatArray) -> bool:
-    """Check that the base moves in the direction of the force."""
-    return bool(0.0 < c.max() < MAX_SCALE and c.min() > -MAX_OPPOSED * c.max())
+class _BaseCompliance(Effect):
+    """A base on springs, with a column for the force of the robot along each coordinate.
+
+    (M + I₀) ẍ + (∂τ/∂ẋ + D) ẋ + (∂τ/∂x + K) x = force of the robot minus its mean; see
+    `FloatingBaseDynamics`. The inertia is that in the present pose; the frequencies are stated for
+    all joints at zero, so that the springs are the same in all recordings. A tilting base also
+    tilts gravity, which dominates in slow motion.
+    """
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        values = model.values
+        axes = list(MODES[int(values["way"])])
+        dynamics, upright = motion.base_dynamics, motion.upright_inertia[axes]
+        mass, by_speed, by_place = (
+            x[:, :, axes] for x in (dynamics.mass, dynamics.by_speed, dynamics.by_place)
+        )
+        inertia = upright + values["stand"] * upright.max()
+        spring = (
+            2.0 * np.pi * values["frequency"] * values["apart"] ** np.arange(len(axes))
+        ) ** 2 * inertia
+        damping = 2.0 * values["damping"] * np.sqrt(spring * inertia)
+        # gravity may not take more of a spring's stiffness than a standing base can lose
+        toppling = float(np.abs(by_place[:, axes]).sum(axis=2).max() / spring.min())
+        stiffness = np.diag(spring) + by_place[:, axes] * min(
+            1.0, (1.0 - MIN_STIFFNESS_SHARE) / max(toppling, 1e-9)
+        )
+        base_motion = simulate_base(
+            mass[:, axes] + np.diag(inertia - upright),
+            by_speed[:, axes] + np.diag(damping),
+            stiffness,
+            (dynamics.reaction.mean(axis=0) - dynamics.reaction)[:, axes],
+            1.0 / motion.band.rate_of(Grid.COARSE),
+        )
+        on_joints = (x[:, 6:] for x in (by_place, by_speed, mass))
+        torque = [part @ x for part, x in zip(on_joints, base_motion, strict=True)]
+        return motion.lowpass(np.sum(torque, axis=0), Grid.COARSE)
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        """Yield frequencies and damping ratios of every mode."""
+        for mode, axes in enumerate(MODES):
+            ratio = _upright_frequency_ratio(motions, axes, PEDESTAL_INERTIA)
+            frequencies = (FREQUENCIES * ratio).tolist()
+            for damping in DAMPING_RATIOS:
+                values = {
+                    "frequency": frequencies[0],
+                    "damping": damping,
+                    "way": float(mode),
+                    "stand": PEDESTAL_INERTIA,
+                    "apart": 1.0,
+                }
+                model = CandidateModel(self, None, values, motions=motions)
+                yield from grid_candidates(model, "frequency", frequencies)
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        return {"frequency": model.values["frequency"]}
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        """Check that the base moves in the direction of the force."""
+        return bool(0.0 < c.max() < MAX_SCALE and c.min() > -MAX_OPPOSED * c.max())
+
+    def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
+        """Change damping, the pedestal's inertia, or the ratio of two frequencies."""
+        v, axes = model.values, MODES[int(model.values["way"])]
+        out = [model.with_values(damping=z) for z in neighbouring_damping_ratios(v["damping"])]
+        for stand in (v["stand"] / PEDESTAL_FACTOR, v["stand"] * PEDESTAL_FACTOR):
+            if MIN_PEDESTAL_INERTIA < stand < MAX_PEDESTAL_INERTIA:
+                # the same frequency under the moving robot
+                frequency = (
+                    v["frequency"]
+                    * _upright_frequency_ratio(model.motions, axes, stand)
+                    / _upright_frequency_ratio(model.motions, axes, v["stand"])
+                )
+                out.append(model.with_values(frequency=frequency, stand=stand))
+        neighbours = v["apart"] / FREQUENCY_RATIO_FACTOR, v["apart"] * FREQUENCY_RATIO_FACTOR
+        out += [
+            model.with_values(apart=ratio)
+            for ratio in (neighbours if len(axes) > 1 else ())
+            if 1.0 / MAX_FREQUENCY_RATIO < ratio < MAX_FREQUENCY_RATIO
+        ]
+        return [within(variant, "frequency", FREQUENCY_FACTOR) for variant in out]
 
 
-BASE_COMPLIANCE = Effect(
+BASE_COMPLIANCE = _BaseCompliance(
     "base_compliance",
     "a mass on springs under the robot that slides, tilts or turns (its frequency: all joints at "
     "zero)",
-    _columns,
-    _candidates,
     {"frequency": "Hz"},
     "the same resonance in all joints",
     "a chirp of joint 1 with the arm stretched",

@@ -9,8 +9,8 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect, NonlinearParameter, no_candidates
-from .recorded_motion import RecordedMotion
+from .effect import CandidateModel, Effect, NonlinearParameter, Values
+from .recorded_motion import FittedRobot, RecordedMotion
 
 COURSES = ((1.0, 0.0, 0.0), (1.348, 1.0, 0.0), (1.6, 0.0, 8.0))
 """Time courses of the force that are tried, each (stretch, swells, knots).
@@ -25,16 +25,31 @@ END_FACTOR = 1.5
 factor of two apart, so that the true length is within √2 of one. The range of a search."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Return the torque −Jᵀ f of a force f on a link's centre of mass during an interval.
+class _Contact(Effect):
+    """Torque −Jᵀ f of a force f, in the base frame, on a link's centre of mass in an interval."""
 
-    The force is in the base frame; one column per basis function and component. Shape (N, n, 3 k).
-    """
-    course = _course(motion, model)
-    if not course.any():
-        return np.zeros((len(motion), motion.n, 3 * course.shape[1]))
-    torque = -np.einsum("tk,txj->tjkx", course, motion.link_jacobians[:, model.joint_index])
-    return motion.lowpass(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        course = _course(motion, model)
+        if not course.any():
+            return np.zeros((len(motion), motion.n, 3 * course.shape[1]))
+        torque = -np.einsum("tk,txj->tjkx", course, motion.link_jacobians[:, model.joint_index])
+        return motion.lowpass(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        """Return the largest force of the course [N]."""
+        return {"force": float(np.linalg.norm(c.reshape(-1, 3), axis=1).max())}
+
+    def varied(self, model: CandidateModel, key: str, value: float) -> CandidateModel:
+        """Return the model with an interval of another length [s], whose `key` end is free."""
+        assert model.interval is not None
+        low, high = model.interval
+        interval = (high - value, high) if key == "begin" else (low, low + value)
+        return replace(model, interval=interval)
+
+    def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
+        """Move the other end."""
+        assert model.nonlinear is not None
+        return [_free_end(model, "end" if model.nonlinear.key == "begin" else "begin")]
 
 
 def _course(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -50,11 +65,6 @@ def _course(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     count = int(model.values["knots"])
     hats = np.maximum(1.0 - np.abs((count + 1.0) * u[:, None] - np.arange(1, count + 1)), 0.0)
     return hats * (motion.segment.source == model.source)
-
-
-def _largest_force(c: FloatArray) -> dict[str, float]:
-    """Return the largest force of the course [N]."""
-    return {"force": float(np.linalg.norm(c.reshape(-1, 3), axis=1).max())}
 
 
 def unit_forces(motion: RecordedMotion) -> FloatArray:
@@ -84,47 +94,31 @@ def contact_models(
         margin = 0.5 * (stretch - 1.0) * (high - low)
         for joint in range(motion.n):
             model = CandidateModel(
-                "contact",
+                CONTACT,
                 joint,
-                _columns,
                 {"swells": swells, "knots": knots},
+                interval=(low - margin, high + margin),
                 source=motion.segment.source,
-                parameters=_largest_force,
                 alternatives=alternatives,
             )
-            yield _moving_end(model, low - margin, high + margin, first=True).current
+            yield _free_end(model, "begin").current
 
 
-def _moving_end(model: CandidateModel, low: float, high: float, first: bool) -> NonlinearParameter:
-    """Return the length of an interval of which one end is free, and in turn the other.
-
-    Args:
-        model: The contact.
-        low: Begin of the interval [s].
-        high: End of the interval [s].
-        first: True if the begin is free, False if the end is.
-    """
-
-    def of_length(length: float) -> CandidateModel:
-        interval = (high - length, high) if first else (low, low + length)
-
-        def variants() -> list[NonlinearParameter]:
-            return [_moving_end(model, *interval, not first)]
-
-        return replace(model, interval=interval, variants=variants)
-
-    length = high - low
-    return NonlinearParameter(length, length / END_FACTOR, length * END_FACTOR, of_length)
+def _free_end(model: CandidateModel, end: str) -> NonlinearParameter:
+    """Return the length of an interval of which one end is free: its "begin" or "end"."""
+    assert model.interval is not None
+    length = model.interval[1] - model.interval[0]
+    model = replace(model, nonlinear=None)
+    return NonlinearParameter(model, end, length, length / END_FACTOR, length * END_FACTOR)
 
 
-CONTACT = Effect(
+CONTACT = _Contact(
     "contact",
     "Jᵀ f on an interval",
-    _columns,
-    no_candidates,
     {"force": "N"},
     "for some of the time only, in the joints before the contact",
     "the same motion without anything near the robot",
+    has_candidates=False,
     form_std={"force": 0.1},
     of_link=True,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -11,15 +11,8 @@ from numpy.typing import NDArray
 from .._types import FloatArray
 from ..identification.lowpass import Grid
 from ..schemas.effects import is_recording_filter
-from .effect import (
-    CandidateModel,
-    Effect,
-    grid_candidates,
-    is_between,
-    named_coefficients,
-    single_joint_rows,
-)
-from .recorded_motion import RecordedMotion, interpolated
+from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_rows
+from .recorded_motion import FittedRobot, RecordedMotion, interpolated
 
 DELAYS = (0.003, 0.008, 0.02)
 """Grid of delays [s]."""
@@ -33,37 +26,6 @@ Positions smoothed within the encoder's steps reverse late where friction is lar
 seems early: by up to 0.27 of that time in 91 simulated robots without any effect; late by 0.08."""
 MIN_LEAD_DWELL = 0.3
 """Smallest lead of the torque, over the same time."""
-
-
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Change of the torque by a delay, per second.
-
-    −τ̇ of the measured torque for a first-order lag, and for a small delay; else (τ − τ(t + d))/d.
-    """
-    joints = slice(None) if model.joint is None else [model.joint]
-    if is_recording_filter(model.values):
-        torque = motion.motor_torque
-        change = _filter_of(model.values).passed(motion, torque) - torque
-        return motion.lowpass(change)[:, :, None]
-    torque = motion.measured_torque if model.values["measured"] else motion.motor_torque
-    torque = torque[:, joints]
-    if seconds := model.values.get("seconds", 0.0):
-        change = (torque - _delayed(motion, torque, -seconds)) / seconds
-        return _at_joint(motion, model, motion.lowpass(change))
-    slope = motion.band.transform(torque).filter(motion.grid, 1)
-    return _at_joint(motion, model, -slope[motion.kept])
-
-
-def _delayed(motion: RecordedMotion, torque: FloatArray, seconds: float) -> FloatArray:
-    """Torque that comes later, shape (M, k)."""
-    return interpolated(motion.times - seconds, motion.times, torque)
-
-
-def clock_delay() -> CandidateModel:
-    """Return the delay of all torque by one time, its coefficient [s]."""
-    return CandidateModel(
-        "delay", None, _columns, {"measured": 1.0}, parameters=named_coefficients("seconds")
-    )
 
 
 @dataclass(frozen=True)
@@ -86,13 +48,14 @@ class LowPass:
         Args:
             frequencies: The frequencies [Hz], shape (k,).
         """
-        s = 1j * frequencies / self.hertz
-        angles = 0.5 * np.pi * (1.0 + (2.0 * np.arange(self.poles) + 1.0) / self.poles)
-        poles = np.exp(1j * angles)
-        once = np.prod([pole / (pole - s) for pole in poles], axis=0)
+        from scipy import signal  # slow to import
+
+        b, a = signal.butter(self.poles, 1.0, analog=True)
+        omega = frequencies / self.hertz
+        once = signal.freqs(b, a, omega)[1]
         if self.passes == 2:
             return np.abs(once) ** 2 + 0j
-        return np.asarray(once * np.exp(-s * np.sum(1.0 / poles).real))
+        return np.asarray(once * np.exp(1j * omega * a[-2]))  # its delay at low frequencies
 
     def slope(self, frequencies: FloatArray) -> NDArray[np.complex128]:
         """Return the derivative of the response by the logarithm of the corner frequency.
@@ -127,6 +90,103 @@ class LowPass:
         return torque + motion.band.transform(torque).filter(Grid.RECORDED, response=change)
 
 
+class _Delay(Effect):
+    """Change of the torque by a delay, per second; or by a filter of the recording.
+
+    −τ̇ of the measured torque for a first-order lag, and for a small delay; else (τ − τ(t + d))/d.
+    """
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        if is_recording_filter(model.values):
+            torque = motion.motor_torque
+            change = _filter_of(model.values).passed(motion, torque) - torque
+            return motion.lowpass(change)[:, :, None]
+        torque = motion.measured_torque if model.values["measured"] else motion.motor_torque
+        torque = torque[:, _joints(model)]
+        if seconds := model.values.get("seconds", 0.0):
+            change = motion.lowpass((torque - _delayed(motion, torque, -seconds)) / seconds)
+        else:
+            slope = motion.band.transform(torque).filter(motion.grid, 1)
+            change = -slope[motion.kept]
+        if model.joint is None:
+            return change[:, :, None]
+        return single_joint_rows(motion, model.joint, change)
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        """Yield delays of one joint: small ones of either sign, larger ones, and lags."""
+        dwells = [motion.reversal_dwell for motion in motions]
+        dwell = min((float(x.min()) for x in dwells if np.isfinite(x).any()), default=0.0)
+        facts = {"dwell": dwell}
+        for joint in range(motions[0].n):
+            # of the same columns: a lag, but for delays so small that both are alike
+            yield CandidateModel(self, joint, {"measured": 1.0, "lagging": 1.0}, facts=facts)
+            yield CandidateModel(self, joint, {"measured": 1.0}, facts=facts)
+            delayed = CandidateModel(self, joint, {"measured": 1.0, "seconds": DELAYS[0]})
+            yield from grid_candidates(delayed, "seconds", DELAYS)
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        return {} if is_recording_filter(model.values) else {"seconds": float(c[0])}
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        """Check that a delay is near that of its column, or resolved and small enough for it."""
+        if "seconds" in model.values:
+            return bool(0.5 * model.values["seconds"] < c[0] < 2.0 * model.values["seconds"])
+        if "dwell" not in model.facts:
+            return super().is_plausible(model, c)
+        min_delay = MIN_DELAY_DWELL * model.facts["dwell"]
+        if "lagging" in model.values:
+            return bool(max(MIN_LAG, min_delay) < c[0] < MAX_LINEAR_DELAY)
+        min_lead = MIN_LEAD_DWELL * model.facts["dwell"]
+        return bool(min_delay <= c[0] < MAX_LINEAR_DELAY or min_lead <= -c[0] < MAX_LINEAR_DELAY)
+
+    def predicted_torque(
+        self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
+    ) -> FloatArray:
+        """Return the change of the produced torque by a delay or a filter, shape (M, n)."""
+        if is_recording_filter(model.values):
+            return float(c[0]) * (_filter_of(model.values).passed(motion, produced) - produced)
+        joints, seconds, out = _joints(model), float(c[0]), np.zeros_like(produced)
+        torque = produced[:, joints]
+        if "lagging" in model.values:
+            low = motion.band.transform(torque)
+            lagging = low.filter(Grid.RECORDED, time_constant=seconds) - low.filter(Grid.RECORDED)
+            out[:, joints] = lagging
+        else:
+            out[:, joints] = _delayed(motion, torque, seconds) - torque
+        return out
+
+
+def _joints(model: CandidateModel) -> slice | list[int]:
+    """Joints whose torque is delayed: that of the model, or all."""
+    return slice(None) if model.joint is None else [model.joint]
+
+
+def _delayed(motion: RecordedMotion, torque: FloatArray, seconds: float) -> FloatArray:
+    """Torque that comes later, shape (M, k)."""
+    return interpolated(motion.times - seconds, motion.times, torque)
+
+
+def _filter_of(values: Values) -> LowPass:
+    """Return the filter of a candidate model with some values."""
+    return LowPass(int(values["poles"]), int(values["passes"]), values["hertz"])
+
+
+DELAY = _Delay(
+    "delay",
+    "τ(t − d) ≈ τ − d τ̇, or a first-order lag, d τ̇_recorded = τ − τ_recorded",
+    {"seconds": "s"},
+    "residual like the slope of torque",
+    "fast, jerky motion",
+    form_std={"seconds": 0.1},
+)
+"""Time delay between torque and position, actuator lag, latency; torque later: positive."""
+
+
+def clock_delay() -> CandidateModel:
+    """Return the delay of all torque by one time, its coefficient [s]."""
+    return CandidateModel(DELAY, None, {"measured": 1.0})
+
+
 def filtered_recording(filter_: LowPass) -> CandidateModel:
     """Return the filter that all recorded torque has passed, over that of the positions.
 
@@ -136,89 +196,4 @@ def filtered_recording(filter_: LowPass) -> CandidateModel:
         filter_: The filter.
     """
     values = {"measured": 1.0, **{k: float(v) for k, v in asdict(filter_).items()}}
-    return CandidateModel("delay", None, _columns, values)
-
-
-def _filter_of(values: Mapping[str, float]) -> LowPass:
-    """Return the filter of a candidate model with some values."""
-    return LowPass(int(values["poles"]), int(values["passes"]), values["hertz"])
-
-
-def _predicted_torque(
-    motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
-) -> FloatArray:
-    """Change of the produced torque by a delay or a filter, shape (M, n)."""
-    if is_recording_filter(model.values):
-        return float(c[0]) * (_filter_of(model.values).passed(motion, produced) - produced)
-    joints, out = slice(None) if model.joint is None else [model.joint], np.zeros_like(produced)
-    torque, seconds = produced[:, joints], float(c[0])
-    if "lagging" in model.values:
-        low = motion.band.transform(torque)
-        lagging = low.filter(Grid.RECORDED, time_constant=seconds) - low.filter(Grid.RECORDED)
-        out[:, joints] = lagging
-    else:
-        out[:, joints] = _delayed(motion, torque, seconds) - torque
-    return out
-
-
-def _at_joint(motion: RecordedMotion, model: CandidateModel, torque: FloatArray) -> FloatArray:
-    """Torque of the model's joint, or of all joints, as a column of shape (N, n, 1)."""
-    if model.joint is None:
-        return torque[:, :, None]
-    return single_joint_rows(motion, model.joint, torque)
-
-
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Delays of one joint: small ones to first order, of either sign, larger ones, and lags."""
-
-    def model(
-        joint: int, is_plausible: Callable[[FloatArray], bool], **kind: float
-    ) -> CandidateModel:
-        return CandidateModel(
-            "delay",
-            joint,
-            _columns,
-            {"measured": 1.0, **kind},
-            parameters=named_coefficients("seconds"),
-            is_plausible=is_plausible,
-        )
-
-    def family(joint: int) -> Callable[[float], CandidateModel]:
-        return lambda d: model(joint, is_between(0.5 * d, 2.0 * d), seconds=d)
-
-    dwell = min(
-        (
-            float(motion.reversal_dwell.min())
-            for motion in motions
-            if np.isfinite(motion.reversal_dwell).any()
-        ),
-        default=0.0,
-    )
-    min_delay = MIN_DELAY_DWELL * dwell
-    is_plausible = _is_resolved(min_delay, MIN_LEAD_DWELL * dwell)
-    for joint in range(motions[0].n):
-        # of the same columns: a lag, but for delays so small that both are alike
-        yield model(joint, is_between(max(MIN_LAG, min_delay), MAX_LINEAR_DELAY), lagging=1.0)
-        yield model(joint, is_plausible)
-        yield from grid_candidates(DELAYS, family(joint))
-
-
-def _is_resolved(min_delay: float, min_lead: float) -> Callable[[FloatArray], bool]:
-    """Return a check that a delay or lead is resolved and small enough to be linear [s]."""
-    return lambda c: bool(
-        min_delay <= c[0] < MAX_LINEAR_DELAY or min_lead <= -c[0] < MAX_LINEAR_DELAY
-    )
-
-
-DELAY = Effect(
-    "delay",
-    "τ(t − d) ≈ τ − d τ̇, or a first-order lag, d τ̇_recorded = τ − τ_recorded",
-    _columns,
-    _candidates,
-    {"seconds": "s"},
-    "residual like the slope of torque",
-    "fast, jerky motion",
-    form_std={"seconds": 0.1},
-    predicted_torque=_predicted_torque,
-)
-"""Time delay between torque and position, actuator lag, latency; torque later: positive."""
+    return CandidateModel(DELAY, None, values)

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from .._types import FloatArray
-from .effect import (
-    CandidateModel,
-    Effect,
-    is_positive,
-    named_coefficients,
-    one_per_joint,
-    single_joint_columns,
-)
-from .recorded_motion import RecordedMotion
+from .effect import CandidateModel
+from .joint_torque import JointTorque
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """q̇ |q̇|."""
-    speed = motion.samples.dq[:, model.joint_index]
-    return single_joint_columns(motion, model.joint_index, speed * np.abs(speed))
+class _Drag(JointTorque):
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        return bool((c > 0.0).all())
 
 
-DRAG = Effect(
+DRAG = _Drag(
     "drag",
     "c q̇ |q̇|",
-    _columns,
-    one_per_joint(
-        "drag", _columns, parameters=named_coefficients("coefficient"), is_plausible=is_positive
-    ),
     {"coefficient": "N m s²/rad²"},
     "resistance grows with the square of speed",
     "very fast motion",

@@ -2,47 +2,133 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from .._types import FloatArray
 from .recorded_motion import FittedRobot, RecordedMotion
 
-HARMONIC_KEYS = {2: "twice", 3: "thrice"}
-"""Multiples of a spatial frequency that a candidate may fit jointly, by their key in its values."""
 MAX_VARIANT_STEPS = 4
 """Largest number of moves from a model variant to a better neighbouring one."""
+Values = dict[str, float]
+"""Quantities by their names."""
 Key = tuple[str, int | None]
 """Name of an effect and index of its joint; None for an effect of no single joint."""
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """An entry of the catalogue: physics that the base model leaves out.
+
+    Derived classes state its torque, candidate models and constraints.
+
+    Attributes:
+        name: Name in `diagnosis.json`.
+        equation: Equation and its source.
+        units: Units of the reported parameters.
+        signature: Description of the residual that the effect causes.
+        experiment: Experiment that shows it apart from others.
+        nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
+        has_candidates: False for an effect that the joint model has at every joint, or that is
+            sought in its residual.
+        depends_on_base: Whether its parameters depend on the base model to which it is added.
+        prior_only: Whether a refit of the base model absorbs the effect, so that it can be found
+            only with a trusted prior.
+        form_std: Relative standard deviation of the parameters where the robot's effect has not
+            exactly the form of the model.
+        of_link: Whether it acts on the link of its joint, so that all joints before it show it, and
+            its place is less certain than its name.
+    """
+
+    name: str
+    equation: str
+    units: Mapping[str, str]
+    signature: str
+    experiment: str
+    nonnegative: tuple[bool, ...] = ()
+    has_candidates: bool = True
+    depends_on_base: bool = False
+    prior_only: bool = False
+    form_std: Mapping[str, float] = field(default_factory=dict)
+    of_link: bool = False
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        """Return the torque per unit of each coefficient of a model at the motion's rows.
+
+        It depends on nothing but the recorded motion, and the joints, values, interval and source
+        of the model.
+
+        Returns:
+            Torque columns [N m], shape (N, n, k).
+        """
+        raise NotImplementedError
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        """Yield all candidate models for a robot with recorded motions: one of every joint."""
+        return (CandidateModel(self, j) for j in range(motions[0].n if self.has_candidates else 0))
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        """Return the reported parameters by name: the coefficients, in the order of the units.
+
+        Args:
+            model: A model of the effect.
+            c: Coefficients without those of the discrepancy of its form, shape (k,).
+            base: The base model to which the effect is added.
+        """
+        return dict(zip(self.units, c.tolist(), strict=False))
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        """Return whether coefficients are physically possible: sign, range, dissipation.
+
+        Args:
+            model: A model of the effect.
+            c: Coefficients, shape (k,).
+        """
+        return bool(np.isfinite(c).all())
+
+    def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
+        """Return nonlinear parameters of neighbouring models that no grid contains."""
+        return []
+
+    def varied(self, model: CandidateModel, key: str, value: float) -> CandidateModel:
+        """Return a model with another value of a nonlinear parameter."""
+        return model.with_values(**{key: value})
+
+    def predicted_torque(
+        self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
+    ) -> FloatArray:
+        """Return the torque of an effect of measured torque where none is measured.
+
+        Args:
+            motion: The recorded motion.
+            model: A model of the effect.
+            c: Coefficients, shape (k,).
+            produced: Torque that the actuators produce [N m], shape (M, n).
+
+        Returns:
+            Recorded minus produced torque [N m], shape (M, n).
+        """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class CandidateModel:
     """One form of an effect at one joint: a torque that is linear in its coefficients.
 
-    Nonlinear parameters are fixed in `values`; `nonlinear` and `variants` say how they may be
-    optimised.
-
     Attributes:
-        effect: Name of the effect in the catalogue.
+        definition: The effect.
         joint: Index of the joint that carries the effect; None for an effect of no single joint.
-        torque_columns: Function that returns the torque per unit of each coefficient. It depends
-            on nothing but the recorded motion and this model.
-        values: Fixed nonlinear parameters by name.
+        values: Nonlinear parameters by name.
         other: Index of a second joint that the effect depends on.
         interval: Start and end of an effect that acts for some of the time [s].
         source: Recording in which `interval` lies.
-        parameters: Converts coefficients, shape (k,), to the reported parameters by name.
-        parameters_on_base: The same of parameters that depend on the base model to which the effect
-            is added; None where `parameters` says it all.
-        is_plausible: Tells whether coefficients, shape (k,), are physically possible: sign, range,
-            dissipation.
+        facts: Quantities of the recorded motions by which the effect judges and reports its
+            coefficients. They are not saved: a model that is read from a file has none.
+        motions: These motions, of an effect that needs more of them.
         nonlinear: The nonlinear parameter to optimise; None if there is none.
-        variants: Returns nonlinear parameters of neighbouring models that no grid contains.
-        nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
+        own_columns: Torque columns in the place of those of the effect.
         prior_std: Prior standard deviation of the coefficients; None: the friction level of the
             joint.
         prior_shares: Share of `prior_std` of each coefficient; empty: 1.
@@ -53,19 +139,16 @@ class CandidateModel:
             candidate.
     """
 
-    effect: str
+    definition: Effect
     joint: int | None
-    torque_columns: TorqueColumns
-    values: Mapping[str, float] = field(default_factory=dict)
+    values: Values = field(default_factory=dict)
     other: int | None = None
     interval: tuple[float, float] | None = None
     source: str = ""
-    parameters: Callable[[FloatArray], dict[str, float]] = lambda c: {}
-    parameters_on_base: Callable[[FloatArray, FittedRobot], dict[str, float]] | None = None
-    is_plausible: Callable[[FloatArray], bool] = lambda c: bool(np.isfinite(c).all())
+    facts: Values = field(default_factory=dict)
+    motions: Sequence[RecordedMotion] = field(default=(), repr=False, compare=False)
     nonlinear: NonlinearParameter | None = None
-    variants: Callable[[], Sequence[NonlinearParameter]] = tuple
-    nonnegative: tuple[bool, ...] = ()
+    own_columns: Callable[[RecordedMotion], FloatArray] | None = None
     prior_std: float | None = None
     prior_shares: tuple[float, ...] = ()
     form_columns: int = 0
@@ -73,32 +156,10 @@ class CandidateModel:
     signature: str = ""
     alternatives: float = 1.0
 
-    def columns(self, motion: RecordedMotion) -> FloatArray:
-        """Return the torque per unit of each coefficient at the motion's rows.
-
-        Returns:
-            Torque columns [N m], shape (N, n, k).
-        """
-        return self.torque_columns(motion, self)
-
-    def plain(self, c: FloatArray) -> FloatArray:
-        """Return coefficients without those of the discrepancy of its form.
-
-        Args:
-            c: Coefficients, shape (k,).
-        """
-        return c[: len(c) - self.form_columns]
-
-    def reported(self, c: FloatArray, base: FittedRobot) -> dict[str, float]:
-        """Return the reported parameters by name.
-
-        Args:
-            c: Coefficients without those of the discrepancy of its form, shape (k,).
-            base: The base model to which the effect is added.
-        """
-        if self.parameters_on_base is None:
-            return self.parameters(c)
-        return self.parameters_on_base(c, base)
+    @property
+    def effect(self) -> str:
+        """Name of the effect."""
+        return self.definition.name
 
     @property
     def key(self) -> Key:
@@ -117,12 +178,41 @@ class CandidateModel:
         assert self.joint is not None
         return self.joint
 
+    @property
+    def nonnegative(self) -> tuple[bool, ...]:
+        """Coefficients whose sign physics fixes to be ≥ 0; empty: none."""
+        signs = self.definition.nonnegative
+        return (*signs, *(False,) * self.form_columns) if signs else ()
 
-TorqueColumns = Callable[[RecordedMotion, CandidateModel], FloatArray]
-"""Torque per unit of each coefficient, shape (N, n, k)."""
-PredictedTorque = Callable[[RecordedMotion, CandidateModel, FloatArray, FloatArray], FloatArray]
-"""Torque of an effect of measured torque where none is measured: by coefficients, shape (k,), and
-the torque that the actuators produce, shape (M, n); returns shape (M, n)."""
+    def columns(self, motion: RecordedMotion) -> FloatArray:
+        """Return the torque per unit of each coefficient at the motion's rows.
+
+        Returns:
+            Torque columns [N m], shape (N, n, k).
+        """
+        if self.own_columns is not None:
+            return self.own_columns(motion)
+        return self.definition.torque_columns(motion, self)
+
+    def plain(self, c: FloatArray) -> FloatArray:
+        """Return coefficients, shape (k,), without those of the discrepancy of its form."""
+        return c[: len(c) - self.form_columns]
+
+    def parameters(self, c: FloatArray, base: FittedRobot) -> Values:
+        """Return the reported parameters by name, see `Effect.parameters`."""
+        return self.definition.parameters(self, c, base)
+
+    def is_plausible(self, c: FloatArray) -> bool:
+        """Return whether coefficients, shape (k,), are physically possible."""
+        return self.definition.is_plausible(self, c)
+
+    def variants(self) -> list[NonlinearParameter]:
+        """Return nonlinear parameters of neighbouring models that no grid contains."""
+        return self.definition.variants(self)
+
+    def with_values(self, **values: float) -> CandidateModel:
+        """Return the model with other values, and without a parameter to optimise."""
+        return replace(self, values={**self.values, **values}, nonlinear=None)
 
 
 @dataclass(frozen=True)
@@ -130,16 +220,18 @@ class NonlinearParameter:
     """A nonlinear parameter of a candidate model, between its neighbours on a grid.
 
     Attributes:
+        model: A model of which it is the only nonlinear parameter to change.
+        key: Name of the parameter, as `Effect.varied` takes it: usually its key in the values.
         value: Present value.
         low: Lower bound.
         high: Upper bound.
-        model: Returns the candidate model at a value.
     """
 
+    model: CandidateModel
+    key: str
     value: float
     low: float
     high: float
-    model: Callable[[float], CandidateModel]
 
     def optimised(self, gain: Callable[[CandidateModel], float]) -> CandidateModel:
         """Return the model with the highest gain between the bounds, or a better model variant.
@@ -191,95 +283,24 @@ class NonlinearParameter:
     def at(self, value: float) -> CandidateModel:
         """Return the model at a value; the value may be optimised further in the same range."""
         here = self if value == self.value else replace(self, value=value)
-        return replace(self.model(value), nonlinear=here)
+        moved = self.model.definition.varied(self.model, self.key, value)
+        return replace(moved, nonlinear=here)
 
 
-def variants_within(
-    value: float, factor: float, families: Iterable[Callable[[float], CandidateModel]]
-) -> list[NonlinearParameter]:
-    """Return the parameter of each model family at one value, free within a factor of it."""
-    return [
-        NonlinearParameter(value, value / factor, value * factor, family) for family in families
-    ]
+def within(model: CandidateModel, key: str, factor: float) -> NonlinearParameter:
+    """Return a parameter of a model that is free within a factor of its value."""
+    value = model.values[key]
+    return NonlinearParameter(model, key, value, value / factor, value * factor)
 
 
 def grid_candidates(
-    grid: Sequence[float], family: Callable[[float], CandidateModel]
+    model: CandidateModel, key: str, grid: Sequence[float]
 ) -> Iterator[CandidateModel]:
-    """Yield a model at each value of a rising grid, free between the neighbouring values."""
+    """Yield a model with each value of a rising grid, free between the neighbouring values."""
     for i, value in enumerate(grid):
         low = grid[i - 1] if i else value**2 / grid[1]
         high = grid[i + 1] if i + 1 < len(grid) else value**2 / grid[-2]
-        yield NonlinearParameter(value, low, high, family).at(value)
-
-
-def harmonic_columns(values: Mapping[str, float], angle: FloatArray) -> FloatArray:
-    """Return cosine and sine of a model's spatial frequency and its multiples.
-
-    Args:
-        values: Values of the model: "order" is the spatial frequency [1/rad].
-        angle: Joint angle [rad], shape (M,).
-
-    Returns:
-        Columns of shape (M, k).
-    """
-    numbers = [1, *(k for k, key in HARMONIC_KEYS.items() if key in values)]
-    return np.array([f(k * values["order"] * angle) for k in numbers for f in (np.cos, np.sin)]).T
-
-
-@dataclass(frozen=True)
-class Effect:
-    """An entry of the catalogue: physics that the base model leaves out.
-
-    Attributes:
-        name: Name in `diagnosis.json`.
-        equation: Equation and its source.
-        torque_columns: Torque per unit of each coefficient of a candidate model.
-        candidates: Yields all candidate models for a robot with these recorded motions;
-            `no_candidates` for an effect that is part of the joint model or sought in its residual.
-        units: Units of the reported parameters.
-        signature: Description of the residual that the effect causes.
-        experiment: Experiment that shows it apart from others.
-        prior_only: Whether a refit of the base model absorbs the effect, so that it can be found
-            only with a trusted prior.
-        form_std: Relative standard deviation of the parameters where the robot's effect has not
-            exactly the form of the model.
-        predicted_torque: Torque of candidate models of measured torque where none is measured.
-        of_link: Whether it acts on the link of its joint, so that all joints before it show it, and
-            its place is less certain than its name.
-    """
-
-    name: str
-    equation: str
-    torque_columns: TorqueColumns
-    candidates: Callable[[Sequence[RecordedMotion]], Iterator[CandidateModel]]
-    units: Mapping[str, str]
-    signature: str
-    experiment: str
-    prior_only: bool = False
-    form_std: Mapping[str, float] = field(default_factory=dict)
-    predicted_torque: PredictedTorque | None = None
-    of_link: bool = False
-
-
-def no_candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Yield nothing: the joint model of a diagnosis has the effect, or its residual shows it."""
-    return iter(())
-
-
-def one_per_joint(
-    name: str, torque_columns: TorqueColumns, **attributes: Any
-) -> Callable[[Sequence[RecordedMotion]], Iterator[CandidateModel]]:
-    """Return a function that yields a model of an effect at every joint.
-
-    Args:
-        name: Name of the effect.
-        torque_columns: Its columns.
-        **attributes: Further attributes of `CandidateModel`.
-    """
-    return lambda motions: (
-        CandidateModel(name, j, torque_columns, **attributes) for j in range(motions[0].n)
-    )
+        yield NonlinearParameter(model, key, value, low, high).current
 
 
 def single_joint_columns(motion: RecordedMotion, joint: int, x: FloatArray) -> FloatArray:
@@ -312,21 +333,6 @@ def single_joint_rows(motion: RecordedMotion, joint: int, low: FloatArray) -> Fl
     return out.swapaxes(0, 1)
 
 
-def named_coefficients(*names: str, **fixed: float) -> Callable[[FloatArray], dict[str, float]]:
-    """Return a conversion of coefficients to parameters of these names, and of fixed values."""
-    return lambda c: {name: float(value) for name, value in zip(names, c, strict=False)} | fixed
-
-
-def pair_amplitude(**fixed: float) -> Callable[[FloatArray], dict[str, float]]:
-    """Return a conversion of a cosine and sine pair to its amplitude, and of fixed values."""
-    return lambda c: {"amplitude": float(np.hypot(c[0], c[1]))} | fixed
-
-
-def is_between(low: float, high: float) -> Callable[[FloatArray], bool]:
-    """Return a check that the first coefficient lies between two bounds."""
-    return lambda c: bool(low < c[0] < high)
-
-
-def is_positive(c: FloatArray) -> bool:
-    """Return True if every coefficient is above zero."""
-    return bool((c > 0.0).all())
+def pair_parameters(model: CandidateModel, c: FloatArray) -> Values:
+    """Return the amplitude of a cosine and sine pair, the first coefficients, and its order."""
+    return {"amplitude": float(np.hypot(c[0], c[1])), "order": model.values["order"]}

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import (
-    CandidateModel,
-    Effect,
-    NonlinearParameter,
-    grid_candidates,
-    is_between,
-    named_coefficients,
-    variants_within,
-)
+from .effect import CandidateModel, Effect, NonlinearParameter, Values, grid_candidates, within
 from .gear_dynamics import (
     FREQUENCY_FACTOR,
     elastic_deflection,
@@ -24,7 +17,7 @@ from .gear_dynamics import (
     neighbouring_damping_ratios,
     starts_in_motion,
 )
-from .recorded_motion import RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion
 
 RESONANCES = np.geomspace(3.0, 34.0, 14)
 """Resonance frequencies of the link on its motor that define the stiffness grid [Hz]: from where
@@ -42,34 +35,70 @@ MIN_STIFF_SCALE = 0.01
 ones, whose deflection has the same form."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Torque of a link on a torsional spring behind its motor."""
-    values = model.values
-    lag = elastic_deflection(
-        motion, model.joint_index, values["stiffness"], values["damping"], bool(values["rests"])
-    )
-    return link_lag_torque(motion, model.joint_index, lag, Grid.COARSE)
+class _Elasticity(Effect):
+    """Torque of a link on a torsional spring behind its motor.
+
+    Its coefficient should be near 1. A link that resonates below the cutoff frequency shows its
+    stiffness by that frequency. Otherwise only the size τ/(K − M ω²) of the deflection shows it: a
+    softer spring with a smaller coefficient looks the same, and the stiffness with coefficient 1 is
+    reported.
+    """
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        values = model.values
+        lag = elastic_deflection(
+            motion, model.joint_index, values["stiffness"], values["damping"], bool(values["rests"])
+        )
+        return link_lag_torque(motion, model.joint_index, lag, Grid.COARSE)
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        for j in range(motions[0].n):
+            inertia = float(np.mean([motion.link_inertias[:, j].mean() for motion in motions]))
+            grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
+            values = {"stiffness": grid[-1], "damping": DAMPING_RATIOS[0], "rests": 0.0}
+            facts = {
+                "resonant_stiffness": inertia * (2.0 * np.pi * motions[0].band.hertz) ** 2,
+                "inertial_stiffness": _dominant_inertial_stiffness(
+                    motions, CandidateModel(self, j, values)
+                ),
+                "min_scale": MIN_SCALE,
+            }
+            stiffest = CandidateModel(self, j, values, facts=facts | {"min_scale": MIN_STIFF_SCALE})
+            in_motion = any(starts_in_motion(motion, j) for motion in motions)
+            for starts_at_rest in (0.0, 1.0) if in_motion else (0.0,):
+                for damping in DAMPING_RATIOS:
+                    model = stiffest.with_values(damping=damping, rests=starts_at_rest)
+                    yield from grid_candidates(replace(model, facts=facts), "stiffness", grid[:-1])
+            yield stiffest
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        stiffness = model.values["stiffness"]
+        if stiffness < model.facts["resonant_stiffness"]:
+            return {"stiffness": stiffness}
+        part = min(model.facts["inertial_stiffness"], stiffness)
+        return {"stiffness": float(part + (stiffness - part) / c[0])}
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        return bool(model.facts["min_scale"] < c[0] < MAX_SCALE)
+
+    def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
+        ratios = neighbouring_damping_ratios(model.values["damping"])
+        variants = [model.with_values(damping=ratio) for ratio in ratios]
+        return [within(variant, "stiffness", FREQUENCY_FACTOR**2) for variant in variants]
 
 
-def _dominant_inertial_stiffness(
-    motions: Sequence[RecordedMotion], joint: int, stiffness: float
-) -> float:
+def _dominant_inertial_stiffness(motions: Sequence[RecordedMotion], model: CandidateModel) -> float:
     """M ω² at the frequency that shows a stiff spring best [N m/rad].
 
     The deflection of a stiff spring scales with 1/(K − M ω²), which the ratio of the deflections
     of K and 1.1 K gives.
     """
-
-    def torque(stiffness: float) -> FloatArray:
-        model = CandidateModel(
-            "elasticity",
-            joint,
-            _columns,
-            {"stiffness": stiffness, "damping": DAMPING_RATIOS[0], "rests": 0.0},
-        )
-        return np.concatenate([model.columns(motion) for motion in motions])
-
-    soft, stiff = torque(stiffness), torque(STIFFNESS_RATIO * stiffness)
+    stiffness = model.values["stiffness"]
+    stiffer = model.with_values(stiffness=STIFFNESS_RATIO * stiffness)
+    soft, stiff = (
+        np.concatenate([spring.columns(motion) for motion in motions])
+        for spring in (model, stiffer)
+    )
     ratio = float(
         np.clip(
             np.sum(soft * stiff) / max(float(np.sum(soft * soft)), 1e-300),
@@ -81,73 +110,9 @@ def _dominant_inertial_stiffness(
     return stiffness * (1.0 - STIFFNESS_RATIO * ratio) / (1.0 - ratio)
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """The deflection for a stiffness, times a coefficient that should be near 1.
-
-    A link that resonates below the cutoff frequency shows its stiffness by that frequency.
-    Otherwise only the size τ/(K − M ω²) of the deflection shows it: a softer spring with a smaller
-    coefficient looks the same, and the stiffness with coefficient 1 is reported.
-    """
-    hertz = motions[0].band.hertz
-
-    def family(
-        joint: int,
-        inertia: float,
-        inertial_stiffness: float,
-        starts_at_rest: float,
-        min_scale: float,
-        damping: float = DAMPING_RATIOS[0],
-    ) -> Callable[[float], CandidateModel]:
-        def model(stiffness: float) -> CandidateModel:
-            resonates = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz
-            part = min(inertial_stiffness, stiffness)
-
-            def static_stiffness(c: FloatArray) -> dict[str, float]:
-                return {"stiffness": float(part + (stiffness - part) / c[0])}
-
-            def variants() -> list[NonlinearParameter]:
-                return variants_within(
-                    stiffness,
-                    FREQUENCY_FACTOR**2,
-                    (
-                        family(joint, inertia, inertial_stiffness, starts_at_rest, min_scale, z)
-                        for z in neighbouring_damping_ratios(damping)
-                    ),
-                )
-
-            return CandidateModel(
-                "elasticity",
-                joint,
-                _columns,
-                {"stiffness": stiffness, "damping": damping, "rests": starts_at_rest},
-                parameters=named_coefficients(stiffness=stiffness)
-                if resonates
-                else static_stiffness,
-                is_plausible=is_between(min_scale, MAX_SCALE),
-                variants=variants,
-            )
-
-        return model
-
-    for j in range(motions[0].n):
-        inertia = float(np.mean([motion.link_inertias[:, j].mean() for motion in motions]))
-        grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
-        inertial_stiffness = _dominant_inertial_stiffness(motions, j, grid[-1])
-        in_motion = any(starts_in_motion(motion, j) for motion in motions)
-        for starts_at_rest in (0.0, 1.0) if in_motion else (0.0,):
-            for damping in DAMPING_RATIOS:
-                yield from grid_candidates(
-                    grid[:-1],
-                    family(j, inertia, inertial_stiffness, starts_at_rest, MIN_SCALE, damping),
-                )
-        yield family(j, inertia, inertial_stiffness, 0.0, MIN_STIFF_SCALE)(grid[-1])
-
-
-ELASTICITY = Effect(
+ELASTICITY = _Elasticity(
     "elasticity",
     "M δ̈ + D δ̇ + K δ = τ, δ the deflection between motor encoder and link (Spong 1987)",
-    _columns,
-    _candidates,
     {"stiffness": "N m/rad"},
     "residual like the second derivative of the load",
     "fast motion at several poses",

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
 from .effect import (
-    HARMONIC_KEYS,
     CandidateModel,
     Effect,
     NonlinearParameter,
+    Values,
     grid_candidates,
-    harmonic_columns,
-    pair_amplitude,
-    variants_within,
+    pair_parameters,
+    within,
 )
-from .recorded_motion import RecordedMotion, radian
+from .recorded_motion import FittedRobot, RecordedMotion, radian
 
 MAX_AMPLITUDE = 0.1
 """Largest plausible error of an encoder [rad], see `recorded_motion.radian`."""
@@ -29,8 +27,8 @@ two. An eccentric disc errs once a turn, its pattern a few times; higher orders 
 residual."""
 ORDERS_WITH_MULTIPLES = (1.0, 1.6, 2.5, 4.0)
 """Orders of the grid of waves with multiples [1/rad], which have no gaps between them."""
-MULTIPLES = dict.fromkeys(HARMONIC_KEYS.values(), 1.0)
-"""Values of a wave with its multiples."""
+MULTIPLES = {"twice": 2, "thrice": 3}
+"""Multiples of the order that may be fitted jointly, by their key in the values."""
 ALIAS_ORDER_RATIO = 1.5
 """Order of a wave with multiples over that of another for which it may be mistaken: two of its
 three waves lie close to two of the other's."""
@@ -38,62 +36,62 @@ ALIAS_ORDER_FACTOR = 1.25
 """Factor within which the order is optimised there."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+class _EncoderError(Effect):
     """Torque by an error δ of the recorded position: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
-    joint, robot = model.joint_index, motion.fitted_robot
-    by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in motion.derivatives)
-    error = harmonic_columns(model.values, motion.coarse_samples.q[:, joint])
-    spectrum = motion.band.transform(error, Grid.COARSE)
-    first, second = spectrum.filter(Grid.COARSE, 1, 2.0), spectrum.filter(Grid.COARSE, 2, 2.0)
-    torque = by_q * error[:, None] + by_v * first[:, None] + mass * second[:, None]
-    torque[:, joint] += (
-        robot.actuator_parameter("rotor_inertia")[joint] * second
-        + robot.actuator_parameter("viscous")[joint] * first
-    )
-    return -motion.lowpass(torque, Grid.COARSE)
 
-
-def _family(
-    joint: int, unit: float, multiples: Mapping[str, float]
-) -> Callable[[float], CandidateModel]:
-    """Return the models of a joint by their order, a single wave or one with its multiples.
-
-    Args:
-        joint: Index of the joint.
-        unit: What `recorded_motion.radian` returns.
-        multiples: Multiples of the order that are fitted jointly.
-    """
-
-    def model(order: float) -> CandidateModel:
-        def variants() -> list[NonlinearParameter]:
-            families = [_family(joint, unit, multiples)] if multiples else []
-            return variants_within(ALIAS_ORDER_RATIO * order, ALIAS_ORDER_FACTOR, families)
-
-        return CandidateModel(
-            "encoder_error",
-            joint,
-            _columns,
-            {"order": order, **multiples},
-            parameters=pair_amplitude(order=order),
-            is_plausible=lambda c: bool(np.hypot(c[::2], c[1::2]).max() < MAX_AMPLITUDE * unit),
-            variants=variants,
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        joint, robot = model.joint_index, motion.fitted_robot
+        by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in motion.derivatives)
+        multiples = [1, *(k for key, k in MULTIPLES.items() if key in model.values)]
+        orders = [k * model.values["order"] for k in multiples]
+        q = motion.coarse_samples.q[:, joint]
+        error = np.array([f(order * q) for order in orders for f in (np.cos, np.sin)]).T
+        spectrum = motion.band.transform(error, Grid.COARSE)
+        first, second = spectrum.filter(Grid.COARSE, 1, 2.0), spectrum.filter(Grid.COARSE, 2, 2.0)
+        torque = by_q * error[:, None] + by_v * first[:, None] + mass * second[:, None]
+        torque[:, joint] += (
+            robot.actuator_parameter("rotor_inertia")[joint] * second
+            + robot.actuator_parameter("viscous")[joint] * first
         )
+        return -motion.lowpass(torque, Grid.COARSE)
 
-    return model
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        """Yield single waves, and waves with their multiples.
+
+        The torque of a wave grows with the square of its order, so that the multiples of an
+        eccentric disc's error matter. Orders above those of the grid are sought in the residual.
+        """
+        for j in range(motions[0].n):
+            unit = radian(motions, j)
+            for grid, multiples in ((ORDERS, ()), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
+                orders = (np.array(grid) / unit).tolist()
+                values = {"order": orders[0], **dict.fromkeys(multiples, 1.0)}
+                model = CandidateModel(self, j, values, facts={"unit": unit})
+                yield from grid_candidates(model, "order", orders)
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        return pair_parameters(model, c)
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        amplitudes = np.hypot(c[::2], c[1::2])
+        return bool(amplitudes.max() < MAX_AMPLITUDE * model.facts["unit"])
+
+    def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
+        if not MULTIPLES.keys() <= model.values.keys():
+            return []
+        alias = model.with_values(order=ALIAS_ORDER_RATIO * model.values["order"])
+        return [within(alias, "order", ALIAS_ORDER_FACTOR)]
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Single waves, and waves with their multiples.
-
-    The torque of a wave grows with the square of its order, so that the multiples of an eccentric
-    disc's error matter. Orders above those of the grid are sought in the residual.
-    """
-    for j in range(motions[0].n):
-        unit = radian(motions, j)
-        for orders, multiples in ((ORDERS, {}), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
-            yield from grid_candidates(
-                (np.array(orders) / unit).tolist(), _family(j, unit, multiples)
-            )
+ENCODER_ERROR = _EncoderError(
+    "encoder_error",
+    "q + ε cos(kq + φ), with its multiples",
+    {"amplitude": "rad", "order": "1/turn"},
+    "once or a few times a turn, growing with the square of speed",
+    "constant speeds, slow and fast, over a turn",
+    form_std={"amplitude": 0.4, "order": 0.4},
+)
+"""Periodic encoder error; users call it encoder eccentricity or sensor ripple."""
 
 
 def high_order(
@@ -108,21 +106,7 @@ def high_order(
         width: Distance within which the order may be optimised [1/rad or 1/m].
         alternatives: Number of orders that were searched.
     """
-
-    def model(order: float) -> CandidateModel:
-        return replace(_family(joint, unit, {})(order), alternatives=alternatives)
-
-    return NonlinearParameter(order, order - width, order + width, model).at(order)
-
-
-ENCODER_ERROR = Effect(
-    "encoder_error",
-    "q + ε cos(kq + φ), with its multiples",
-    _columns,
-    _candidates,
-    {"amplitude": "rad", "order": "1/turn"},
-    "once or a few times a turn, growing with the square of speed",
-    "constant speeds, slow and fast, over a turn",
-    form_std={"amplitude": 0.4, "order": 0.4},
-)
-"""Periodic encoder error; users call it encoder eccentricity or sensor ripple."""
+    model = CandidateModel(
+        ENCODER_ERROR, joint, {"order": order}, facts={"unit": unit}, alternatives=alternatives
+    )
+    return NonlinearParameter(model, "order", order, order - width, order + width).current

@@ -43,15 +43,15 @@ def with_form_error(
         motions: Motions that it is fitted to.
         coefficients: Coefficients of the model, shape (k,), in whose units the further columns are.
     """
-    k, n, joint = len(coefficients), motions[0].n, model.joint
+    n, joint = motions[0].n, model.joint
     count = n + DERIVATIVES
     if joint is not None:
         low, high = position_range(motions, joint)
         top = max_speed(motions, joint)
         count = POSITION_WAVES + SPEED_WAVES + DERIVATIVES
 
-    def columns(motion: RecordedMotion, _model: CandidateModel) -> FloatArray:
-        torque = model.torque_columns(motion, model)
+    def columns(motion: RecordedMotion) -> FloatArray:
+        torque = model.columns(motion)
         total = torque @ coefficients
         if joint is None:  # the joints' shares of it may differ
             varied = total[:, :, None] * np.eye(n)
@@ -69,10 +69,4 @@ def with_form_error(
             derivatives.append(slope * size / max(rms, 1e-300))
         return np.concatenate([torque, varied, np.stack(derivatives[1:], axis=2)], axis=2)
 
-    return replace(
-        model,
-        torque_columns=columns,
-        nonnegative=(*(model.nonnegative or (False,) * k), *(False,) * count),
-        form_columns=count,
-        exact=model,
-    )
+    return replace(model, own_columns=columns, form_columns=count, exact=model)

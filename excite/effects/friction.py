@@ -1,4 +1,4 @@
-"""Coulomb and viscous friction, and quantities that all friction effects share."""
+"""Coulomb and viscous friction, and the largest speed, which several frictions need."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, named_coefficients, one_per_joint, single_joint_columns
+from .effect import CandidateModel
+from .joint_torque import JointTorque
 from .recorded_motion import RecordedMotion
 
 
@@ -16,28 +17,18 @@ def max_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
     return max(float(np.abs(motion.samples.dq[:, joint]).max()) for motion in motions)
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Coulomb and viscous friction."""
-    j = model.joint_index
-    return single_joint_columns(
-        motion, j, np.column_stack([motion.sign(j), motion.samples.dq[:, j]])
-    )
+class _Friction(JointTorque):
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        return bool((c >= 0.0).all())
 
 
-FRICTION = Effect(
+FRICTION = _Friction(
     "friction",
     "F_c sgn q̇ + F_v q̇, where the model has none",
-    _columns,
-    one_per_joint(
-        "friction",
-        _columns,
-        parameters=named_coefficients("coulomb", "viscous"),
-        nonnegative=(True, True),
-        is_plausible=lambda c: bool((c >= 0.0).all()),
-    ),
     {"coulomb": "N m", "viscous": "N m s/rad"},
     "torque against the motion",
     "any motion in both directions",
+    nonnegative=(True, True),
     prior_only=True,
     form_std={"coulomb": 0.04, "viscous": 0.04},
 )

@@ -8,8 +8,8 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
-from .effect import CandidateModel, Effect
-from .recorded_motion import RecordedMotion
+from .effect import CandidateModel, Effect, Values
+from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_TILT_SINE = 0.7
 """Largest sine of the tilt angle."""
@@ -19,56 +19,47 @@ MAX_UNOBSERVED_LENGTH = 0.08
 """Loss of magnitude that a tilt of 0.4 rad about an axis that no joint observes causes."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+class _GravityTilt(Effect):
     """Torque per rotation about x and y; for a large tilt also by the change along gravity."""
-    columns = [motion.leaning[:, :, :2]]
-    if model.values.get("large"):
-        gravity = motion.fitted_robot.model.gravity.linear
-        columns.append(-(motion.gravity @ gravity)[:, :, None])
-    return motion.lowpass(np.concatenate(columns, axis=2), Grid.COARSE)
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        columns = [motion.leaning[:, :, :2]]
+        if model.values.get("large"):
+            gravity = motion.fitted_robot.model.gravity.linear
+            columns.append(-(motion.gravity @ gravity)[:, :, None])
+        return motion.lowpass(np.concatenate(columns, axis=2), Grid.COARSE)
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        """Yield a small tilt, and where the model's gravity is vertical a large one."""
+        is_upright = not np.any(motions[0].fitted_robot.model.gravity.linear[:2])
+        for large in (0.0, 1.0) if is_upright else (0.0,):
+            yield CandidateModel(self, None, {"large": large})
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        """Return roll and pitch, as in URDF, from the change of gravity across and along it."""
+        if len(c) == 2:
+            return {"roll": float(c[0]), "pitch": float(c[1])}
+        return {
+            "roll": float(np.arctan2(c[0], 1.0 + c[2])),
+            "pitch": float(np.arctan2(c[1], np.hypot(c[0], 1.0 + c[2]))),
+        }
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        """Check that gravity is rotated but not lengthened.
+
+        It may appear shorter to an arm that does not observe the whole rotation.
+        """
+        across = float(np.hypot(c[0], c[1]))
+        if len(c) == 2 or across > MAX_TILT_SINE:
+            return across < MAX_TILT_SINE
+        excess = float(c[2] - np.sqrt(1.0 - across**2) + 1.0)
+        tolerance = MAX_LENGTH_ERROR * across
+        return -MAX_UNOBSERVED_LENGTH - tolerance < excess < tolerance
 
 
-def _angles(c: FloatArray) -> dict[str, float]:
-    """Roll and pitch of the base, as in URDF, from the change of gravity across and along it."""
-    if len(c) == 2:
-        return {"roll": float(c[0]), "pitch": float(c[1])}
-    return {
-        "roll": float(np.arctan2(c[0], 1.0 + c[2])),
-        "pitch": float(np.arctan2(c[1], np.hypot(c[0], 1.0 + c[2]))),
-    }
-
-
-def _is_rotation(c: FloatArray) -> bool:
-    """Check that gravity is rotated but not lengthened.
-
-    It may appear shorter to an arm that does not observe the whole rotation.
-    """
-    across = float(np.hypot(c[0], c[1]))
-    if len(c) == 2 or across > MAX_TILT_SINE:
-        return across < MAX_TILT_SINE
-    excess = float(c[2] - np.sqrt(1.0 - across**2) + 1.0)
-    return -MAX_UNOBSERVED_LENGTH - MAX_LENGTH_ERROR * across < excess < MAX_LENGTH_ERROR * across
-
-
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """A small tilt, and where the model's gravity is vertical a large one."""
-    is_upright = not np.any(motions[0].fitted_robot.model.gravity.linear[:2])
-    for large in (0.0, 1.0) if is_upright else (0.0,):
-        yield CandidateModel(
-            "gravity_tilt",
-            None,
-            _columns,
-            {"large": large},
-            parameters=_angles,
-            is_plausible=_is_rotation,
-        )
-
-
-GRAVITY_TILT = Effect(
+GRAVITY_TILT = _GravityTilt(
     "gravity_tilt",
     "∂τ/∂g (Rᵀ − 1) g, R = roll and pitch of the base",
-    _columns,
-    _candidates,
     {"roll": "rad", "pitch": "rad"},
     "joint 1 of an upright arm feels gravity",
     "joint 1 a full turn, arm stretched",

@@ -14,26 +14,19 @@ from itertools import accumulate
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from .effect import CandidateModel, Effect, no_candidates, single_joint_rows
-from .recorded_motion import RecordedMotion, radian
+from .effect import CandidateModel, Effect, Values, single_joint_rows
+from .friction_runtime import ELEMENTS, LAST_REACH, UNEQUAL_ELEMENTS, damping, reaches, shares
+from .recorded_motion import FittedRobot, RecordedMotion, radian
 
-ELEMENTS = 20
-"""Elements of `dense_model` [1]: half an octave of deflection from one to the next."""
-REACH = (2.5e-4, 0.181)
-"""Deflections at which the first and the last of them slip [rad], see `recorded_motion.radian`; the
-first does at no less than a step of the encoder."""
+FIRST_REACH = 2.5e-4
+"""Deflection at which the first of the elements slips [rad], see `recorded_motion.radian`; it does
+at no less than a step of the encoder."""
 MAX_FIRST_REACH = 0.03
 """Largest deflection at which the first slips, over that of the last [1], so that a very coarse
 encoder does not make all elements alike."""
-UNEQUAL_ELEMENTS = [10, 14]
-"""Elements that may have unequal branches: those of 8 and 32 mrad, in the middle of the reaches."""
 STICKING_SHARE = 1e-6
 """Share of the prior that the strength of an element has which never slips in both directions [1],
 next to none: in such a motion it is a spring, in a larger one it is not."""
-DAMPING_TIME = 0.15
-"""Damping over stiffness of an element that a damping coefficient is the force of, over the root of
-its reach [s/√rad]. A bristle of mass I with a damping ratio ζ has 2 ζ √(I d/F): 0.15 √d for ζ =
-0.15, of a usual 0.05 to 0.4, and F/I = 4 rad/s²."""
 
 
 def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:
@@ -63,29 +56,6 @@ def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     stroke = np.repeat(np.arange(len(first)), np.diff(first, append=len(q)))
     corners = q[np.maximum(first - 1, 0)]
     return stroke, np.diff(corners, append=q[-1]), q - corners[stroke]
-
-
-def reaches(values: Mapping[str, float]) -> FloatArray:
-    """Return the deflections at which the elements slip, shape (ELEMENTS,) [rad or m].
-
-    Args:
-        values: Values of a model: "reach" of the first and "last_reach".
-    """
-    return np.geomspace(values["reach"], values["last_reach"], ELEMENTS)
-
-
-def damping_times(values: Mapping[str, float]) -> FloatArray:
-    """Return damping over stiffness of elements that have the unit of damping, (ELEMENTS,) [s].
-
-    Args:
-        values: Values of a model: "reach" and "last_reach" of its elements.
-    """
-    return DAMPING_TIME * np.sqrt(reaches(values) * REACH[1] / values["last_reach"])
-
-
-def _shares(values: Mapping[str, float]) -> FloatArray:
-    """Shares of the elements in dry friction, shape (ELEMENTS,)."""
-    return np.array([values[f"share_{i}"] for i in range(ELEMENTS)])
 
 
 def _elements(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -134,26 +104,45 @@ def direction(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     sign = motion.sign(model.joint_index)
     if "share_0" not in model.values:
         return sign
-    shares = _shares(model.values)
-    return np.asarray(_elements(motion, model) @ shares + (1.0 - shares.sum()) * sign)
+    share = shares(model.values)
+    return np.asarray(_elements(motion, model) @ share + (1.0 - share.sum()) * sign)
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+class _Hysteresis(Effect):
     """Presliding friction minus the smooth sign function that it replaces, and its damping."""
-    j, values = model.joint_index, model.values
 
-    def low_passed() -> FloatArray:
-        elements = _elements(motion, model)
-        unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
-        return motion.lowpass(np.hstack([elements, unequal]))
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        j, values = model.joint_index, model.values
 
-    name = f"low-passed Maxwell-slip elements of joint {j} from {values['reach']}"
-    columns = motion.for_all_fits(name, low_passed).copy()
-    columns[:, :ELEMENTS] -= motion.lowpass(motion.sign(j)[:, None])
-    sticks = np.abs(_elements(motion, model)) < 1.0
-    damping = sticks @ (_shares(values) * damping_times(values) / reaches(values))
-    damped = motion.lowpass((motion.samples.dq[:, j] * damping)[:, None])
-    return single_joint_rows(motion, j, np.hstack([columns, damped]))
+        def low_passed() -> FloatArray:
+            elements = _elements(motion, model)
+            unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
+            return motion.lowpass(np.hstack([elements, unequal]))
+
+        name = f"low-passed Maxwell-slip elements of joint {j} from {values['reach']}"
+        columns = motion.for_all_fits(name, low_passed).copy()
+        columns[:, :ELEMENTS] -= motion.lowpass(motion.sign(j)[:, None])
+        sticks = np.abs(_elements(motion, model)) < 1.0
+        damped = motion.lowpass((motion.samples.dq[:, j] * (sticks @ damping(values)))[:, None])
+        return single_joint_rows(motion, j, np.hstack([columns, damped]))
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        stiffness = float(np.sum(c[:ELEMENTS] / reaches(model.values)))
+        return {"amplitude": float(c[:ELEMENTS].sum()), "stiffness": stiffness}
+
+
+HYSTERESIS = _Hysteresis(
+    "hysteresis",
+    "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968), or Maxwell-slip elements ż = q̇/s, |z| ≤ 1 "
+    "(Iwan 1966), damped while they stick, instead of F sgn q̇",
+    {"amplitude": "N m", "stiffness": "N m/rad"},
+    "friction takes some way to build up after a reversal",
+    "strokes of many small amplitudes",
+    nonnegative=(True,) * ELEMENTS + (False,) * len(UNEQUAL_ELEMENTS) + (True,),
+    has_candidates=False,
+    form_std={"amplitude": 0.1, "stiffness": 0.4},
+)
+"""Presliding friction; users call it friction hysteresis, LuGre or Dahl friction."""
 
 
 def dense_model(
@@ -172,9 +161,9 @@ def dense_model(
             damped; equal ones if None, or if it has none.
     """
     unit = radian(motions, joint)
-    last = REACH[1] * unit
+    last = LAST_REACH * unit
     step = max(float(motion.steps[joint]) for motion in motions)
-    first = min(max(REACH[0] * unit, step), MAX_FIRST_REACH * last)
+    first = min(max(FIRST_REACH * unit, step), MAX_FIRST_REACH * last)
     values = dict(build_up or {"reach": first, "last_reach": last})
     deflections = reaches(values)
     travel = max(float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
@@ -182,28 +171,8 @@ def dense_model(
     if not built_up_share(values):
         values |= {f"share_{i}": 1.0 / ELEMENTS for i in range(ELEMENTS)}
     return CandidateModel(
-        "hysteresis",
+        HYSTERESIS,
         joint,
-        _columns,
         values,
-        parameters=lambda c: {
-            "amplitude": float(c[:ELEMENTS].sum()),
-            "stiffness": float(np.sum(c[:ELEMENTS] / reaches(values))),
-        },
-        nonnegative=(True,) * ELEMENTS + (False,) * len(UNEQUAL_ELEMENTS) + (True,),
         prior_shares=tuple(np.where(2.0 * deflections < travel, octaves, STICKING_SHARE).tolist()),
     )
-
-
-HYSTERESIS = Effect(
-    "hysteresis",
-    "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968), or Maxwell-slip elements ż = q̇/s, |z| ≤ 1 "
-    "(Iwan 1966), damped while they stick, instead of F sgn q̇",
-    _columns,
-    no_candidates,
-    {"amplitude": "N m", "stiffness": "N m/rad"},
-    "friction takes some way to build up after a reversal",
-    "strokes of many small amplitudes",
-    form_std={"amplitude": 0.1, "stiffness": 0.4},
-)
-"""Presliding friction; users call it friction hysteresis, LuGre or Dahl friction."""

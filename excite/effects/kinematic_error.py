@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
@@ -10,8 +11,8 @@ import pinocchio as pin
 from .._types import FloatArray
 from ..identification.lowpass import Grid
 from ..robot.dynamics import inverse_dynamics
-from .effect import CandidateModel, Effect
-from .recorded_motion import RecordedMotion
+from .effect import CandidateModel, Effect, Values
+from .recorded_motion import FittedRobot, RecordedMotion
 
 ANGLE_STEP = 1e-4
 """Rotation of the finite differences [rad]."""
@@ -25,58 +26,47 @@ MIN_COLUMN_RATIO = 1e-6
 vertical axis."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+class _KinematicError(Effect):
     """Torque per rotation or displacement of all that follows a joint's link, in its frame.
 
     Where the model is "whole", the link itself is moved too.
     """
-    robot, columns, samples = motion.fitted_robot.robot, [], motion.coarse_samples
-    is_angle, body = model.values["angle"] > 0.0, robot.body_of(model.joint_index)
-    pinocchio_model = motion.fitted_robot.model
-    children = [i for i in range(1, pinocchio_model.njoints) if pinocchio_model.parents[i] == body]
-    for axis in range(3):
-        moved = pinocchio_model.copy()
-        twist = np.zeros(6)
-        twist[(3 if is_angle else 0) + axis] = ANGLE_STEP if is_angle else LENGTH_STEP
-        change = pin.exp6(twist)
-        for i in children:
-            moved.jointPlacements[i] = change * moved.jointPlacements[i]
-        if model.values["whole"]:
-            moved.inertias[body] = change.act(moved.inertias[body])
-        torque = inverse_dynamics(robot, moved, samples)
-        columns.append((torque - motion.rigid_torque) / (ANGLE_STEP if is_angle else LENGTH_STEP))
-    out = np.stack(columns, axis=2)
-    largest = np.abs(out).max(axis=(0, 1))
-    return motion.lowpass(out * (largest > MIN_COLUMN_RATIO * largest.max()), Grid.COARSE)
 
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        robot, links = motion.fitted_robot.robot, motion.fitted_robot.model
+        columns, is_angle = [], model.values["angle"] > 0.0
+        step, body = ANGLE_STEP if is_angle else LENGTH_STEP, robot.body_of(model.joint_index)
+        children = [i for i in range(1, links.njoints) if links.parents[i] == body]
+        for axis in range(3):
+            moved = links.copy()
+            twist = np.zeros(6)
+            twist[(3 if is_angle else 0) + axis] = step
+            change = pin.exp6(twist)
+            for i in children:
+                moved.jointPlacements[i] = change * moved.jointPlacements[i]
+            if model.values["whole"]:
+                moved.inertias[body] = change.act(moved.inertias[body])
+            torque = inverse_dynamics(robot, moved, motion.coarse_samples)
+            columns.append((torque - motion.rigid_torque) / step)
+        out = np.stack(columns, axis=2)
+        largest = np.abs(out).max(axis=(0, 1))
+        return motion.lowpass(out * (largest > MIN_COLUMN_RATIO * largest.max()), Grid.COARSE)
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Angle and length errors of every joint, with and without the link's own inertia."""
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        """Yield angle and length errors, with and without the link's own inertia."""
+        for j, is_angle, moves_link in product(range(motions[0].n), (1.0, 0.0), (0.0, 1.0)):
+            yield CandidateModel(self, j, {"angle": is_angle, "whole": moves_link})
 
-    def is_small(c: FloatArray) -> bool:
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        return {"angle" if model.values["angle"] else "length": float(np.linalg.norm(c))}
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
         return bool(np.linalg.norm(c) < MAX_ERROR)
 
-    def norm(name: str) -> Callable[[FloatArray], dict[str, float]]:
-        return lambda c: {name: float(np.linalg.norm(c))}
 
-    for j in range(motions[0].n):
-        for is_angle, name in ((1.0, "angle"), (0.0, "length")):
-            for moves_link in (0.0, 1.0):
-                yield CandidateModel(
-                    "kinematic_error",
-                    j,
-                    _columns,
-                    {"angle": is_angle, "whole": moves_link},
-                    parameters=norm(name),
-                    is_plausible=is_small,
-                )
-
-
-KINEMATIC_ERROR = Effect(
+KINEMATIC_ERROR = _KinematicError(
     "kinematic_error",
     "Σ δ_k ∂τ/∂(placement)_k",
-    _columns,
-    _candidates,
     {"angle": "rad", "length": "m"},
     "small cross terms of gravity and inertia",
     "poses, and an external measurement of them",

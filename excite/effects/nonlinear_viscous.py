@@ -7,80 +7,51 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, no_candidates, single_joint_rows
+from .effect import CandidateModel, Values, single_joint_rows
 from .friction import max_speed
-from .recorded_motion import RecordedMotion
-
-ASINH_SPEEDS = (0.02, 0.1, 0.4)
-"""Speeds of the asinh curves, over the largest speed."""
-TANH_SPEEDS = (0.1, 0.4)
-"""Speeds of the tanh curves, over the largest speed."""
+from .friction_runtime import ASINH_SPEEDS, TANH_SPEEDS, JointMotion, columns
+from .joint_torque import JointTorque
+from .recorded_motion import FittedRobot, RecordedMotion
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Concave and convex friction curves."""
-    # beyond the speeds of the fit the friction goes on linearly
-    j, top_speed = model.joint_index, model.values["top_speed"]
-    columns = motion.for_all_fits(
-        f"viscous curves of joint {j} up to {top_speed}",
-        lambda: motion.lowpass(_curves(np.clip(motion.samples.dq[:, j] / top_speed, -1.0, 1.0))),
-    )
-    return single_joint_rows(motion, j, columns)
+class _NonlinearViscous(JointTorque):
+    """Concave friction curves (asinh, tanh, root) and convex ones (square, cube)."""
 
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        j, top_speed = model.joint_index, model.values["top_speed"]
+        curves = motion.for_all_fits(
+            f"viscous curves of joint {j} up to {top_speed}",
+            lambda: motion.lowpass(self._at_samples(motion, model)),
+        )
+        return single_joint_rows(motion, j, curves)
 
-def _curves(share: FloatArray) -> FloatArray:
-    """Friction curves that are not linear in speed, less the linear one of equal friction at top.
-
-    Concave ones (asinh: Eyring viscosity; tanh, root) and convex ones (square, cube).
-
-    Args:
-        share: Speed over the largest speed, shape (M,).
-
-    Returns:
-        Shape (M, k).
-    """
-    size = np.abs(share)
-    concave = [np.arcsinh(share / v) / np.arcsinh(1.0 / v) for v in ASINH_SPEEDS]
-    concave += [np.tanh(share / v) / np.tanh(1.0 / v) for v in TANH_SPEEDS]
-    concave += [np.sign(share) * np.sqrt(size)]
-    convex = [share * size, share**3]
-    return np.column_stack([curve - share for curve in (*concave, *convex)])
-
-
-def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
-    """Return a nonnegative combination of concave and convex friction curves of a joint."""
-    top_speed = max_speed(motions, joint)
-    count = len(ASINH_SPEEDS) + len(TANH_SPEEDS) + 3
-
-    def parameters(c: FloatArray) -> dict[str, float]:
-        """Power whose deviation from a line fits the curve best; friction opposes motion."""
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        """Return the power whose deviation from a line fits best; friction opposes motion."""
         share = np.linspace(0.02, 1.0, 60)
-        curve = _curves(share) @ c
+        _, curves = columns(self.name, {"top_speed": 1.0}, JointMotion(dq=share))
+        curve = np.column_stack(curves) @ c
         exponents = np.concatenate([np.linspace(0.2, 0.9, 29), np.linspace(1.2, 3.5, 47)])
         shapes = share[:, None] ** exponents - share[:, None]
         sizes = np.maximum(shapes.T @ curve / np.sum(shapes**2, axis=0), 0.0)
         best = int(np.argmin(np.sum((curve[:, None] - shapes * sizes) ** 2, axis=0)))
         exponent = float(exponents[best])
-        return {"coefficient": float(sizes[best]) / top_speed**exponent, "exponent": exponent}
-
-    return CandidateModel(
-        "nonlinear_viscous",
-        joint,
-        _columns,
-        {"top_speed": top_speed},
-        parameters=parameters,
-        nonnegative=(True,) * count,
-    )
+        coefficient = float(sizes[best]) / model.values["top_speed"] ** exponent
+        return {"coefficient": coefficient, "exponent": exponent}
 
 
-NONLINEAR_VISCOUS = Effect(
+NONLINEAR_VISCOUS = _NonlinearViscous(
     "nonlinear_viscous",
     "F |q̇|^k sgn q̇",
-    _columns,
-    no_candidates,
     {"coefficient": "N m (s/rad)^k", "exponent": "1"},
     "friction is not linear in speed",
     "a wide range of constant speeds",
+    nonnegative=(True,) * (len(ASINH_SPEEDS) + len(TANH_SPEEDS) + 3),
+    has_candidates=False,
     form_std={"coefficient": 0.25, "exponent": 0.25},
 )
 """Shear-thinning or shear-thickening lubricant friction."""
+
+
+def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    """Return a nonnegative combination of concave and convex friction curves of a joint."""
+    return CandidateModel(NONLINEAR_VISCOUS, joint, {"top_speed": max_speed(motions, joint)})

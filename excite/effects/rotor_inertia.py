@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from .._types import FloatArray
-from .effect import CandidateModel, Effect, named_coefficients, one_per_joint, single_joint_columns
+from .effect import CandidateModel, Effect, single_joint_columns
 from .recorded_motion import RecordedMotion
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Acceleration of the joint."""
-    return single_joint_columns(motion, model.joint_index, motion.samples.ddq[:, model.joint_index])
+class _RotorInertia(Effect):
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        j = model.joint_index
+        return single_joint_columns(motion, j, motion.samples.ddq[:, j])
 
 
-ROTOR_INERTIA = Effect(
+ROTOR_INERTIA = _RotorInertia(
     "rotor_inertia",
     "I_a q̈",
-    _columns,
-    one_per_joint("rotor_inertia", _columns, parameters=named_coefficients("inertia")),
     {"inertia": "kg m²"},
     "like the joint's own acceleration, at any pose",
     "small fast motion at several poses",

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from .._types import FloatArray
 from ..errors import UnusableInput
-from .effect import (
-    CandidateModel,
-    Effect,
-    grid_candidates,
-    is_between,
-    single_joint_columns,
-)
+from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_columns
 from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_COLD_EXCESS = 3.0
@@ -31,19 +24,99 @@ MIN_TEMPERATURE_RANGE = 1.0
 """Range of temperatures from which a dependence is fitted [°C], as sensors are quantised."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+class _ThermalDrift(Effect):
     """Friction of the base fit times its relative change per coefficient.
 
     The change is that with temperature where a "reference" is stated, with the joint's friction
     losses where a mean "power" is, and otherwise with run time. An "origin" is the time at which
     the joint was cold, by the clock of all recordings.
-
-    Raises:
-        UnusableInput: If the friction depends on a temperature that was not recorded.
     """
-    values, j = model.values, model.joint_index
-    friction = values["coulomb"] * motion.sign(j) + values["viscous"] * motion.samples.dq[:, j]
-    return single_joint_columns(motion, j, _warming(motion, model) * friction)
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        j = model.joint_index
+        friction = _friction_torque(motion, j, model.values)
+        return single_joint_columns(motion, j, _warming(motion, model) * friction)
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        origins = [{}, *({"origin": time} for time in _common_origin(motions))]
+        for j in range(motions[0].n):
+            for origin in origins:
+                yield from self._by_time(motions, j, origin)
+            yield from self._by_temperature(motions, j)
+
+    def _by_time(
+        self, motions: Sequence[RecordedMotion], j: int, origin: Values
+    ) -> Iterator[CandidateModel]:
+        """Exponential changes with run time, and with the heat of the joint's friction losses."""
+        length = max(float(_run_time(motion, origin)[-1]) for motion in motions)
+        friction = _base_friction(motions[0].fitted_robot, j)
+        losses = [_friction_losses(motion, j, friction) for motion in motions]
+        power = float(np.mean(np.concatenate(losses)))
+        constants = (np.array(TIME_CONSTANTS) * length).tolist()
+        by_run_time = CandidateModel(
+            self,
+            j,
+            {"time_constant": constants[0], **friction, **origin},
+            facts={"mean_speed": _mean_speed(motions, j)},
+            motions=motions,
+            signature="friction changes with run time",
+        )
+        yield from grid_candidates(by_run_time, "time_constant", constants)
+        if power > 0.0:
+            by_losses = replace(
+                by_run_time.with_values(power=power),
+                signature="friction changes as its own power heats the joint",
+            )
+            yield from grid_candidates(by_losses, "time_constant", constants)
+
+    def _by_temperature(
+        self, motions: Sequence[RecordedMotion], j: int
+    ) -> Iterator[CandidateModel]:
+        """Linear change with temperature, where all motions have it and it varies."""
+        temperatures = np.concatenate([motion.temperature[:, j] for motion in motions])
+        if not np.ptp(temperatures) > MIN_TEMPERATURE_RANGE:  # also where it is not a number
+            return
+        friction = _base_friction(motions[0].fitted_robot, j)
+        mean = float(temperatures.mean())
+        facts = {
+            "mean_speed": _mean_speed(motions, j),
+            "below": mean - float(temperatures.min()),
+            "above": float(temperatures.max()) - mean,
+        }
+        # lubricant thins; dry friction may change or not
+        for changing in (friction, {**friction, "coulomb": 0.0}):
+            values = {"reference": mean, **changing}
+            signature = "friction changes with temperature"
+            yield CandidateModel(self, j, values, facts=facts, signature=signature)
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        """Return the change of friction at mean speed, by temperature that over the whole range."""
+        values, facts = model.values, model.facts
+        changing, friction = (
+            part["coulomb"] + part["viscous"] * facts["mean_speed"]
+            for part in (values, _base_friction(base, model.joint_index))
+        )
+        change = float(c[0]) * (changing / friction)
+        if "reference" not in values:
+            return {"change": change, "time_constant": values["time_constant"]}
+        span = facts["below"] + facts["above"]
+        return {"change": change * span / (1.0 - change * facts["below"])}
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        """Check that friction, of which the base fit has the mean, never becomes negative.
+
+        Nor does it start at a large multiple of the mean.
+        """
+        if "reference" in model.values:
+            below, above = model.facts["below"], model.facts["above"]
+            lower = -min(1.0 / above, MAX_COLD_EXCESS / below)
+            upper = min(1.0 / below, MAX_COLD_EXCESS / above)
+        else:
+            warming = np.concatenate([_warming(motion, model) for motion in model.motions])
+            largest, mean = float(warming.max()), float(warming.mean())
+            lower = max(-1.0 / (largest - mean), -MAX_COLD_EXCESS / mean)
+            upper = MAX_WARM_EXCESS / largest
+        return bool(lower < c[0] < upper)
 
 
 def _warming(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -63,7 +136,7 @@ def _warming(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     return warming
 
 
-def _run_time(motion: RecordedMotion, values: Mapping[str, float]) -> FloatArray:
+def _run_time(motion: RecordedMotion, values: Values) -> FloatArray:
     """Return the time since the joint was cold [s], shape (M,).
 
     That is the start of the recording, or an "origin" by the clock of all recordings. A recording
@@ -84,55 +157,34 @@ def warming_by_losses(motion: RecordedMotion, model: CandidateModel) -> FloatArr
     constant = model.values["time_constant"]
     decay = float(np.exp(-1.0 / (motion.segment.rate * constant)))
     initial = float(1.0 - np.exp(-_run_time(motion, model.values)[0] / constant))
-    losses = _friction_losses(
-        motion, model.joint_index, model.values["coulomb"], model.values["viscous"]
-    )
-    power = losses / model.values["power"]
+    power = _friction_losses(motion, model.joint_index, model.values) / model.values["power"]
     return np.asarray(
         lfilter([0.0, 1.0 - decay], [1.0, -decay], power)
         + initial * np.exp(-(motion.times - motion.times[0]) / constant)
     )
 
 
-def _friction_losses(
-    motion: RecordedMotion, joint: int, coulomb: float, viscous: float
-) -> FloatArray:
-    """Power that friction dissipates [W], shape (M,)."""
+def _friction_torque(motion: RecordedMotion, joint: int, friction: Values) -> FloatArray:
+    """Torque of Coulomb and viscous friction [N m], shape (M,)."""
     speed = motion.samples.dq[:, joint]
-    return np.asarray((coulomb * motion.sign(joint) + viscous * speed) * speed)
+    return friction["coulomb"] * motion.sign(joint) + friction["viscous"] * speed
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Changes with run time, with friction losses, and with recorded temperature."""
-    origins = [{}, *({"origin": time} for time in _common_origin(motions))]
-    for j in range(motions[0].n):
-        for origin in origins:
-            yield from _by_time(motions, j, origin)
-        yield from _by_temperature(motions, j)
+def _friction_losses(motion: RecordedMotion, joint: int, friction: Values) -> FloatArray:
+    """Power that friction dissipates [W], shape (M,)."""
+    return _friction_torque(motion, joint, friction) * motion.samples.dq[:, joint]
 
 
-def _base_friction(base: FittedRobot, joint: int) -> tuple[float, float]:
+def _base_friction(base: FittedRobot, joint: int) -> Values:
     """Coulomb and viscous friction of the base model; the former is positive."""
     coulomb, viscous = (
         float(base.actuator_parameter(kind)[joint]) for kind in ("coulomb", "viscous")
     )
-    return max(coulomb, 1e-9), viscous
+    return {"coulomb": max(coulomb, 1e-9), "viscous": viscous}
 
 
-def _share_of_friction(
-    motions: Sequence[RecordedMotion], joint: int
-) -> Callable[[Mapping[str, float], FittedRobot], float]:
-    """Return the function of the friction that changes, over that of a base model, at mean speed.
-
-    The friction that changes is stated in the values of a candidate.
-    """
-    speed = float(np.mean(np.abs(np.concatenate([m.samples.dq[:, joint] for m in motions]))))
-
-    def share(values: Mapping[str, float], base: FittedRobot) -> float:
-        coulomb, viscous = _base_friction(base, joint)
-        return (values["coulomb"] + values["viscous"] * speed) / (coulomb + viscous * speed)
-
-    return share
+def _mean_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
+    return float(np.mean(np.abs(np.concatenate([m.samples.dq[:, joint] for m in motions]))))
 
 
 def _common_origin(motions: Sequence[RecordedMotion]) -> list[float]:
@@ -154,93 +206,14 @@ def _common_origin(motions: Sequence[RecordedMotion]) -> list[float]:
     return []
 
 
-def _by_time(
-    motions: Sequence[RecordedMotion], j: int, origin: Mapping[str, float]
-) -> Iterator[CandidateModel]:
-    """Exponential changes with run time, and with the heat of the joint's friction losses."""
-    length = max(float(_run_time(motion, origin)[-1]) for motion in motions)
-    coulomb, viscous = _base_friction(motions[0].fitted_robot, j)
-    losses = [_friction_losses(motion, j, coulomb, viscous) for motion in motions]
-    power = float(np.mean(np.concatenate(losses)))
-    share = _share_of_friction(motions, j)
-
-    def model(constant: float, by_losses: bool = False) -> CandidateModel:
-        def parameters(c: FloatArray, base: FittedRobot) -> dict[str, float]:
-            return {"change": float(c[0]) * share(values, base), "time_constant": constant}
-
-        values = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous, **origin} | (
-            {"power": power} if by_losses else {}
-        )
-        candidate = CandidateModel(
-            "thermal_drift",
-            j,
-            _columns,
-            values,
-            parameters_on_base=parameters,
-            signature="friction changes as its own power heats the joint"
-            if by_losses
-            else "friction changes with run time",
-        )
-        warming = np.concatenate([_warming(motion, candidate) for motion in motions])
-        largest, mean = float(warming.max()), float(warming.mean())
-        # the base fit has the mean of the friction, which must never become negative, nor start
-        # at a large multiple
-        return replace(
-            candidate,
-            is_plausible=is_between(
-                max(-1.0 / (largest - mean), -MAX_COLD_EXCESS / mean), MAX_WARM_EXCESS / largest
-            ),
-        )
-
-    constants = (np.array(TIME_CONSTANTS) * length).tolist()
-    yield from grid_candidates(constants, model)
-    if power > 0.0:
-        yield from grid_candidates(constants, lambda constant: model(constant, by_losses=True))
-
-
-def _by_temperature(motions: Sequence[RecordedMotion], j: int) -> Iterator[CandidateModel]:
-    """Linear change with temperature, where all motions have it and it varies.
-
-    The reported change is that from the coldest to the warmest state recorded.
-    """
-    temperatures = np.concatenate([motion.temperature[:, j] for motion in motions])
-    span = float(np.ptp(temperatures))
-    if not span > MIN_TEMPERATURE_RANGE:  # also where it is not a number
-        return
-    coulomb, viscous = _base_friction(motions[0].fitted_robot, j)
-    share_of_friction = _share_of_friction(motions, j)
-    mean = float(temperatures.mean())
-    below, above = mean - float(temperatures.min()), float(temperatures.max()) - mean
-    # friction never becomes negative, nor a large multiple of its mean
-    lower = -min(1.0 / above, MAX_COLD_EXCESS / below)
-    upper = min(1.0 / below, MAX_COLD_EXCESS / above)
-
-    def change(values: Mapping[str, float], c: FloatArray, base: FittedRobot) -> dict[str, float]:
-        per_degree = float(c[0]) * share_of_friction(values, base)
-        return {"change": per_degree * span / (1.0 - per_degree * below)}
-
-    for changing_coulomb in (coulomb, 0.0):  # lubricant thins; dry friction may change or not
-        values = {"reference": mean, "coulomb": changing_coulomb, "viscous": viscous}
-        yield CandidateModel(
-            "thermal_drift",
-            j,
-            _columns,
-            values,
-            parameters_on_base=partial(change, values),
-            is_plausible=is_between(lower, upper),
-            signature="friction changes with temperature",
-        )
-
-
-THERMAL_DRIFT = Effect(
+THERMAL_DRIFT = _ThermalDrift(
     "thermal_drift",
     "friction × (1 + c (1 − e^(−t/T))), or × (1 + c ϑ), T ϑ̇ = p/p̄ − ϑ, heated by its power p, or "
     "× (1 + c (ϑ − ϑ₀)) where temperatures were recorded (Bittencourt & Gunnarsson 2012)",
-    _columns,
-    _candidates,
     {"change": "1", "time_constant": "s"},
     "friction changes with run time or temperature",
     "a long run that ends with its first motion, temperatures recorded",
+    depends_on_base=True,
     form_std={"change": 0.25, "time_constant": 0.25},
 )
 """Warm-up: friction that falls as lubricant and gear get warm."""

@@ -7,23 +7,28 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import FloatArray
-from .effect import (
-    CandidateModel,
-    Effect,
-    harmonic_columns,
-    no_candidates,
-    pair_amplitude,
-    single_joint_columns,
-)
-from .recorded_motion import RecordedMotion
+from .effect import CandidateModel, Values, pair_parameters
+from .joint_torque import JointTorque
+from .recorded_motion import FittedRobot, RecordedMotion
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+class _TorqueRipple(JointTorque):
     """A wave of one order, and one that grows with the load."""
-    j = model.joint_index
-    waves = harmonic_columns(model.values, motion.samples.q[:, j])
-    load = motion.transmitted_torque[:, j] / model.values["load"]
-    return single_joint_columns(motion, j, np.hstack([waves, load[:, None] * waves]))
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        return pair_parameters(model, c)
+
+
+TORQUE_RIPPLE = _TorqueRipple(
+    "torque_ripple",
+    "A cos kq + B sin kq",
+    {"order": "1/turn", "amplitude": "N m"},
+    "periodic in the angle, whatever the speed",
+    "slow constant speed over a turn",
+    has_candidates=False,
+    form_std={"order": 0.02, "amplitude": 0.1},
+)
+"""Torque ripple; users call it cogging, gear meshing or motor pole ripple."""
 
 
 def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> CandidateModel:
@@ -37,24 +42,4 @@ def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> C
     scale = max(torque, float(np.abs(load).max()), 1e-9)
     share = float(np.sqrt(np.mean(load**2))) / scale
     values = {"order": order, "load": scale}
-    return CandidateModel(
-        "torque_ripple",
-        joint,
-        _columns,
-        values,
-        parameters=pair_amplitude(order=order),
-        prior_shares=(1.0, 1.0, share, share),
-    )
-
-
-TORQUE_RIPPLE = Effect(
-    "torque_ripple",
-    "A cos kq + B sin kq",
-    _columns,
-    no_candidates,
-    {"order": "1/turn", "amplitude": "N m"},
-    "periodic in the angle, whatever the speed",
-    "slow constant speed over a turn",
-    form_std={"order": 0.02, "amplitude": 0.1},
-)
-"""Torque ripple; users call it cogging, gear meshing or motor pole ripple."""
+    return CandidateModel(TORQUE_RIPPLE, joint, values, prior_shares=(1.0, 1.0, share, share))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from .._types import FloatArray
 from ..identification.standstill import STANDSTILL_SPEED_RATIO
-from .effect import CandidateModel, Effect, grid_candidates, is_between, single_joint_columns
-from .recorded_motion import RecordedMotion
+from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_columns
+from .recorded_motion import FittedRobot, RecordedMotion
 
 POWERS = (2.0, 3.0, 5.0)
 """Powers of the torque that are lost."""
@@ -24,15 +24,68 @@ MAX_LOSS = 0.5
 drive that records what it is told and clips it, no one would let half get lost."""
 
 
-def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Lost torque, of the measured torque, or of the base model's in older files."""
-    torque = motion.measured_torque if model.values.get("measured") else motion.motor_torque
-    return single_joint_columns(
-        motion, model.joint_index, lost_torque(model.values, torque[:, model.joint_index])
-    )
+class _TorqueSaturation(Effect):
+    """Losses as functions of the measured torque, for which that of the joint model stands.
+
+    The recorded τ stands for a current that produced less: true = τ (1 − loss (τ/τ_max)²). A
+    magnetically saturated motor levels off with the measured torque as τ/(1 + |τ/L|^p)^(1/p).
+    """
+
+    def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+        """Return the lost torque, of the measured one, or of the base model's in older files."""
+        torque = motion.measured_torque if model.values.get("measured") else motion.motor_torque
+        lost = lost_torque(model.values, torque[:, model.joint_index])
+        return single_joint_columns(motion, model.joint_index, lost)
+
+    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+        for joint in range(motions[0].n):
+            torque, speed = (
+                np.abs(np.concatenate([x[:, joint] for x in signals]))
+                for signals in (
+                    [motion.measured_torque for motion in motions],
+                    [motion.samples.dq for motion in motions],
+                )
+            )
+            largest = max(float(torque.max()), 1e-9)
+            # median torque in motion: a joint at standstill may carry none
+            moving = speed >= STANDSTILL_SPEED_RATIO * speed.max()
+            usual = max(float(np.median(torque[moving])), 1e-9)
+            fixed, facts = {"measured": 1.0, "largest": largest}, {"usual": usual}
+            for power in POWERS:
+                yield CandidateModel(self, joint, {**fixed, "power": power}, facts=facts)
+            levels = np.geomspace(usual, largest, 6).tolist()
+            for sharpness in SHARPNESSES:
+                values = {**fixed, "level": levels[0], "bend": sharpness}
+                model = CandidateModel(self, joint, values, facts=facts)
+                yield from grid_candidates(model, "level", levels)
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        return {"loss": _relative_loss(model, model.values["largest"]) * float(c[0])}
+
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        """Check that the loss is bounded at the largest torque, and small at a usual one."""
+        bounds = (
+            MAX_LEVEL_COEFFICIENT if "level" in model.values else 1.0,
+            MAX_USUAL_LOSS / max(_relative_loss(model, model.facts["usual"]), 1e-9),
+            MAX_LOSS / _relative_loss(model, model.values["largest"]),
+        )
+        return bool(0.0 < c[0] < min(bounds))
+
+    def predicted_torque(
+        self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
+    ) -> FloatArray:
+        """Return recorded minus produced torque of an actuator that loses torque, shape (M, n)."""
+        out = np.zeros_like(produced)
+        torque = produced[:, model.joint_index]
+        out[:, model.joint_index] = recorded_torque(float(c[0]), model.values, torque) - torque
+        return out
 
 
-def lost_torque(values: Mapping[str, float], x: FloatArray) -> FloatArray:
+def _relative_loss(model: CandidateModel, torque: float) -> float:
+    return float(lost_torque(model.values, np.array([torque]))[0]) / torque
+
+
+def lost_torque(values: Values, x: FloatArray) -> FloatArray:
     """Return the lost torque per coefficient, shape (M,): a power of x, or all above a level."""
     if "level" in values:
         bend = values["bend"]
@@ -40,75 +93,7 @@ def lost_torque(values: Mapping[str, float], x: FloatArray) -> FloatArray:
     return np.asarray(x * (np.abs(x) / values["largest"]) ** (values["power"] - 1.0))
 
 
-def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Losses as functions of the measured torque, for which that of the joint model stands.
-
-    The recorded τ stands for a current that produced less: true = τ (1 − loss (τ/τ_max)²). A
-    magnetically saturated motor levels off with the measured torque as τ/(1 + |τ/L|^p)^(1/p).
-    """
-    for joint in range(motions[0].n):
-        signals = zip(
-            *((motion.measured_torque, motion.samples.dq) for motion in motions), strict=True
-        )
-        torque, speed = (np.abs(np.concatenate([x[:, joint] for x in parts])) for parts in signals)
-        largest = max(float(torque.max()), 1e-9)
-        # median torque in motion: a joint at standstill may carry none
-        moving = speed >= STANDSTILL_SPEED_RATIO * speed.max()
-        usual = max(float(np.median(torque[moving])), 1e-9)
-        for power in POWERS:
-            yield _loss(joint, usual, largest, 1.0, power=power)
-        for sharpness in SHARPNESSES:
-            levels = np.geomspace(usual, largest, 6).tolist()
-            yield from grid_candidates(levels, _levelling_off(joint, usual, largest, sharpness))
-
-
-def _levelling_off(
-    joint: int, usual: float, largest: float, sharpness: float
-) -> Callable[[float], CandidateModel]:
-    """Return the model of a torque that levels off, for each level [N m]."""
-    return lambda level: _loss(
-        joint, usual, largest, MAX_LEVEL_COEFFICIENT, level=level, bend=sharpness
-    )
-
-
-def _loss(
-    joint: int, usual: float, largest: float, max_coefficient: float, **values: float
-) -> CandidateModel:
-    """Return a loss that is reported at the largest torque, and is small at a usual one.
-
-    Args:
-        joint: Index of the joint.
-        usual: A usual torque [N m].
-        largest: The largest torque [N m].
-        max_coefficient: Largest coefficient.
-        **values: Power, or level and bend.
-    """
-    fixed = {"measured": 1.0, "largest": largest, **values}
-    usual_loss, largest_loss = (
-        lost_torque(fixed, np.array([usual, largest])) / [usual, largest]
-    ).tolist()
-    bounds = max_coefficient, MAX_USUAL_LOSS / max(usual_loss, 1e-9), MAX_LOSS / largest_loss
-    return CandidateModel(
-        "torque_saturation",
-        joint,
-        _columns,
-        fixed,
-        parameters=lambda c: {"loss": largest_loss * float(c[0])},
-        is_plausible=is_between(0.0, min(bounds)),
-    )
-
-
-def _predicted_torque(
-    motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
-) -> FloatArray:
-    """Recorded minus produced torque of an actuator that loses torque, shape (M, n)."""
-    out = np.zeros_like(produced)
-    torque = produced[:, model.joint_index]
-    out[:, model.joint_index] = recorded_torque(float(c[0]), model.values, torque) - torque
-    return out
-
-
-def recorded_torque(loss: float, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
+def recorded_torque(loss: float, values: Values, torque: FloatArray) -> FloatArray:
     """Return the torque that is recorded while a saturating actuator produces a torque.
 
     Solves x − c · lost(x) = τ for x.
@@ -127,14 +112,11 @@ def recorded_torque(loss: float, values: Mapping[str, float], torque: FloatArray
     )
 
 
-TORQUE_SATURATION = Effect(
+TORQUE_SATURATION = _TorqueSaturation(
     "torque_saturation",
     "k_t (1 − β i²); or τ/(1 + |τ/L|^p)^(1/p), which levels off (Fröhlich 1881 for p = 1)",
-    _columns,
-    _candidates,
     {"loss": "1"},
     "torque is missing at high current only",
     "short bursts near the torque limit",
-    predicted_torque=_predicted_torque,
 )
 """Motor saturation, current limit, torque constant that falls with current."""

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from ..designer import casadi_model
-from . import friction_runtime
-from .friction_runtime import JointMotion, MaxwellSlipBank, Term
+from ..effects import friction_runtime
+from ..effects.friction_runtime import JointMotion, MaxwellSlipBank, Term
 from .python_friction import friction_table, is_term
 from .simulator_model import Held, SimulatorModel
 

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from .._types import BoolArray, FloatArray
+from ..effects import friction_runtime
 from ..errors import UnusableInput
 from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
 from ..robot.samples import Samples
 from ..schemas.effects import is_recording_filter
-from . import friction_runtime, mjcf_file
+from . import mjcf_file
 from .python_friction import friction_table
 from .simulator_model import SimulatorModel
 

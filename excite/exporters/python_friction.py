@@ -10,8 +10,9 @@ import inspect
 import pprint
 from typing import Any
 
+from ..effects import friction_runtime
 from ..schemas.effects import EffectDocument
-from . import friction_runtime, isaaclab_file, mjcf_file
+from . import isaaclab_file, mjcf_file
 from .simulator_model import Held, SimulatorModel
 
 HOLDS = frozenset(Held)
@@ -39,7 +40,7 @@ def friction_table(model: SimulatorModel) -> dict[str, Any]:
     }
     terms: list[dict[str, Any]] = []
     for j in range(robot.n):
-        friction = [drive["viscous"][j], drive["coulomb"][j]]
+        friction = [drive["coulomb"][j], drive["viscous"][j]]
         terms.append(_base_term("base", j, friction, Held.COULOMB))
         if drive["offset"][j]:
             terms.append(_base_term("base_offset", j, [drive["offset"][j]], Held.OFFSET))

@@ -10,8 +10,7 @@ Positions, velocities and loads have the shape (n,), or (environments, n) for ma
 The load is the torque of the rigid links, without rotors and friction [N m]: inverse dynamics of q,
 dq, ddq. Presliding hysteresis (Maxwell-slip elements), and other dry friction that builds up in the
 same elements, has a state, which `torque` advances by the change of q since the last call; `reset`
-forgets it. The state does not depend on time, so that
-repeated calls at one position change nothing.
+forgets it. The state does not depend on time: repeated calls at one position change nothing.
 
 MuJoCo: `install(mujoco, model, friction, beyond="mjcf")` subtracts from the passive forces what the
 exported MJCF does not hold. Isaac Lab: subtract `friction.torque(q, dq, load, beyond="isaaclab")`
@@ -24,26 +23,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-CURVE_POINTS = 200
-"""Positions over which the mean of a wave of position-dependent friction is formed."""
-STRIBECK_SPEEDS = np.geomspace(0.03, 0.3, 4)
+STRIBECK_SPEEDS = np.geomspace(0.03, 0.3, 4).tolist()
 """Speeds to which Stribeck curves fall, over the largest speed."""
 ASINH_SPEEDS = (0.02, 0.1, 0.4)
-"""Speeds of the asinh curves of nonlinear viscous friction, over the largest speed."""
+"""Speeds of the asinh curves of nonlinear viscous friction (Eyring), over the largest speed."""
 TANH_SPEEDS = (0.1, 0.4)
 """Speeds of its tanh curves, over the largest speed."""
+CURVE_POINTS = 200
+"""Positions over which the mean of a wave of position-dependent friction is formed."""
 ELEMENTS = 20
-"""Maxwell-slip elements of a joint."""
+"""Maxwell-slip elements of a joint: half an octave of deflection from one to the next."""
 UNEQUAL_ELEMENTS = [10, 14]
-"""Maxwell-slip elements whose branches may be unequal."""
-DAMPING_TIME = 0.15
-"""Damping over stiffness of an element, over the root of its reach in radians [s/√rad]."""
+"""Elements whose branches may be unequal: those of 8 and 32 mrad, in the middle of the reaches."""
 LAST_REACH = 0.181
-"""Reach of the last element of a revolute joint [rad]."""
+"""Deflection at which the last element of a revolute joint slips [rad]."""
+DAMPING_TIME = 0.15
+"""Damping over stiffness of an element, over the root of its reach in radians [s/√rad]. A bristle
+of mass I with a damping ratio ζ has 2 ζ √(I d/F): 0.15 √d for ζ = 0.15, of a usual 0.05 to 0.4, and
+F/I = 4 rad/s²."""
 
 
 class JointMotion(NamedTuple):
-    """JointMotion of a joint, as its torque depends on it; numbers, arrays or symbols.
+    """Motion of a joint, as its torque depends on it; numbers, arrays or symbols.
 
     Attributes:
         q: Position [rad or m].
@@ -55,13 +56,13 @@ class JointMotion(NamedTuple):
         width: Width of the base model's sign function [rad/s or m/s].
     """
 
-    q: Any
-    dq: Any
-    ddq: Any
-    load: Any
-    other_dq: Any
-    other_ddq: Any
-    width: float
+    q: Any = 0.0
+    dq: Any = 0.0
+    ddq: Any = 0.0
+    load: Any = 0.0
+    other_dq: Any = 0.0
+    other_ddq: Any = 0.0
+    width: float = 1.0
 
 
 class Term(NamedTuple):
@@ -84,133 +85,133 @@ class Term(NamedTuple):
     held_by: list[str]
 
 
+def columns(
+    effect: str, v: dict[str, float], x: JointMotion, m: Any = np
+) -> tuple[list[Any], list[Any]]:
+    """Return the torque per unit of each coefficient of an effect without memory, in their order.
+
+    Args:
+        effect: Name of the effect.
+        v: Its nonlinear parameters.
+        x: Motion of its joint.
+        m: Module of the functions: numpy, or casadi for symbols.
+
+    Returns:
+        Factors of the sign of the velocity, and after them the columns without a sign, both over
+        `unit`.
+    """
+    return _COLUMNS[effect](v, x, m)
+
+
+def unit(v: dict[str, float]) -> float:
+    """Return the torque over which columns are stated [N m or N]: that of load friction, or 1."""
+    return v.get("scale", 1.0)
+
+
 def stateless(term: Term, x: JointMotion, m: Any = np) -> tuple[Any, Any]:
     """Return both parts of a term's torque s + d sign(dq), the sign smooth over the width.
 
     Args:
         term: A term without memory.
-        x: JointMotion of its joint.
+        x: Motion of its joint.
         m: Module of the functions: numpy, or casadi for symbols.
 
     Returns:
         The smooth part s and the factor d of the sign [N m or N].
     """
-    return _FUNCTIONS[term.effect](term.values, term.coefficients, x, m)
+    dry, smooth = columns(term.effect, term.values, x, m)
+    c = term.coefficients
+    parts = zip(c[len(dry) :], smooth, strict=True), zip(c[: len(dry)], dry, strict=True)
+    smooth_part, dry_part = (sum(a * column for a, column in part) for part in parts)
+    return unit(term.values) * smooth_part, unit(term.values) * dry_part
 
 
-def _base(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    return c[0] * x.dq, c[1]
+_Columns = tuple[list[Any], list[Any]]
 
 
-def _asymmetric_viscous(
-    v: dict[str, float], c: list[float], x: JointMotion, m: Any
-) -> tuple[Any, Any]:
-    return c[0] * m.fabs(x.dq), 0.0
+def _stribeck(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+    shares = [m.fabs(x.dq) / (speed * v["top_speed"]) for speed in STRIBECK_SPEEDS]
+    return [m.exp(-share) for share in shares] + [m.exp(-(share**2)) for share in shares], []
 
 
-def _stribeck(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    shares = [m.fabs(x.dq) / (speed * v["top_speed"]) for speed in STRIBECK_SPEEDS.tolist()]
-    curves = [m.exp(-share) for share in shares] + [m.exp(-(share**2)) for share in shares]
-    return 0.0, _combination(c, curves)
-
-
-def _nonlinear_viscous(
-    v: dict[str, float], c: list[float], x: JointMotion, m: Any
-) -> tuple[Any, Any]:
+def _nonlinear_viscous(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
     # beyond the speeds of the fit the friction goes on linearly
     share = m.fmin(m.fmax(x.dq / v["top_speed"], -1.0), 1.0)
     size = m.fabs(share)
     curves = [m.arcsinh(share / w) / float(np.arcsinh(1.0 / w)) for w in ASINH_SPEEDS]
     curves += [m.tanh(share / w) / float(np.tanh(1.0 / w)) for w in TANH_SPEEDS]
     curves += [m.sign(share) * m.sqrt(size), share * size, share**3]
-    return _combination(c, [curve - share for curve in curves]), 0.0
+    # less the linear curve of equal friction at the largest speed
+    return [], [curve - share for curve in curves]
 
 
-def _combination(c: list[float], curves: list[Any]) -> Any:
-    """Sum of curves times their coefficients."""
-    return sum(a * curve for a, curve in zip(c, curves, strict=True))
+def _load_friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+    share = m.fabs(x.load) / v["scale"]
+    return [share, share**2], [x.load / v["scale"]]
 
 
-def _drag(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    return c[0] * x.dq * m.fabs(x.dq), 0.0
+def _position_friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+    positions, waves = np.linspace(v["low"], v["high"], CURVE_POINTS), []
+    for order in [(k + 1) * v["order"] for k in range(int(v["waves"]))]:
+        # friction that does not vary over the range of the joint is Coulomb friction
+        waves.append(m.cos(order * x.q) - float(np.cos(order * positions).mean()))
+        waves.append(m.sin(order * x.q) - float(np.sin(order * positions).mean()))
+    return waves, []
 
 
-def _load_friction(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    size = m.fabs(x.load)
-    return c[2] * x.load, c[0] * size + c[1] * size**2 / v["scale"]
+SPRING_FORMS = (
+    lambda q, m: [q],
+    lambda q, m: [m.cos(q), m.sin(q)],
+    lambda q, m: [q, q**2],
+    lambda q, m: [q, q**2, q**3],
+    lambda q, m: [m.cos(q), m.sin(q), m.cos(2 * q), m.sin(2 * q)],
+)
+"""Torque of usual springs and counterbalances over the position, by their number in a model."""
 
 
-def _position_friction(
-    v: dict[str, float], c: list[float], x: JointMotion, m: Any
-) -> tuple[Any, Any]:
-    positions, total = np.linspace(v["low"], v["high"], CURVE_POINTS), 0.0
-    for k in range(int(v["waves"])):
-        order = (k + 1) * v["order"]
-        total = total + c[2 * k] * (m.cos(order * x.q) - float(np.cos(order * positions).mean()))
-        total = total + c[2 * k + 1] * (
-            m.sin(order * x.q) - float(np.sin(order * positions).mean())
-        )
-    return 0.0, total
-
-
-def _friction(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    return c[1] * x.dq, c[0]
-
-
-def _torque_offset(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    return c[0], 0.0
-
-
-def _spring(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+def _spring(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+    # a curve says nothing beyond the positions of its recordings; two lines that meet go on
     q = m.fmin(m.fmax(x.q, v["low"]), v["high"]) if "low" in v else x.q
     if "waves" in v:
-        phase = np.pi * (q - v["low"]) / (v["high"] - v["low"])
-        return _combination(c, [m.cos((k + 1) * phase) for k in range(int(v["waves"]))]), 0.0
+        place = (q - v["low"]) / (v["high"] - v["low"])
+        return [], [m.cos(np.pi * (place * (k + 1))) for k in range(int(v["waves"]))]
     if "bend" in v:
-        distance = x.q - v["bend"]  # a line goes on beyond the ends of a curve
-        return c[0] * m.fmin(distance, 0.0) + c[1] * m.fmax(distance, 0.0), 0.0
+        distance = x.q - v["bend"]
+        return [], [m.fmin(distance, 0.0), m.fmax(distance, 0.0)]
     if "order" in v:
         phase = v["order"] * (q - v["about"])
-        wave = c[1] * (m.cos(phase) - 1.0) + c[2] * m.sin(phase)
-        return c[0] * (q - v["about"]) + wave, 0.0
-    columns = (
-        (q,),
-        (m.cos(q), m.sin(q)),
-        (q, q**2),
-        (q, q**2, q**3),
-        (m.cos(q), m.sin(q), m.cos(2 * q), m.sin(2 * q)),
-    )[int(v["form"])]
-    return _combination(c, list(columns)), 0.0
+        return [], [q - v["about"], m.cos(phase) - 1.0, m.sin(phase)]
+    return [], SPRING_FORMS[int(v["form"])](q, m)
 
 
-def _torque_ripple(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
-    angle, load = v["order"] * x.q, x.load / v["load"]
-    return (c[0] + c[2] * load) * m.cos(angle) + (c[1] + c[3] * load) * m.sin(angle), 0.0
+def _torque_ripple(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+    waves = [m.cos(v["order"] * x.q), m.sin(v["order"] * x.q)]
+    return [], [*waves, *(x.load / v["load"] * wave for wave in waves)]
 
 
-def _coupling(v: dict[str, float], c: list[float], x: JointMotion, m: Any) -> tuple[Any, Any]:
+def _coupling(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
     speed = x.dq + v["ratio"] * x.other_dq
-    total = c[0] * speed + c[1] * m.tanh(speed / x.width)
-    return (total if "light" in v else total + c[2] * v["ratio"] * x.other_ddq), 0.0
+    friction = [speed, m.tanh(speed / x.width)]
+    return [], friction if "light" in v else [*friction, v["ratio"] * x.other_ddq]
 
 
-_FUNCTIONS = {
-    "base": _base,
-    "base_offset": _torque_offset,
-    "asymmetric_viscous": _asymmetric_viscous,
+_COLUMNS: dict[str, Any] = {
+    "base": lambda v, x, m: ([1.0], [x.dq]),
+    "base_offset": lambda v, x, m: ([], [1.0]),
+    "asymmetric_viscous": lambda v, x, m: ([], [m.fabs(x.dq)]),
     "stribeck": _stribeck,
     "nonlinear_viscous": _nonlinear_viscous,
-    "drag": _drag,
+    "drag": lambda v, x, m: ([], [x.dq * m.fabs(x.dq)]),
     "load_friction": _load_friction,
     "position_friction": _position_friction,
-    "friction": _friction,
-    "torque_offset": _torque_offset,
+    "friction": lambda v, x, m: ([1.0], [x.dq]),
+    "torque_offset": lambda v, x, m: ([], [1.0]),
     "spring": _spring,
     "torque_ripple": _torque_ripple,
     "coupling": _coupling,
 }
-"""Smooth part and factor of the sign of each effect without memory; "base" has the coefficients
-viscous and Coulomb friction of the base model, "base_offset" its offset."""
+"""Columns of each effect without memory; "base" has the coefficients Coulomb and viscous friction
+of the base model, "base_offset" its offset."""
 WITH_MEMORY = ("hysteresis",)
 """Effects whose torque depends on the past of the position."""
 
@@ -220,8 +221,28 @@ def has_state(term: Term) -> bool:
     return term.effect in WITH_MEMORY or "share_0" in term.values
 
 
-KNOWN = (*_FUNCTIONS, *WITH_MEMORY)
+KNOWN = (*_COLUMNS, *WITH_MEMORY)
 """Effects that this module computes."""
+
+
+def reaches(v: dict[str, float]) -> Any:
+    """Return the deflections at which the elements slip, shape (ELEMENTS,) [rad or m].
+
+    Args:
+        v: Values of a term: "reach" of the first and "last_reach".
+    """
+    return np.geomspace(v["reach"], v["last_reach"], ELEMENTS)
+
+
+def shares(v: dict[str, float]) -> Any:
+    """Return the shares of the elements in dry friction, shape (ELEMENTS,)."""
+    return np.array([v[f"share_{i}"] for i in range(ELEMENTS)])
+
+
+def damping(v: dict[str, float]) -> Any:
+    """Return the damping of each element while it sticks, per damping coefficient, (ELEMENTS,)."""
+    times = DAMPING_TIME * np.sqrt(reaches(v) * LAST_REACH / v["last_reach"])
+    return shares(v) * times / reaches(v)
 
 
 class MaxwellSlipBank:
@@ -241,16 +262,13 @@ class MaxwellSlipBank:
 
     def __init__(self, term: Term) -> None:
         """Begin with relaxed springs."""
-        last = term.values["last_reach"]
-        self.distances = np.geomspace(term.values["reach"], last, ELEMENTS)
-        shares = np.array([term.values.get(f"share_{i}", 0.0) for i in range(ELEMENTS)])
-        self.strengths, self.damping = shares, np.zeros(ELEMENTS)
+        self.distances = reaches(term.values)
+        self.strengths, self.damping = shares(term.values), np.zeros(ELEMENTS)
         self.unequal = np.zeros(len(UNEQUAL_ELEMENTS))
         if term.effect in WITH_MEMORY:
             c = np.array(term.coefficients, float)
             self.strengths, self.unequal = np.split(c[: ELEMENTS + len(self.unequal)], [ELEMENTS])
-            times = DAMPING_TIME * np.sqrt(self.distances * LAST_REACH / last)
-            self.damping = shares * times / self.distances * c[-1]
+            self.damping = damping(term.values) * c[-1]
         self.last: Any = None
         self.z: Any = None
 
@@ -331,15 +349,8 @@ class Friction:
 
     def _motion(self, term: Term, q: Any, dq: Any, ddq: Any, load: Any) -> JointMotion:
         j, other = term.joint, max(term.other, 0)
-        return JointMotion(
-            q[..., j],
-            dq[..., j],
-            ddq[..., j],
-            load[..., j],
-            dq[..., other],
-            ddq[..., other],
-            float(self.widths[j]),
-        )
+        q, load, others = q[..., j], load[..., j], (dq[..., other], ddq[..., other])
+        return JointMotion(q, dq[..., j], ddq[..., j], load, *others, float(self.widths[j]))
 
 
 def install(mujoco: Any, model: Any, friction: Friction, beyond: str | None = "mjcf") -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects.effect import CandidateModel, Key
+from ..effects.form_error import RELATIVE_STD
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from . import cross_validation, joint_model, posterior, probability
@@ -326,7 +327,9 @@ class _Search:
             better = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
             if better.values != shape.values:
                 other = self._fit((*self._shapes, better))
-                if _evidence(other, shape.key) > _evidence(extended, shape.key):
+                # the error of its form may explain less than that
+                least = (1.0 + RELATIVE_STD**2) * _evidence(extended, shape.key)
+                if _evidence(other, shape.key) > least:
                     shape, extended = better, other
         return self._judged(extended, shape, self.model)
 

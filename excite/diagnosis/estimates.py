@@ -239,7 +239,7 @@ def with_doubts_about_prior(
     weights = 1.0 / np.maximum(refit**2, 1e-300)
 
     def share(estimate: EffectEstimate) -> float:
-        if not EFFECTS_BY_NAME[estimate.effect].prior_only:
+        if not estimate.models[0].is_absorbed:
             return 1.0
         size = estimate.growth**2
         weight = np.where(size > 0.0, weights, 0.0)

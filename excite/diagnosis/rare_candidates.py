@@ -168,12 +168,13 @@ class CandidateColumns:
         shapes: list[CandidateModel] = []
         absorbed: list[CandidateModel] = []
         for effect in EFFECTS:
-            if effect.name not in DENSE_NAMES and (trusted or not effect.prior_only):
-                (absorbed if effect.prior_only else shapes).extend(effect.candidates(model.motions))
+            if effect.name not in DENSE_NAMES:
+                for shape in effect.candidates(model.motions):
+                    (absorbed if shape.is_absorbed else shapes).append(shape)
         shapes += ripple_search.encoder_errors(model)
         shapes += flexible_models(model.motions, model.regression.sigma)
         self._shapes = CandidateShapes.of(model, shapes)
-        self._absorbed = CandidateShapes.of(model, absorbed)
+        self._absorbed = CandidateShapes.of(model, absorbed if trusted else ())
         self._contacts = CandidateShapes.of(model, ())
 
     def seek_contacts(self, model: JointModel) -> None:

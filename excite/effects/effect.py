@@ -34,8 +34,8 @@ class Effect:
         has_candidates: False for an effect that the joint model has at every joint, or that is
             sought in its residual.
         depends_on_base: Whether its parameters depend on the base model to which it is added.
-        prior_only: Whether a refit of the base model absorbs the effect, so that it can be found
-            only with a trusted prior.
+        prior_only: Whether a refit of the base model absorbs the effect, if it acts all the time,
+            so that it can be found only with a trusted prior.
         form_std: Relative standard deviation of the parameters where the robot's effect has not
             exactly the form of the model.
         of_link: Whether it acts on the link of its joint, so that all joints before it show it, and
@@ -177,6 +177,11 @@ class CandidateModel:
         """Index of the joint, of a model that has one."""
         assert self.joint is not None
         return self.joint
+
+    @property
+    def is_absorbed(self) -> bool:
+        """True if a refit of the base model absorbs it: nothing that acts for some of the time."""
+        return self.definition.prior_only and self.interval is None
 
     @property
     def nonnegative(self) -> tuple[bool, ...]:

@@ -1,8 +1,12 @@
-"""Payload: the inertial parameters of a link differ from the model, as with a tool or a load."""
+"""Payload: the inertial parameters of a link differ from the model, as with a tool or a load.
+
+A load that the robot carries in one of several recordings is found without a trusted prior.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,10 +19,13 @@ from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_CENTRE_DISTANCE = 1.5
 """Largest distance of a payload's centre of mass from its link's frame [m]."""
-
 MAX_INDEFINITENESS = 0.05
 """Largest magnitude of a negative eigenvalue of its pseudo-inertia over the largest one: noise
 makes that of a compact load indefinite."""
+
+
+ONE_LOAD = "a load that the other recordings have not"
+"""Description of the residual of a load in one recording."""
 
 
 def _is_physically_consistent(c: FloatArray) -> bool:
@@ -42,17 +49,26 @@ class _Payload(Effect):
             Y = regressor(robot.robot, robot.parameters, motion.coarse_samples)
             return motion.lowpass(Y[:, :, : 10 * robot.parameters.bodies], Grid.COARSE)
 
+        if model.source not in ("", motion.segment.source):
+            return np.zeros((len(motion), motion.n, count))
         Y = motion.for_all_fits("regressor of the links", low_passed)
         return Y[:, :, 10 * link : 10 * link + count]
 
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        """Yield a point mass, and a body with inertia, on every link."""
-        fitted = motions[0].fitted_robot
+        """Yield a point mass, and a body with inertia, on every link.
+
+        Of several recordings, each may be the one with a load on a link that ends a chain.
+        """
+        fitted, times = motions[0].fitted_robot, _times_of_recordings(motions)
         for link in range(len(fitted.parameters.links)):
             joint = int(np.flatnonzero(fitted.robot.spread[link])[0])
             for count in (4, 10):
                 values = {"link": float(link), "count": float(count)}
-                yield CandidateModel(self, joint, values, motions=motions)
+                model = CandidateModel(self, joint, values, motions=motions)
+                yield model
+                if _ends_a_chain(fitted, link) and len(times) > 1:
+                    for source, interval in times.items():
+                        yield replace(model, source=source, interval=interval, signature=ONE_LOAD)
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         reach = float(np.linalg.norm(c[1:4]))
@@ -65,13 +81,29 @@ class _Payload(Effect):
         """Check that it is a body, or on the last link of a chain also a change of its tool.
 
         The last link may have lost a body, or carry it in another way. A body may be gone that the
-        model has in part on other links, since recordings do not tell them apart.
+        model has in part on other links, since recordings do not tell them apart. In a single
+        recording the last link has a body that the others have not.
         """
         fitted, link = model.motions[0].fitted_robot, int(model.values["link"])
-        if link + 1 in set(fitted.model.parents):  # body 0 is the base
+        if model.source or not _ends_a_chain(fitted, link):
             return _is_physically_consistent(c)
         changed = fitted.psi[10 * link : 10 * (link + 1)] + np.append(c, np.zeros(10 - len(c)))
         return any(_is_physically_consistent(x) for x in (c, -c, changed))
+
+
+def _ends_a_chain(fitted: FittedRobot, link: int) -> bool:
+    """Return whether no joint carries another link beyond a link."""
+    return link + 1 not in set(fitted.model.parents)  # body 0 is the base
+
+
+def _times_of_recordings(motions: Sequence[RecordedMotion]) -> dict[str, tuple[float, float]]:
+    """Return begin and end of the motions of each recording [s]."""
+    out: dict[str, tuple[float, float]] = {}
+    for motion in motions:
+        begin, end = float(motion.time[0]), float(motion.time[-1])
+        low, high = out.get(motion.segment.source, (begin, end))
+        out[motion.segment.source] = min(low, begin), max(high, end)
+    return out
 
 
 PAYLOAD = _Payload(

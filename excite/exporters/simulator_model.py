@@ -407,7 +407,7 @@ def _add_effect(
     limits: Limits | None,
 ) -> Held | None:
     """Add an effect to the parameters; return the quantity that stands for it, None without."""
-    if effect.effect == "payload":
+    if effect.effect == "payload" and effect.time is None:
         link, count = int(effect.values["link"]), int(effect.values["count"])
         psi[10 * link : 10 * link + count] += np.array(effect.coefficients)
         return Held.INERTIA

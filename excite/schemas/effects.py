@@ -54,7 +54,7 @@ class EffectForm:
         coefficients: Function from its values to its number of coefficients.
         joint: True if it needs a joint, False if it has none, None if both are allowed.
         other: True if it comes from another joint.
-        interval: True if it needs an interval of time and a recording.
+        interval: True if it needs an interval of time and a recording, None if it may have one.
     """
 
     needed: Mapping[str, Range] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class EffectForm:
     coefficients: Callable[[Values], int] = lambda values: 1
     joint: bool | None = True
     other: bool = False
-    interval: bool = False
+    interval: bool | None = False
 
 
 def _waves(values: Values) -> int:
@@ -178,6 +178,7 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
         EffectForm(
             {"link": Range(0.0, 1000.0, "1"), "count": Range(4.0, 10.0, "1")},
             coefficients=lambda values: int(values["count"]),
+            interval=None,
         ),
     ),
     "gravity_tilt": (
@@ -263,7 +264,7 @@ class EffectDocument(msgspec.Struct):
         if form.other != (self.other is not None) or (form.other and self.other == self.joint):
             expected = "comes from another joint" if form.other else "has none"
             raise ValueError(f"from: '{self.effect}' {expected}, not {shown(self.other)}")
-        if form.interval != (self.time is not None):
+        if form.interval is not None and form.interval != (self.time is not None):
             expected = "needs an interval" if form.interval else "has no interval"
             raise ValueError(f"time: '{self.effect}' {expected}, not {shown(self.time)}")
         if self.time is not None and not (self.time[0] < self.time[1] and self.recording):

@@ -9,6 +9,7 @@ few coefficients and wins where its form is right.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -211,6 +212,18 @@ class _Resonance(Effect):
         return [within(variant, "frequency", FREQUENCY_STEP) for variant in variants]
 
 
+@functools.lru_cache(2 * len(FREQUENCIES) * len(DAMPING_RATIOS))
+def _oscillator(
+    omega: float, damping: float, rate: float
+) -> tuple[tuple[FloatArray, FloatArray], ...]:
+    """Return the filters (b, a) of ω² z and ω ż of an oscillator at a sampling rate [Hz].
+
+    They are the same for all joints.
+    """
+    a = 1.0, 2.0 * damping * omega, omega**2
+    return tuple(signal.bilinear(b, a, rate) for b in ((omega**2,), (omega, 0.0)))
+
+
 def _driven(
     motions: Sequence[RecordedMotion], drives: Sequence[FloatArray], hertz: float, damping: float
 ) -> FloatArray:
@@ -219,10 +232,7 @@ def _driven(
     driven, free = [], []
     for motion, u in zip(motions, drives, strict=True):
         rate = motion.band.rate_of(Grid.COARSE)
-        states = [
-            signal.lfilter(*signal.bilinear(b, (1.0, 2.0 * damping * omega, omega**2), rate), u)
-            for b in ((omega**2,), (omega, 0.0))
-        ]
+        states = [signal.lfilter(b, a, u) for b, a in _oscillator(omega, damping, rate)]
         driven.append(motion.at_rows(np.column_stack(states), Grid.COARSE))
         clock = motion.time - motion.time[0]
         phase = omega * np.sqrt(max(1.0 - damping**2, 0.0)) * clock

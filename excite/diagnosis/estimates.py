@@ -225,10 +225,10 @@ def with_doubts_about_prior(
 ) -> list[EffectEstimate]:
     """Return estimates whose probabilities take account of errors of the trusted parameters.
 
-    What a refit of the base model absorbs can be a part of other errors of its parameters. Those
-    are what the joint model leaves, r, beyond what the refit leaves, r₁. By its share in the power
-    of both, Σ s²/r₁² / Σ (s² + max(r² − r₁², 0))/r₁² over the joints on which it acts, an effect
-    that explains torque of size s is more than a part of them.
+    Any effect but the usual frictions can stand for a part of these errors. They are what the joint
+    model leaves, r, beyond what a refit of the base model leaves, r₁. By its share in the power of
+    both, Σ s²/r₁² / Σ (s² + max(r² − r₁², 0))/r₁² over the joints on which it acts, an effect that
+    explains torque of size s is more than a part of them.
 
     Args:
         effects: The estimates.
@@ -239,7 +239,7 @@ def with_doubts_about_prior(
     weights = 1.0 / np.maximum(refit**2, 1e-300)
 
     def share(estimate: EffectEstimate) -> float:
-        if not estimate.models[0].is_absorbed:
+        if estimate.effect in DENSE_NAMES:
             return 1.0
         size = estimate.growth**2
         weight = np.where(size > 0.0, weights, 0.0)

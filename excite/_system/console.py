@@ -38,7 +38,8 @@ def prepared() -> Iterator[None]:
 def say(text: str) -> None:
     """Print a line on standard error; ignore a stream that is full, disconnected or closed."""
     try:
-        print(text, file=sys.stderr, flush=True)
+        sys.stderr.write(f"{text}\n")  # at once: a signal may come between two pieces of a line
+        sys.stderr.flush()
     except (OSError, ValueError):  # full, disconnected or closed
         _discard(sys.stderr, 2)
 

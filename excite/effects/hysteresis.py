@@ -151,8 +151,7 @@ def dense_model(
     """Return a nonnegative combination of Maxwell-slip elements of a joint.
 
     The columns after them, of either sign, make the two branches of the loop unequal; the last one
-    is the damping of the elements. The prior is one of strength per octave of deflection, whatever
-    the number of elements.
+    is the damping of the elements.
 
     Args:
         motions: The recorded motions.
@@ -165,14 +164,9 @@ def dense_model(
     step = max(float(motion.steps[joint]) for motion in motions)
     first = min(max(FIRST_REACH * unit, step), MAX_FIRST_REACH * last)
     values = dict(build_up or {"reach": first, "last_reach": last})
-    deflections = reaches(values)
     travel = max(float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
-    octaves = np.log2(deflections[1] / deflections[0])
     if not built_up_share(values):
         values |= {f"share_{i}": 1.0 / ELEMENTS for i in range(ELEMENTS)}
-    return CandidateModel(
-        HYSTERESIS,
-        joint,
-        values,
-        prior_shares=tuple(np.where(2.0 * deflections < travel, octaves, STICKING_SHARE).tolist()),
-    )
+    slips = 2.0 * reaches(values) < travel
+    prior_shares = tuple(np.where(slips, 1.0, STICKING_SHARE).tolist())
+    return CandidateModel(HYSTERESIS, joint, values, prior_shares=prior_shares)

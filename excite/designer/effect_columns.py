@@ -35,7 +35,7 @@ SPEED_ROUNDING = 1e-4
 LOAD_ROUNDING = 1e-4
 """The same for the load, over its scale [1]."""
 CURVE_POINTS = 200
-"""Positions at which the mean of a friction wave is taken, as in `effects.position_friction`."""
+"""Positions at which the mean of a friction wave is taken, as in `effects.friction_runtime`."""
 RATE_BAND = 0.5
 """Band of the derivative of the motor's torque over half the sampling rate [1]: a Gaussian that
 leaves 1/7 there, so that the derivative of a jump does not ring."""

@@ -33,6 +33,7 @@ from .rare_candidates import (
     CandidateShapes,
     Ranking,
     is_of_link,
+    optimised,
     tuned,
 )
 from .regression import log_error_ratio
@@ -305,9 +306,9 @@ class _Search:
     def _tried(self, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
         """Add an effect to the joint model; None if it is to be left out again.
 
-        With the effect all else is fitted anew, and the weights of the rows are larger, so that
-        nonlinear parameters are optimised once more. The torque of the joint model, which stands
-        for the measured torque, is another one as well: of its functions each is tried again.
+        The torque of the joint model, which replaces the measured torque, is another one with the
+        effect: its functions are all tried again. A nonlinear parameter is optimised once more next
+        to all that is fitted with the effect.
 
         Args:
             shape: The best shape of the effect.
@@ -316,21 +317,23 @@ class _Search:
         if not self._may_be_needed(shape):
             return None
         extended = self._fit((*self._shapes, shape))
-        is_of_torque = bool(shape.values.get("measured"))
-        if is_of_torque or shape.nonlinear is not None:
-            reduced = extended.keeping(
-                [i for i, model in enumerate(extended.models) if model.key != shape.key]
-            )
-            tried = [c.model for c in ranking.plausible] if is_of_torque else [shape]
-            again = CandidateShapes.of(reduced, tried).fitted(reduced)
-            plausible = tuple(c for c in again if c.is_plausible)
-            better = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
-            if better.values != shape.values:
-                other = self._fit((*self._shapes, better))
-                # the error of its form may explain less than that
-                least = (1.0 + RELATIVE_STD**2) * _evidence(extended, shape.key)
-                if _evidence(other, shape.key) > least:
-                    shape, extended = better, other
+        reduced = extended.keeping(
+            [i for i, model in enumerate(extended.models) if (model.exact or model) is not shape]
+        )
+        if shape.values.get("measured"):
+            again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
+            plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
+            best = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
+            if best.values != shape.values:
+                shape, extended = best, self._fit((*self._shapes, best))
+        elif shape.nonlinear is not None and shape.interval is None:
+            for present in CandidateShapes.of(reduced, [shape]).fitted(reduced):
+                moved = optimised(reduced, present)
+                # a difference of its form explains up to the square of its share of the evidence
+                if moved.evidence > (1.0 + RELATIVE_STD**2) * present.evidence:
+                    other = self._fit((*self._shapes, moved.model))
+                    if _evidence(other, shape.key) > _evidence(extended, shape.key):
+                        shape, extended = moved.model, other
         return self._judged(extended, shape, self.model)
 
     def _may_be_needed(self, shape: CandidateModel) -> bool:

@@ -63,9 +63,12 @@ def _ratios(motions: Sequence[RecordedMotion], i: int, j: int) -> Sequence[float
     entries = motions[0].fitted_robot.robot.entries
     if (entries[i].kind == "prismatic") is (entries[j].kind == "prismatic"):
         return RATIOS
-    speeds = np.vstack([motion.samples.dq[:, [i, j]] for motion in motions])
-    first, second = np.sqrt(np.mean(speeds**2, axis=0)).tolist()
-    return (np.array(RELATIVE_RATIOS) * first / second).tolist() if first * second > 0.0 else ()
+    speeds = np.vstack([motion.at_rows(motion.samples.dq[:, [i, j]]) for motion in motions])
+    both_move = np.concatenate([motion.moving[:, [i, j]].all(axis=1) for motion in motions])
+    if not both_move.any():
+        return ()
+    first, second = np.sqrt(np.mean(speeds[both_move] ** 2, axis=0)).tolist()
+    return (np.array(RELATIVE_RATIOS) * first / second).tolist()
 
 
 COUPLING = _Coupling(

@@ -126,7 +126,7 @@ class CandidateModel:
         source: Recording in which `interval` lies.
         facts: Quantities of the recorded motions by which the effect judges and reports its
             coefficients. They are not saved: a model that is read from a file has none.
-        motions: These motions, of an effect that needs more of them.
+        motions: Recorded motions, of effects whose constraints evaluate them.
         nonlinear: The nonlinear parameter to optimise; None if there is none.
         own_columns: Torque columns in the place of those of the effect.
         prior_std: Prior standard deviation of the coefficients; None: the friction level of the
@@ -216,8 +216,15 @@ class CandidateModel:
         return self.definition.variants(self)
 
     def with_values(self, **values: float) -> CandidateModel:
-        """Return the model with other values, and without a parameter to optimise."""
-        return replace(self, values={**self.values, **values}, nonlinear=None)
+        """Return the exact model with other values, and without a parameter to optimise."""
+        return replace(
+            self,
+            values={**self.values, **values},
+            nonlinear=None,
+            own_columns=None,
+            form_columns=0,
+            exact=None,
+        )
 
 
 @dataclass(frozen=True)

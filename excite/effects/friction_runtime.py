@@ -170,13 +170,13 @@ SPRING_FORMS = (
 
 
 def _spring(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
-    # a curve says nothing beyond the positions of its recordings; two lines that meet go on
+    # only a line and a sine wave say something beyond the positions of their recordings
     q = m.fmin(m.fmax(x.q, v["low"]), v["high"]) if "low" in v else x.q
     if "waves" in v:
         place = (q - v["low"]) / (v["high"] - v["low"])
         return [], [m.cos(np.pi * (place * (k + 1))) for k in range(int(v["waves"]))]
     if "bend" in v:
-        distance = x.q - v["bend"]
+        distance = q - v["bend"]
         return [], [m.fmin(distance, 0.0), m.fmax(distance, 0.0)]
     if "order" in v:
         phase = v["order"] * (q - v["about"])

@@ -25,8 +25,8 @@ MAX_FIRST_REACH = 0.03
 """Largest deflection at which the first slips, over that of the last [1], so that a very coarse
 encoder does not make all elements alike."""
 STICKING_SHARE = 1e-6
-"""Share of the prior that the strength of an element has which never slips in both directions [1],
-next to none: in such a motion it is a spring, in a larger one it is not."""
+"""Factor on the prior standard deviation of the strength of an element that never slips in both
+directions [1]: such a motion shows only a spring, which a larger motion would not show."""
 
 
 def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:

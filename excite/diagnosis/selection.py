@@ -329,10 +329,11 @@ class _Search:
         elif shape.nonlinear is not None and shape.interval is None:
             for present in CandidateShapes.of(reduced, [shape]).fitted(reduced):
                 moved = optimised(reduced, present)
-                # a difference of its form explains up to the square of its share of the evidence
-                if moved.evidence > (1.0 + RELATIVE_STD**2) * present.evidence:
+                if moved.evidence > present.evidence:
                     other = self._fit((*self._shapes, moved.model))
-                    if _evidence(other, shape.key) > _evidence(extended, shape.key):
+                    gain = _evidence(other, shape.key) - _evidence(extended, shape.key)
+                    # a difference of form explains the square of its share of the evidence
+                    if gain > RELATIVE_STD**2 * present.evidence:
                         shape, extended = moved.model, other
         return self._judged(extended, shape, self.model)
 

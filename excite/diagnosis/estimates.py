@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from ..effects import EFFECTS_BY_NAME, delay
+from ..effects import delay
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import FittedRobot, position_range
 from ..effects.spring import CURVE_WAVES
@@ -409,7 +409,7 @@ class _Posterior:
                 factor = float(np.exp(np.clip(log, -MAX_LOG_CHANGE, MAX_LOG_CHANGE)))
                 moved = shape.nonlinear.at(shape.nonlinear.value * factor)
             cloud.append(moved.parameters(shape.plain(changed), base))
-        form = EFFECTS_BY_NAME[shape.effect].form_std
+        form = shape.definition.form_std
         out = {}
         for key, value in values.items():
             if not np.isfinite(value):

@@ -23,7 +23,6 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import (
-    EFFECTS_BY_NAME,
     hysteresis,
     load_friction,
     nonlinear_viscous,
@@ -459,7 +458,7 @@ def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateMod
     """Return a rare effect with the discrepancy of its form, in units of its fitted torque."""
     if model not in fitted.models or model.effect == UNMODELLED:
         return model
-    if EFFECTS_BY_NAME[model.effect].prior_only:
+    if model.definition.prior_only:
         return model  # rigid bodies have exactly the form of their model
     coefficients = fitted.coefficients(fitted.models.index(model))
     return with_form_error(model, fitted.motions, coefficients)

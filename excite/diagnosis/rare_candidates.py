@@ -170,11 +170,12 @@ class CandidateColumns:
         for effect in EFFECTS:
             if effect.name not in DENSE_NAMES:
                 for shape in effect.candidates(model.motions):
-                    (absorbed if shape.is_absorbed else shapes).append(shape)
+                    if trusted or not shape.is_absorbed:
+                        (absorbed if shape.is_absorbed else shapes).append(shape)
         shapes += ripple_search.encoder_errors(model)
         shapes += flexible_models(model.motions, model.regression.sigma)
         self._shapes = CandidateShapes.of(model, shapes)
-        self._absorbed = CandidateShapes.of(model, absorbed if trusted else ())
+        self._absorbed = CandidateShapes.of(model, absorbed)
         self._contacts = CandidateShapes.of(model, ())
 
     def seek_contacts(self, model: JointModel) -> None:

@@ -153,7 +153,7 @@ def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[CandidateMo
     out = []
     for candidate in group:
         shape = varied = candidate.model
-        if not EFFECTS_BY_NAME[shape.effect].prior_only:
+        if not shape.definition.prior_only:
             c = candidate.fit.coefficients
             bounded = shape.nonnegative or (False,) * len(c)
             c = np.where(bounded, np.maximum(c, 0.0), c)

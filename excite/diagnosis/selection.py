@@ -306,10 +306,6 @@ class _Search:
     def _tried(self, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
         """Add an effect to the joint model; None if it is to be left out again.
 
-        The torque of the joint model, which replaces the measured torque, is another one with the
-        effect: its functions are all tried again. A nonlinear parameter is optimised once more next
-        to all that is fitted with the effect.
-
         Args:
             shape: The best shape of the effect.
             ranking: All its shapes.
@@ -317,25 +313,43 @@ class _Search:
         if not self._may_be_needed(shape):
             return None
         extended = self._fit((*self._shapes, shape))
-        reduced = extended.keeping(
-            [i for i, model in enumerate(extended.models) if (model.exact or model) is not shape]
-        )
         if shape.values.get("measured"):
-            again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
-            plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
-            best = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
-            if best.values != shape.values:
-                shape, extended = best, self._fit((*self._shapes, best))
+            shape, extended = self._chosen_again(shape, extended, ranking)
         elif shape.nonlinear is not None and shape.interval is None:
-            for present in CandidateShapes.of(reduced, [shape]).fitted(reduced):
-                moved = optimised(reduced, present)
-                if moved.evidence > present.evidence:
-                    other = self._fit((*self._shapes, moved.model))
-                    gain = _evidence(other, shape.key) - _evidence(extended, shape.key)
-                    # a difference of form explains the square of its share of the evidence
-                    if gain > RELATIVE_STD**2 * present.evidence:
-                        shape, extended = moved.model, other
+            shape, extended = self._optimised_again(shape, extended)
         return self._judged(extended, shape, self.model)
+
+    def _chosen_again(
+        self, shape: CandidateModel, extended: JointModel, ranking: Ranking
+    ) -> tuple[CandidateModel, JointModel]:
+        """Choose among all functions of the measured torque, next to a joint model with one.
+
+        The torque of the joint model, which replaces the measured torque, is another one with it.
+        """
+        reduced = _without(extended, shape)
+        again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
+        plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
+        best = tuned(reduced, Ranking(plausible, ranking.count)).model if plausible else shape
+        if best.values == shape.values:
+            return shape, extended
+        return best, self._fit((*self._shapes, best))
+
+    def _optimised_again(
+        self, shape: CandidateModel, extended: JointModel
+    ) -> tuple[CandidateModel, JointModel]:
+        """Optimise a nonlinear parameter next to all that is fitted with the effect."""
+        reduced = _without(extended, shape)
+        present = next(iter(CandidateShapes.of(reduced, [shape]).fitted(reduced)), None)
+        if present is None:
+            return shape, extended
+        moved = optimised(reduced, present)
+        if moved.evidence <= present.evidence:
+            return shape, extended
+        other = self._fit((*self._shapes, moved.model))
+        gain = _evidence(other, shape.key) - _evidence(extended, shape.key)
+        # a difference of form explains the square of its share of the evidence
+        is_better = gain > RELATIVE_STD**2 * present.evidence
+        return (moved.model, other) if is_better else (shape, extended)
 
     def _may_be_needed(self, shape: CandidateModel) -> bool:
         """Tell whether there is evidence for an effect next to the present model.
@@ -457,6 +471,11 @@ def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
         improbability = -probability.RARE_TEMPERATURE * probability.RARE_LOG_ODDS
         needed += TIE - improbability * (count - 1)
     return best if best is not None and best.log_bayes_factor > needed else None
+
+
+def _without(model: JointModel, shape: CandidateModel) -> JointModel:
+    """Return a joint model without one of its rare effects; others of its name stay."""
+    return model.keeping([i for i, m in enumerate(model.models) if (m.exact or m) is not shape])
 
 
 def _evidence(model: JointModel, key: Key) -> float:

@@ -18,6 +18,7 @@ from ..report.torque_budget import (
     filter_words,
     joint_budgets,
     known_words,
+    origin_words,
     parameter_words,
     prior_words,
     probability_words,
@@ -130,7 +131,8 @@ def _finding(finding: Mapping[str, Any]) -> tuple[str, ...]:
     """Joint, effect with its alternatives, probability, size and parameters."""
     return (
         finding["joint"] or "whole robot",
-        " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"])),
+        " or ".join(effect_words(e) for e in (finding["effect"], *finding["equivalents"]))
+        + origin_words(finding),
         probability_words(finding["probability"]),
         f"{significant(finding['evidence']['severity'])} × residual",
         parameter_words(finding["parameters"]),

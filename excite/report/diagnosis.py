@@ -35,6 +35,7 @@ from .torque_budget import (
     joint_budgets,
     joint_words,
     known_words,
+    origin_words,
     parameter_words,
     prior_words,
     probability_words,
@@ -265,7 +266,7 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
             (
                 (finding["joint"] or "whole\u00a0robot") if is_first else "",
                 TableCell(
-                    effect_words(finding["effect"]) + _origin(finding),
+                    effect_words(finding["effect"]) + origin_words(finding),
                     note=f"or {' or '.join(alternatives)}" if alternatives else "",
                 ),
                 probability_words(finding["probability"]),
@@ -308,16 +309,6 @@ def _findings_answer(document: Document) -> tuple[str, str]:
     if document["unknown"]:
         return "No finding: no known effect explains the torque that is missing.", "warn"
     return "No finding: no known effect is needed to explain these recordings.", "good"
-
-
-def _origin(finding: Document) -> str:
-    """The other joint of an effect, or the interval in which it acts."""
-    text = f" from {finding['from']}" if finding.get("from") else ""
-    if finding["where"]["time"] is None:
-        return text
-    start, end = finding["where"]["time"]
-    recording = Path(finding["where"]["recording"]).name
-    return f"{text}, {number(start)} to {number(end)} s of {recording} only"
 
 
 def _size(evidence: Document) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from ..diagnosis.budget import BASE_PARAMETERS, RECORDING_FILTER
@@ -15,7 +16,7 @@ from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
 from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
 from ..schemas.effects import effect_words
-from .formatting import significant, value_with_error
+from .formatting import number, significant, value_with_error
 
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
@@ -366,6 +367,16 @@ def _parameter(name: str, entry: Mapping[str, Any]) -> str:
         _MILLISECONDS * abs(value), None if std is None else _MILLISECONDS * std, "ms"
     )
     return f"torque {direction} by {size}"
+
+
+def origin_words(finding: Mapping[str, Any]) -> str:
+    """Return the other joint of a finding, or the interval in which it acts; empty without one."""
+    text = f" from {finding['from']}" if finding.get("from") else ""
+    if finding["where"]["time"] is None:
+        return text
+    start, end = finding["where"]["time"]
+    recording = Path(finding["where"]["recording"]).name
+    return f"{text}, {number(start)} to {number(end)} s of {recording} only"
 
 
 def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:

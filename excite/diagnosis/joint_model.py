@@ -182,17 +182,41 @@ class JointModel:
 
     def columns(self, model: CandidateModel) -> Columns | None:
         """Return the columns of a model over all motions; None if they are zero or not finite."""
-        parts = [model.columns(motion).swapaxes(0, 1) for motion in self.motions]
-        acting = np.flatnonzero(np.any([[x.any() for x in part] for part in parts], axis=0))
-        passed = [
-            self.chain.passed(motion, part[acting].swapaxes(0, 1))
-            for motion, part in zip(self.motions, parts, strict=True)
+        return self.columns_of([model])[0]
+
+    def columns_of(self, models: Sequence[CandidateModel]) -> list[Columns | None]:
+        """Return the columns of several models, which pass the recording chain together."""
+        parts = [[model.columns(motion) for model in models] for motion in self.motions]
+        acting = [
+            np.flatnonzero(np.any([_acting_joints(part) for part in of_model], axis=0))
+            for of_model in zip(*parts, strict=True)
         ]
-        values = dict(zip(acting.tolist(), np.concatenate(passed).swapaxes(0, 1), strict=True))
-        largest = max((float(np.abs(x).max()) for x in values.values()), default=0.0)
+        passed = [
+            self._passed(motion, [part[:, joints] for part, joints in zip(of, acting, strict=True)])
+            for motion, of in zip(self.motions, parts, strict=True)
+        ]
+        return [
+            self._with_prior(model, joints.tolist(), np.concatenate(rows).swapaxes(0, 1))
+            for model, joints, *rows in zip(models, acting, *passed, strict=True)
+        ]
+
+    def _passed(self, motion: RecordedMotion, parts: Sequence[FloatArray]) -> list[FloatArray]:
+        """Columns, shapes (N, J, k), that have passed the recording chain."""
+        if self.chain.filter is None or not parts:
+            return list(parts)
+        ends = np.cumsum([part[0].size for part in parts])[:-1]
+        rows = np.hstack([part.reshape(len(motion), -1) for part in parts])
+        passed = np.hsplit(self.chain.passed(motion, rows), ends)
+        return [x.reshape(part.shape) for x, part in zip(passed, parts, strict=True)]
+
+    def _with_prior(
+        self, model: CandidateModel, joints: Sequence[int], values: FloatArray
+    ) -> Columns | None:
+        """Columns on some joints, shape (J, N, k), with the prior; None if zero or not finite."""
+        largest = float(np.abs(values).max(initial=0.0))
         if not 1e-9 < largest < np.inf:
             return None
-        k = parts[0].shape[2]
+        k = values.shape[2]
         if model.prior_std is not None:
             prior = np.full(k, model.prior_std)
         else:
@@ -200,24 +224,28 @@ class JointModel:
             prior = np.full(k, float(level))
             if not any(model.nonnegative):
                 # coefficients in units of their own: a column of unit RMS has the friction level
-                rows = sum(map(len, self.motions))
-                size = np.sqrt(sum(np.sum(x**2, axis=0) for x in values.values()) / rows)
+                size = np.sqrt(np.sum(values**2, axis=(0, 1)) / values.shape[1])
                 prior /= np.maximum(size, 1e-3 * size.max())
         prior[: len(model.prior_shares)] *= model.prior_shares
         if model.form_columns:
             prior[-model.form_columns :] = RELATIVE_STD
         nonnegative = np.array(model.nonnegative or (False,) * k)
-        return Columns(tuple(values), tuple(values.values()), nonnegative, prior)
+        return Columns(tuple(joints), tuple(values), nonnegative, prior)
 
     def with_effects(self, models: Sequence[CandidateModel]) -> JointModel:
         """Return the model with further effects, except those whose columns are zero."""
-        columns = [self.columns(model) for model in models]
+        columns = self.columns_of(models)
         kept = [model for model, c in zip(models, columns, strict=True) if c is not None]
         regression = self.regression.copy()
         regression.add(*(c for c in columns if c is not None))
         models = (*self.models, *kept)
         regression.built_up = _built_up(models)
         return replace(self, models=models, regression=regression)
+
+
+def _acting_joints(columns: FloatArray) -> BoolArray:
+    """Tell on which joints columns of shape (N, n, k) act, shape (n,)."""
+    return np.asarray(columns.swapaxes(0, 1).reshape(columns.shape[1], -1).any(axis=1))
 
 
 def _is_built_up(model: CandidateModel) -> bool:

@@ -91,14 +91,13 @@ class CandidateShapes:
             joint: The joint model over whose motions they are computed.
             shapes: The models.
         """
-        computed = ((shape, joint.columns(shape)) for shape in shapes)
-        usable = ((shape, columns) for shape, columns in computed if columns is not None)
         kept: list[CandidateModel] = []
-        batches = []
-        while batch := list(itertools.islice(usable, BATCH_SIZE)):
-            kept += (shape for shape, _ in batch)
-            columns = [columns for _, columns in batch]
-            batches.append(CandidateBatch.of(columns, joint.regression.moving))
+        batches, remaining = [], iter(shapes)
+        while batch := list(itertools.islice(remaining, BATCH_SIZE)):
+            columns = joint.columns_of(batch)
+            kept += (shape for shape, c in zip(batch, columns, strict=True) if c is not None)
+            usable = [c for c in columns if c is not None]
+            batches.append(CandidateBatch.of(usable, joint.regression.moving))
         return cls(tuple(kept), tuple(batches))
 
     def fitted(self, joint: JointModel) -> list[Candidate]:

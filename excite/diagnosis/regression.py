@@ -549,7 +549,7 @@ class JointRegression:
         change = solution.solve(cross)
         fits = []
         for part, squares in zip(batch.parts, batch.squares, strict=True):
-            square = np.tensordot(self.weights, squares, 1) + np.diag(batch.prior[part])
+            square = np.einsum("j,jkl->kl", self.weights, squares) + np.diag(batch.prior[part])
             schur = square - cross[:, part].T @ change[:, part]
             schur = 0.5 * (schur + schur.T)
             values, vectors = np.linalg.eigh(schur)

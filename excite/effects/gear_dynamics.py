@@ -200,15 +200,22 @@ def simulate_backlash_gap(push: FloatArray, dt: float, half_gap: float, omega: f
     """
     c = 1.0 - 2.0 * GAP_DAMPING_RATIO * omega * dt
     b, leaving = 1.0 + c - (omega * dt) ** 2, omega**2 * half_gap
-    x = before = half_gap if push[0] > 0.0 else -half_gap
-    rests, out = True, []
-    for acceleration in push.tolist():  # most flights are of a few samples
-        if rests:
-            rests = acceleration >= leaving if x > 0.0 else acceleration <= -leaving
-        if not rests:
-            x, before = b * x - c * before + acceleration * dt**2, x
+    leaves_high, leaves_low = np.flatnonzero(push < leaving), np.flatnonzero(push > -leaving)
+    kicks, out = (push * dt**2).tolist(), np.empty(len(push))
+    k, x = 0, half_gap if push[0] > 0.0 else -half_gap
+    while k < len(push):
+        leaves = leaves_high if x > 0.0 else leaves_low
+        place = int(leaves.searchsorted(k))
+        start = int(leaves[place]) if place < len(leaves) else len(push)
+        out[k:start] = x  # at rest on a boundary
+        flight, before = [], x
+        for i in range(start, len(push)):  # most flights are of a few samples
+            x, before = b * x - c * before + kicks[i], x
             if abs(x) > half_gap:
-                x = before = half_gap if x > 0.0 else -half_gap
-                rests = True
-        out.append(x)
-    return np.array(out)
+                x = half_gap if x > 0.0 else -half_gap
+                flight.append(x)
+                break
+            flight.append(x)
+        k = start + len(flight)
+        out[start:k] = flight
+    return out

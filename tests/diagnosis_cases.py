@@ -85,6 +85,27 @@ def diagnose(recordings: Sequence[Recording], **options: Any) -> Diagnosis:
     )
 
 
+def diagnosed_with_friction(
+    friction: Callable[[FloatArray, FloatArray], FloatArray], share: float = 1.0
+) -> Diagnosis:
+    """Return the diagnosis of a robot with further friction at its first joint [N m].
+
+    Args:
+        friction: Function of position and velocity of the joint, shapes (M,).
+        share: Amplitude of the fitted motions over that of the held-out one.
+    """
+    recordings = []
+    for seed, size in ((2, share), (5, share), (7, 1.0)):
+        full = random_fourier(2, seed)
+        fourier = dataclasses.replace(full, sine=size * full.sine, cosine=size * full.cosine)
+        recording = synthetic_recording(SUBJECT, PSI, fourier, 4, 0.02, RATE)
+        motion = fourier.samples(recording.t)
+        named = dataclasses.replace(recording, source=f"{seed}.csv")
+        further = friction(motion.q[:, 0], motion.dq[:, 0])
+        recordings.append(added_torque(named, at_joint(0, further)))
+    return diagnose(recordings)
+
+
 def findings_of(result: Diagnosis) -> list[tuple[str, int | None]]:
     """Return effect and joint of the findings, the most probable first."""
     return [(finding.effect, finding.joint) for finding in result.findings]

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 import pytest
 from diagnosis_cases import (
     COULOMB,
-    PSI,
     RATE,
-    SUBJECT,
-    added_torque,
-    at_joint,
-    diagnose,
+    diagnosed_with_friction,
     findings_of,
     friction_sign,
     maxwell_slip_force,
     noise_ratios,
     parameters,
 )
-from synthetic_recordings import random_fourier, synthetic_recording
 
 from excite._types import FloatArray
 from excite.diagnosis.columns import Columns
@@ -54,27 +47,6 @@ def bristle_friction(v: FloatArray, seconds: float) -> FloatArray:
     return out
 
 
-def diagnosed_with(
-    friction: Callable[[FloatArray, FloatArray], FloatArray], share: float = 1.0
-) -> Diagnosis:
-    """Return the diagnosis of a robot with further friction at its first joint [N m].
-
-    Args:
-        friction: Function of position and velocity of the joint, shapes (M,).
-        share: Amplitude of the fitted motions over that of the held-out one.
-    """
-    recordings = []
-    for seed, size in ((2, share), (5, share), (7, 1.0)):
-        full = random_fourier(2, seed)
-        fourier = dataclasses.replace(full, sine=size * full.sine, cosine=size * full.cosine)
-        recording = synthetic_recording(SUBJECT, PSI, fourier, 4, 0.02, RATE)
-        motion = fourier.samples(recording.t)
-        named = dataclasses.replace(recording, source=f"{seed}.csv")
-        further = friction(motion.q[:, 0], motion.dq[:, 0])
-        recordings.append(added_torque(named, at_joint(0, further)))
-    return diagnose(recordings)
-
-
 @cache
 def of_bristle(seconds: float) -> Diagnosis:
     """Return the diagnosis of a joint whose dry friction is that of a bristle."""
@@ -82,7 +54,7 @@ def of_bristle(seconds: float) -> Diagnosis:
     def friction(q: FloatArray, v: FloatArray) -> FloatArray:
         return COULOMB[0] * (bristle_friction(v, seconds) - friction_sign(v))
 
-    return diagnosed_with(friction)
+    return diagnosed_with_friction(friction)
 
 
 def test_a_bristle_is_presliding_alone():
@@ -104,7 +76,7 @@ def diagnosed(builds_up: bool) -> Diagnosis:
         curve = HEIGHT * np.exp(-np.abs(v) / VELOCITY)
         return COULOMB[0] * (direction - sign) + curve * (direction if builds_up else sign)
 
-    return diagnosed_with(friction)
+    return diagnosed_with_friction(friction)
 
 
 @pytest.mark.parametrize("builds_up", [True, False])
@@ -136,7 +108,7 @@ def test_an_element_that_never_slips_in_both_directions_is_no_friction():
     def friction(q: FloatArray, v: FloatArray) -> FloatArray:
         return COULOMB[0] * (maxwell_slip_force(q, reaches) - friction_sign(v))
 
-    result = diagnosed_with(friction, 0.05)
+    result = diagnosed_with_friction(friction, 0.05)
     (saved,) = (e for e in result.final.effects if e.shape.key == ("hysteresis", 0))
     travel = max(float(np.ptp(motion.samples.q[:, 0])) for motion in result.model.motions)
     strengths = saved.coefficients[: hysteresis.ELEMENTS]

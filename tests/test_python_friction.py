@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -160,19 +161,33 @@ def test_the_module_gives_the_torque_that_the_model_predicts(effects, tmp_path):
     assert size > 0.01 and error < 0.01 * size
 
 
-def test_beyond_the_fitted_speeds_a_curve_adds_nothing_to_viscous_friction(tmp_path):
-    effect = FRICTION_EFFECTS["nonlinear_viscous, beyond the fitted speeds"]
+def added_by_curve(folder: Path, share: float, *coefficients: float, **further: float) -> float:
+    """Return what curves up to 0.5 rad/s add to the friction at a multiple of that speed [N m]."""
+    values = {"top_speed": 0.5, **further}
+    effect = effect_entry("nonlinear_viscous", "joint_2", values, *coefficients)
     with_curve, without = (
         module(
-            excite.export_model(write_model(tmp_path, "two_link", effects), "python-friction").text
+            excite.export_model(write_model(folder, "two_link", effects), "python-friction").text
         )["FRICTION"]
         for effects in ((effect,), ())
     )
-    top = effect["values"]["top_speed"]
-    for share, is_inside in ((0.5, True), (1.0, False), (1.5, False), (-2.0, False)):
-        speed = np.array([0.0, share * top])
-        added = with_curve.torque(np.zeros(2), speed) - without.torque(np.zeros(2), speed)
-        assert bool(abs(added[1]) > 1e-9) == is_inside
+    speed = np.array([0.0, share * values["top_speed"]])
+    return float((with_curve.torque(0 * speed, speed) - without.torque(0 * speed, speed))[1])
+
+
+@pytest.mark.parametrize("share", [1.5, 3.0, -2.0])
+def test_beyond_the_fitted_speeds_no_curve_rises_by_more_than_viscous_friction(tmp_path, share):
+    sign, size = np.sign(share), abs(share)
+    eyring = np.arcsinh(size / 0.1) / np.arcsinh(1.0 / 0.1) - size
+    assert added_by_curve(tmp_path, share, 0, 2.0, 0, 0, 0, 0, 0, 0) == pytest.approx(
+        2.0 * sign * eyring
+    )
+    assert added_by_curve(tmp_path, share, 0, 0, 0, 0, 0, 0, 0.4, 0.3) == pytest.approx(
+        0.0, abs=1e-12
+    )
+    # without viscous friction that makes up for the line, the curve alone remains
+    tanh = (0, 0, 0, 0.5, 0, 0, 0, 0)
+    assert 0 <= sign * added_by_curve(tmp_path, share, *tanh, line_share=0.0) < 1e-6
 
 
 def test_with_links_and_rotors_it_is_the_inverse_dynamics_of_the_model(tmp_path):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .._types import FloatArray
-from ..effects import delay
+from ..effects import delay, nonlinear_viscous
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import identification, identified_model
@@ -185,10 +185,11 @@ def fit(
         model, motions=tuple(motions), models=(), regression=fixed_base
     ).with_effects(shapes)
     final.regression.reduce_prior([probabilities[shape.key] for shape in final.models])
+    viscous = final.motions[0].fitted_robot.actuator_parameter("viscous")
     return FinalModel(
         refitted,
         final.motions,
-        _fitted(final.models, final.regression),
+        tuple(_continued(effect, viscous) for effect in _fitted(final.models, final.regression)),
         final.regression,
         model.chain,
     )
@@ -216,6 +217,22 @@ def _fitted(
     return tuple(
         FittedEffect(shape, np.asarray(regression.solution.coefficients[part]))
         for shape, part in zip(shapes, regression.slices, strict=True)
+    )
+
+
+def _continued(effect: FittedEffect, viscous: FloatArray) -> FittedEffect:
+    """Return an effect that is dissipative beyond the recorded speeds.
+
+    Args:
+        effect: The effect.
+        viscous: Viscous friction of each joint, shape (n,).
+    """
+    shape = effect.shape
+    if shape.effect != "nonlinear_viscous":
+        return effect
+    of_joint = float(viscous[shape.joint_index])
+    return FittedEffect(
+        nonlinear_viscous.without_falling(shape, effect.coefficients, of_joint), effect.coefficients
     )
 
 

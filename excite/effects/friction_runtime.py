@@ -29,6 +29,8 @@ ASINH_SPEEDS = (0.02, 0.1, 0.4)
 """Speeds of the asinh curves of nonlinear viscous friction (Eyring), over the largest speed."""
 TANH_SPEEDS = (0.1, 0.4)
 """Speeds of its tanh curves, over the largest speed."""
+CONCAVE_CURVES = len(ASINH_SPEEDS) + len(TANH_SPEEDS) + 1
+"""Number of concave curves of nonlinear viscous friction, the first ones: the last is the root."""
 CURVE_POINTS = 200
 """Positions over which the mean of a wave of position-dependent friction is formed."""
 ELEMENTS = 20
@@ -135,14 +137,18 @@ def _stribeck(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
 
 
 def _nonlinear_viscous(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
-    # beyond the speeds of the fit the friction goes on linearly
-    share = m.fmin(m.fmax(x.dq / v["top_speed"], -1.0), 1.0)
-    size = m.fabs(share)
-    curves = [m.arcsinh(share / w) / float(np.arcsinh(1.0 / w)) for w in ASINH_SPEEDS]
-    curves += [m.tanh(share / w) / float(np.tanh(1.0 / w)) for w in TANH_SPEEDS]
-    curves += [m.sign(share) * m.sqrt(size), share * size, share**3]
-    # less the linear curve of equal friction at the largest speed
-    return [], [curve - share for curve in curves]
+    # beyond the speeds of the fit no curve rises by more than the line through its end: concave
+    # ones go on as they are, convex ones, which would grow without bound, along that line
+    share = x.dq / v["top_speed"]
+    size, sign = m.fabs(share), m.sign(share)
+    inner = m.fmin(size, 1.0)
+    concave = [m.arcsinh(share / w) / float(np.arcsinh(1.0 / w)) for w in ASINH_SPEEDS]
+    concave += [m.tanh(share / w) / float(np.tanh(1.0 / w)) for w in TANH_SPEEDS]
+    concave.append(sign * m.sqrt(size))
+    convex = [share * inner, share * inner**2]
+    # less the line of equal friction at the largest speed, as far as viscous friction makes it up
+    line = share - (1.0 - v.get("line_share", 1.0)) * sign * (size - inner)
+    return [], [curve - line for curve in concave] + [curve - share for curve in convex]
 
 
 def _load_friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:

@@ -9,7 +9,7 @@ import numpy as np
 from .._types import FloatArray
 from .effect import CandidateModel, Values, single_joint_rows
 from .friction import max_speed
-from .friction_runtime import ASINH_SPEEDS, TANH_SPEEDS, JointMotion, columns
+from .friction_runtime import CONCAVE_CURVES, JointMotion, columns
 from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion
 
@@ -18,9 +18,9 @@ class _NonlinearViscous(JointTorque):
     """Concave friction curves (asinh, tanh, root) and convex ones (square, cube)."""
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-        j, top_speed = model.joint_index, model.values["top_speed"]
+        j = model.joint_index
         curves = motion.for_all_fits(
-            f"viscous curves of joint {j} up to {top_speed}",
+            f"viscous curves of joint {j} with {model.values}",
             lambda: motion.lowpass(self._at_samples(motion, model)),
         )
         return single_joint_rows(motion, j, curves)
@@ -45,7 +45,7 @@ NONLINEAR_VISCOUS = _NonlinearViscous(
     {"coefficient": "N m (s/rad)^k", "exponent": "1"},
     "friction is not linear in speed",
     "a wide range of constant speeds",
-    nonnegative=(True,) * (len(ASINH_SPEEDS) + len(TANH_SPEEDS) + 3),
+    nonnegative=(True,) * (CONCAVE_CURVES + 2),
     has_candidates=False,
     form_std={"coefficient": 0.25, "exponent": 0.25},
 )
@@ -55,3 +55,20 @@ NONLINEAR_VISCOUS = _NonlinearViscous(
 def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
     """Return a nonnegative combination of concave and convex friction curves of a joint."""
     return CandidateModel(NONLINEAR_VISCOUS, joint, {"top_speed": max_speed(motions, joint)})
+
+
+def without_falling(model: CandidateModel, c: FloatArray, viscous: float) -> CandidateModel:
+    """Return a model whose friction does not fall beyond the speeds of its fit.
+
+    Each curve is less a line, which viscous friction makes up for. Where this is smaller than all
+    lines of concave curves, friction falls towards the largest speed; further on, it would feed in
+    power at some speed.
+
+    Args:
+        model: A model as `dense_model` returns it.
+        c: Its coefficients, shape (k,).
+        viscous: Viscous friction of its joint [N m s/rad or N s/m].
+    """
+    lines = float(c[:CONCAVE_CURVES].sum())
+    made_up = viscous * model.values["top_speed"]
+    return model if made_up >= lines else model.with_values(line_share=max(made_up, 0.0) / lines)

@@ -99,7 +99,11 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
         ),
     ),
     "nonlinear_viscous": (
-        EffectForm({"top_speed": FRICTION_SPEED}, coefficients=lambda values: VISCOUS_CURVES),
+        EffectForm(
+            {"top_speed": FRICTION_SPEED},
+            {"line_share": SWITCH},
+            coefficients=lambda values: VISCOUS_CURVES,
+        ),
     ),
     "drag": (EffectForm(),),
     "load_friction": (

@@ -753,7 +753,7 @@ def dense_models(effect: Effect, tracks: Sequence[RecordedMotion]) -> list[Candi
     if effect.name == "torque_ripple":
         return [torque_ripple.wave_model(tracks, 1, 17.3)]
     if effect.name == "contact":
-        return list(contact.contact_models(tracks[0], 1.0, 2.0, 1.0))
+        return list(contact.contact_models(tracks, 0, 1.0, 2.0, 1.0))
     return [m for m in joint_model.dense_models(tracks) if m.effect == effect.name]
 
 

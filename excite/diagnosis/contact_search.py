@@ -9,6 +9,7 @@ import numpy as np
 
 from .._types import FloatArray, IntArray
 from ..effects import contact
+from ..effects.contact import MAX_SHARE
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from .joint_model import JointModel
@@ -19,9 +20,6 @@ BLOCKS = 400
 """Blocks of a motion at whose edges a contact may begin and end."""
 DOUBLINGS = 5
 """Lengths of windows, each twice the one before."""
-MAX_SHARE = 0.5
-"""Length of the longest window over that of its motion [1], the bound of its prior: the joint
-model without the contact is known from the rest, which is not to be the smaller part."""
 MAX_WINDOWS = 2
 """Windows in which a contact is proposed."""
 
@@ -61,7 +59,7 @@ def contacts(fitted: JointModel) -> list[CandidateModel]:
     for number, window in chosen:
         motion, force = fitted.motions[number], forces[number]
         low, high = motion.time[force.edges[force.refined(window)] - (0, 1)].tolist()
-        out += contact.contact_models(motion, low, high, count)
+        out += contact.contact_models(fitted.motions, number, low, high, count)
     return out
 
 

@@ -96,8 +96,8 @@ class CandidateShapes:
         while batch := list(itertools.islice(remaining, BATCH_SIZE)):
             columns = joint.columns_of(batch)
             kept += (shape for shape, c in zip(batch, columns, strict=True) if c is not None)
-            usable = [c for c in columns if c is not None]
-            batches.append(CandidateBatch.of(usable, joint.regression.moving))
+            if usable := [c for c in columns if c is not None]:
+                batches.append(CandidateBatch.of(usable, joint.regression.moving))
         return cls(tuple(kept), tuple(batches))
 
     def fitted(self, joint: JointModel) -> list[Candidate]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from ..identification.lowpass import Grid
 from .effect import CandidateModel, Effect, NonlinearParameter, Values
 from .recorded_motion import FittedRobot, RecordedMotion
@@ -20,6 +20,9 @@ that which maximises (∫ sin)²/length, for a piecewise linear course 0.3 on ei
 fall; 1 if the force rises and falls as half a sine, 0 if it is constant; number of knots of a
 piecewise linear course, 0 for the other two. Forms of the model, no bounds on a score.
 """
+MAX_SHARE = 0.5
+"""Length of the longest contact over that of its motion [1], the bound of its prior: the joint
+model without the contact is known from the rest, which is not to be the smaller part."""
 END_FACTOR = 1.5
 """Largest factor by which a search for one end changes the length of an interval [1]: windows are a
 factor of two apart, so that the true length is within √2 of one. The range of a search."""
@@ -39,6 +42,22 @@ class _Contact(Effect):
         """Return the largest force of the course [N]."""
         return {"force": float(np.linalg.norm(c.reshape(-1, 3), axis=1).max())}
 
+    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
+        """Tell whether most rows that show it are of joints that other rows show as well.
+
+        A joint that moves during the contact alone has no other rows: whatever its model lacks
+        would be a contact, as where the joints of a robot move one after the other.
+        """
+        shown = known = 0
+        for joint in np.flatnonzero(_acts_on(model)):
+            within = total = 0
+            for motion in model.motions:
+                total += int(motion.moving[:, joint].sum())
+                within += int((motion.moving[:, joint] & _is_during(motion, model)).sum())
+            shown += within
+            known += within if within <= MAX_SHARE * model.facts["stretch"] * total else 0
+        return known >= 0.5 * shown
+
     def varied(self, model: CandidateModel, key: str, value: float) -> CandidateModel:
         """Return the model with an interval of another length [s], whose `key` end is free."""
         assert model.interval is not None
@@ -50,6 +69,20 @@ class _Contact(Effect):
         """Move the other end."""
         assert model.nonlinear is not None
         return [_free_end(model, "end" if model.nonlinear.key == "begin" else "begin")]
+
+
+def _acts_on(model: CandidateModel) -> BoolArray:
+    """Tell on which joints a force on its link acts, shape (n,)."""
+    motion = model.motions[0]
+    return np.asarray(motion.link_jacobians[:, model.joint_index].any(axis=(0, 1)))
+
+
+def _is_during(motion: RecordedMotion, model: CandidateModel) -> BoolArray:
+    """Tell which rows of a motion are in the interval of a contact, shape (N,)."""
+    assert model.interval is not None
+    low, high = model.interval
+    inside = (motion.time >= low) & (motion.time <= high)
+    return np.asarray(inside & (motion.segment.source == model.source))
 
 
 def _course(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
@@ -80,25 +113,28 @@ def unit_forces(motion: RecordedMotion) -> FloatArray:
 
 
 def contact_models(
-    motion: RecordedMotion, low: float, high: float, alternatives: float
+    motions: Sequence[RecordedMotion], number: int, low: float, high: float, alternatives: float
 ) -> Iterator[CandidateModel]:
     """Yield forces on every link, about an interval in which a constant force explains most.
 
     Args:
-        motion: The motion during which they act.
+        motions: The motions to fit.
+        number: Number of the motion during which they act.
         low: Begin of the interval [s].
         high: End of the interval [s].
         alternatives: Number of intervals of which it was chosen.
     """
     for stretch, swells, knots in COURSES:
         margin = 0.5 * (stretch - 1.0) * (high - low)
-        for joint in range(motion.n):
+        for joint in range(motions[number].n):
             model = CandidateModel(
                 CONTACT,
                 joint,
                 {"swells": swells, "knots": knots},
                 interval=(low - margin, high + margin),
-                source=motion.segment.source,
+                source=motions[number].segment.source,
+                facts={"stretch": stretch},
+                motions=motions,
                 alternatives=alternatives,
             )
             yield _free_end(model, "begin").current

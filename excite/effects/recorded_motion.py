@@ -25,7 +25,10 @@ from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetr
 T = TypeVar("T")
 MIN_MOVING_SHARE = 0.3
 """Share of the time that a joint must move. A joint that moves less is judged near its stops as
-well, or at all times, as little would remain."""
+well, as little would remain."""
+HELD_SHARE = 0.03
+"""Share of the time that a joint moves up to which it counts as held and is judged at all times, as
+nothing would remain: 30 joints that move one after the other are not held."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +231,7 @@ class RecordedMotion:
             if few.any():
                 moving = moving_rows(self.segment, q, dq, self._row_samples, reach=reach)
                 out[:, few] = moving[:, few]
-        return out | (out.mean(axis=0) <= MIN_MOVING_SHARE)
+        return out | (out.mean(axis=0) <= HELD_SHARE)
 
     @memoized_for_all_fits
     def far_from_rest(self) -> BoolArray:

@@ -391,23 +391,26 @@ def _separable(parts: list[BudgetPart], removed: float) -> list[BudgetPart]:
     """Return parts of which none changes an error by more than all of it, the largest first.
 
     Base parameters that are fitted jointly with an effect may take what the effect adds elsewhere,
-    as gravity that of a spring where the held-out motion leaves the fitted positions. Only their
-    sum says something.
+    as gravity that of a spring where the held-out motion leaves the fitted positions, and one
+    friction curve what another one adds beyond the fitted speeds. Only their sum says something.
 
     Args:
         parts: The parts, with shares of the removed error.
         removed: Share of the base model's error that is removed [1].
     """
     while max((abs(part.share) for part in parts), default=0.0) * removed > 1.0:
-        base = next((part for part in parts if part.effect == BASE_PARAMETERS), None)
-        opposed = [part for part in parts if base and part.share * base.share < 0.0]
-        if base is None or not opposed:
+        largest = max(parts, key=lambda part: abs(part.share))
+        opposed = [part for part in parts if part.share * largest.share < 0.0]
+        if not opposed:
             break
-        largest = max(opposed, key=lambda part: abs(part.share))
+        pair = largest, max(opposed, key=lambda part: abs(part.share))
+        first, second = sorted(pair, key=lambda part: part.effect != BASE_PARAMETERS)
         together = replace(
-            base, share=base.share + largest.share, inseparable=(*base.inseparable, largest.effect)
+            first,
+            share=first.share + second.share,
+            inseparable=(*first.inseparable, second.effect, *second.inseparable),
         )
-        parts = [*(part for part in parts if part not in (base, largest)), together]
+        parts = [*(part for part in parts if part not in pair), together]
     return sorted(parts, key=lambda part: -part.share)
 
 

@@ -84,9 +84,6 @@ def test_slow_reversals_determine_the_size_of_stribeck_friction(form):
     assert estimates["velocity"][0] == pytest.approx(VELOCITY, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    "form",
-    known_failures(FORMS, {"gaussian": "152 noise floors"}),
-)
+@pytest.mark.parametrize("form", FORMS)
 def test_slow_motion_is_predicted_to_the_noise(form):
     assert (noise_ratios(diagnosed_form(form))[1] < 1.4).all()

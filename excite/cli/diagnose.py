@@ -101,7 +101,11 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
             ]
         )
     if document["between_recordings"]:
-        lines += ["", "friction and offsets that differ between the recordings:"]
+        lines += [
+            "",
+            "friction and offsets that differ between the recordings, if the model lacks nothing "
+            "else:",
+        ]
         lines += _aligned(
             [
                 (

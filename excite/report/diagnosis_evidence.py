@@ -132,7 +132,10 @@ def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
         "figure": Markup(session_figure.draw_session_changes(changes)),
     }
     places = joint_words(joints, len(document["joints"]))
-    answer = f"No. Friction or torque offset changed in {listed(recordings)} at {places}."
+    answer = (
+        "Perhaps not: a change of friction or torque offset would explain a part of the error of "
+        f"{listed(recordings)} at {places}."
+    )
     yield Section("changes", "Is the robot the same in all recordings?", answer, data, "warn")
 
 

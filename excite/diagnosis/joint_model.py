@@ -575,9 +575,8 @@ def transient_rows(
     for motion in motions:
         acting = np.zeros(len(motion), bool)
         for model in models:
-            if model.interval is not None and model.source == motion.segment.source:
-                low, high = model.interval
-                acting |= (motion.time >= low) & (motion.time <= high)
+            if model.interval is not None:
+                acting |= model.acts_during(motion)
         out.append(acting)
     return np.concatenate(out)
 

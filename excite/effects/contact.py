@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .._types import BoolArray, FloatArray
+from .._types import FloatArray
 from ..identification.lowpass import Grid
 from .effect import CandidateModel, Effect, NonlinearParameter, Values
 from .recorded_motion import FittedRobot, RecordedMotion
@@ -48,15 +48,13 @@ class _Contact(Effect):
         A joint that moves during the contact alone has no other rows: whatever its model lacks
         would be a contact, as where the joints of a robot move one after the other.
         """
-        shown = known = 0
-        for joint in np.flatnonzero(_acts_on(model)):
-            within = total = 0
-            for motion in model.motions:
-                total += int(motion.moving[:, joint].sum())
-                within += int((motion.moving[:, joint] & _is_during(motion, model)).sum())
-            shown += within
-            known += within if within <= MAX_SHARE * model.facts["stretch"] * total else 0
-        return known >= 0.5 * shown
+        acting = model.motions[0].link_jacobians[:, model.joint_index].any(axis=(0, 1))
+        total, within = np.zeros((2, len(acting)))
+        for motion in model.motions:
+            total += motion.moving.sum(axis=0)
+            within += (motion.moving & model.acts_during(motion)[:, None]).sum(axis=0)
+        known = acting & (within <= MAX_SHARE * model.facts["stretch"] * total)
+        return bool(within[known].sum() >= 0.5 * within[acting].sum())
 
     def varied(self, model: CandidateModel, key: str, value: float) -> CandidateModel:
         """Return the model with an interval of another length [s], whose `key` end is free."""
@@ -69,20 +67,6 @@ class _Contact(Effect):
         """Move the other end."""
         assert model.nonlinear is not None
         return [_free_end(model, "end" if model.nonlinear.key == "begin" else "begin")]
-
-
-def _acts_on(model: CandidateModel) -> BoolArray:
-    """Tell on which joints a force on its link acts, shape (n,)."""
-    motion = model.motions[0]
-    return np.asarray(motion.link_jacobians[:, model.joint_index].any(axis=(0, 1)))
-
-
-def _is_during(motion: RecordedMotion, model: CandidateModel) -> BoolArray:
-    """Tell which rows of a motion are in the interval of a contact, shape (N,)."""
-    assert model.interval is not None
-    low, high = model.interval
-    inside = (motion.time >= low) & (motion.time <= high)
-    return np.asarray(inside & (motion.segment.source == model.source))
 
 
 def _course(motion: RecordedMotion, model: CandidateModel) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from .recorded_motion import FittedRobot, RecordedMotion
 
 MAX_VARIANT_STEPS = 4
@@ -198,6 +198,14 @@ class CandidateModel:
         if self.own_columns is not None:
             return self.own_columns(motion)
         return self.definition.torque_columns(motion, self)
+
+    def acts_during(self, motion: RecordedMotion) -> BoolArray:
+        """Tell at which rows of a motion it may act: all without an interval, shape (N,)."""
+        if self.interval is None:
+            return np.ones(len(motion), bool)
+        low, high = self.interval
+        inside = (motion.time >= low) & (motion.time <= high)
+        return np.asarray(inside & (motion.segment.source == self.source))
 
     def plain(self, c: FloatArray) -> FloatArray:
         """Return coefficients, shape (k,), without those of the discrepancy of its form."""

@@ -49,7 +49,7 @@ class _Contact(Effect):
         would be a contact, as where the joints of a robot move one after the other.
         """
         acting = model.motions[0].link_jacobians[:, model.joint_index].any(axis=(0, 1))
-        total, within = np.zeros((2, len(acting)))
+        total, within = np.zeros((2, model.motions[0].n))
         for motion in model.motions:
             total += motion.moving.sum(axis=0)
             within += (motion.moving & model.acts_during(motion)[:, None]).sum(axis=0)

@@ -226,7 +226,7 @@ class _Search:
             flexible = _better_flexible_model(self.model, joint)
             if flexible is None:
                 continue
-            columns = [self.model.columns(shape) for shape in self._shapes]
+            columns = self.model.columns_of(self._shapes)
             kept = [i for i, c in enumerate(columns) if c is None or c.joints != (joint,)]
             shapes = (*(self._shapes[i] for i in kept), flexible.model)
             addition = self._judged(self._fit(shapes), flexible.model, None)

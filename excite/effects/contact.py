@@ -21,8 +21,9 @@ fall; 1 if the force rises and falls as half a sine, 0 if it is constant; number
 piecewise linear course, 0 for the other two. Forms of the model, no bounds on a score.
 """
 MAX_SHARE = 0.5
-"""Length of the longest contact over that of its motion [1], the bound of its prior: the joint
-model without the contact is known from the rest, which is not to be the smaller part."""
+"""Length of the longest contact over that of its motion, and rows of a joint during it over all
+rows of the joint [1], the bound of its prior: the joint model without the contact is known from the
+rest, which is not to be the smaller part."""
 END_FACTOR = 1.5
 """Largest factor by which a search for one end changes the length of an interval [1]: windows are a
 factor of two apart, so that the true length is within √2 of one. The range of a search."""

@@ -28,7 +28,7 @@ MIN_MOVING_SHARE = 0.3
 well, as little would remain."""
 HELD_SHARE = 0.03
 """Share of the time that a joint moves up to which it counts as held and is judged at all times, as
-nothing would remain: 30 joints that move one after the other are not held."""
+nothing would remain [1]: 1/33, so that 30 joints that move one after the other are not held."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,9 @@ from ..robot.samples import MIN_TRAVEL, Samples
 from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetric
 
 T = TypeVar("T")
+MIN_MOVING_SHARE = 0.3
+"""Share of the time that a joint must move. A joint that moves less is judged near its stops as
+well, as little would remain."""
 HELD_SHARE = 0.03
 """Share of the time that a joint moves up to which it counts as held and is judged at all times, as
 nothing would remain [1]: 1/33, so that 30 joints that move one after the other are not held."""
@@ -222,8 +225,12 @@ class RecordedMotion:
     @memoized_for_all_fits
     def moving(self) -> BoolArray:
         """Rows at which a joint moves, shape (N, n); static friction is not modelled."""
-        q, dq, reach = self.samples.q, self.samples.dq, FILTER_REACH / self.band.hertz
-        out = moving_rows(self.segment, q, dq, self._row_samples, reach=reach, breakaway=0.0)
+        out, q, dq = np.zeros((len(self), self.n), bool), self.samples.q, self.samples.dq
+        for reach in (FILTER_REACH / self.band.hertz, 0.0):
+            few = out.mean(axis=0) <= MIN_MOVING_SHARE
+            if few.any():
+                moving = moving_rows(self.segment, q, dq, self._row_samples, reach=reach)
+                out[:, few] = moving[:, few]
         return out | (out.mean(axis=0) <= HELD_SHARE)
 
     @memoized_for_all_fits

@@ -11,14 +11,14 @@ from .segments import RecordingSegment
 STANDSTILL_SPEED_RATIO = 0.01
 """Speed below which a joint stands still, over its largest speed."""
 BREAKAWAY_TRAVEL_RATIO = 0.02
-"""Travel after a standstill until friction is that of the base model, over the joint's range."""
+"""Travel after a standstill until friction is no longer static, over the joint's range."""
 MIN_STANDSTILL = 0.06
 """Duration from which a joint at standstill is excluded [s]."""
 MIN_STANDSTILL_COARSE = 0.2
 """The same for a coarse encoder, which hides how fast a joint reverses, and for the fit of the base
 model, to which slow reversals are of use [s]."""
-FILTER_REACH = 1.0
-"""Time after a step from which a low-pass filter leaves 5 % of it, in periods of its cutoff."""
+FILTER_REACH = 2.0
+"""Time after a step from which a low-pass filter leaves 2 % of it, in periods of its cutoff."""
 MIN_RESOLVED_STEPS = 50.0
 """Encoder steps that a joint should be able to travel within `MIN_STANDSTILL`; below, the encoder
 counts as coarse."""
@@ -31,7 +31,6 @@ def moving_rows(
     rows: IntArray,
     shortest: float = MIN_STANDSTILL,
     reach: float = 0.0,
-    breakaway: float = BREAKAWAY_TRAVEL_RATIO,
 ) -> BoolArray:
     """Return the rows at which each joint moves.
 
@@ -46,8 +45,6 @@ def moving_rows(
         shortest: Duration from which a standstill counts, unless the encoder is coarse [s].
         reach: Time before and after a standstill of more than this time at which the rows do not
             count either [s].
-        breakaway: Travel after a standstill at which the rows do not count either, over the range
-            of the joint: without a model of presliding, of how friction builds up there.
 
     Returns:
         Shape (N, n).
@@ -64,7 +61,6 @@ def moving_rows(
             np.tile(speed, turns),
             int(standstill * rate),
             int(reach * rate),
-            breakaway * float(np.ptp(q[:, j])),
         )
         out[:, j] = moving.reshape(turns, -1)[:, rows].all(axis=0)
     return out
@@ -96,9 +92,7 @@ def _is_still(dq: FloatArray) -> BoolArray:
     return np.asarray(np.abs(dq) < STANDSTILL_SPEED_RATIO * np.abs(dq).max(axis=0))
 
 
-def _moving(
-    q: FloatArray, dq: FloatArray, standstill: int, reach: int, breakaway: float
-) -> BoolArray:
+def _moving(q: FloatArray, dq: FloatArray, standstill: int, reach: int) -> BoolArray:
     """Samples at which a joint moves: neither at standstill nor still close to where it stood.
 
     Args:
@@ -107,9 +101,8 @@ def _moving(
         standstill: Number of samples from which a standstill counts.
         reach: Number of samples before and after a standstill of more than that number which do
             not count either.
-        breakaway: Travel after a standstill from which the rows count [rad or m].
     """
-    out = np.ones(len(q), bool)
+    out, breakaway = np.ones(len(q), bool), BREAKAWAY_TRAVEL_RATIO * float(np.ptp(q))
     for start, end in true_runs(_is_still(dq)).tolist():
         if end - start <= standstill:
             continue

@@ -30,8 +30,7 @@ above which a combination of base parameters counts as excited."""
 def base_estimate(joint: JointModel) -> Estimate:
     """Return the base parameters by the data, with all else of a joint model unknown.
 
-    Args:
-        joint: The joint model, all of whose base parameters are free.
+    All base parameters of the joint model must be free.
     """
     regression, p = joint.regression, len(joint.free)
     information, score, follow = regression.data_information(p)
@@ -70,10 +69,7 @@ def base_estimate(joint: JointModel) -> Estimate:
 
 
 def _rows(regression: JointRegression, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weighted rows whose squares are leverages, and those of directions (K, r) of coefficients.
-
-    Shapes (N, n, k), k the most coefficients of a joint, and (N, n, r).
-    """
+    """Weighted rows whose squares are leverages (N, n, k), and those along directions (N, n, r)."""
     joints = range(regression.n)
     columns, places = zip(*(regression.active_columns(j) for j in joints), strict=True)
     inverse = regression.solution.solve(np.eye(int(regression.solution.active.sum())))

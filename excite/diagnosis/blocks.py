@@ -16,22 +16,17 @@ BLOCK_SECONDS = 1.0
 
 
 def sandwiched(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Return least-squares coefficients and their sandwich covariance A⁻¹ Σ s sᵀ A⁻¹.
+    """Return least-squares coefficients (k,) and their sandwich covariance A⁻¹ Σ s sᵀ A⁻¹, (k, k).
 
-    Here s is a block's share of the score Aᵀ(y − Ax).
-
-    Args:
-        blocks: Columns, shape (m, k), and right side, shape (m,), of each block.
-
-    Returns:
-        Coefficients, shape (k,), and covariance, shape (k, k).
+    The blocks have columns (m, k) and a right side (m,); s is the share of a block in the score
+    Aᵀ(y − Ax).
     """
     A, y = (
         np.concatenate([columns for columns, _ in blocks]),
         np.concatenate([right for _, right in blocks]),
     )
     size = np.linalg.norm(A, axis=0)
-    size[size == 0.0] = np.inf  # what is nowhere is nothing, for sure
+    size[size == 0.0] = np.inf  # a column of zeros: coefficient 0, variance 0
     inverse = np.linalg.pinv((A / size).T @ (A / size), rcond=1e-10) / np.outer(size, size)
     estimate = inverse @ (A.T @ y)
     scores = np.array([columns.T @ (right - columns @ estimate) for columns, right in blocks])

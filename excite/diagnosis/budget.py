@@ -63,11 +63,7 @@ def torque_budget(
     """Return the torque budget of held-out motions.
 
     Args:
-        identified: The base model without effects.
-        motions: The fitted motions and the held-out ones, with that base model.
-        final: The saved model.
-        effects: Estimates of all effects.
-        held_out: Held-out errors.
+        motions: The fitted motions and the held-out ones, with the identified base model.
     """
     fitted, held_out_motions = motions
     gamma = np.concatenate([motion.gamma for motion in held_out_motions])
@@ -115,10 +111,7 @@ def _effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> lis
 def _absorbed_parameters(
     final: FinalModel, identified: Identification, motions: Sequence[RecordedMotion]
 ) -> FloatArray:
-    """Base parameters that a base model fitted alone absorbs of each saved effect, shape (E, p).
-
-    The fitted motions have that base model. Parameters that a prior states absorb nothing.
-    """
+    """Base parameters that a base model fitted alone absorbs of each saved effect, shape (E, p)."""
     torques, free = _effect_torques(final, final.motions), joint_model.free_parameters(identified)
     gamma = np.concatenate([motion.gamma[:, :, free] for motion in motions])
     residual = np.concatenate([motion.residual for motion in motions])

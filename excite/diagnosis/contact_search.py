@@ -27,12 +27,9 @@ MAX_WINDOWS = 2
 def contacts(fitted: JointModel) -> list[CandidateModel]:
     """Return forces on every link, in the windows in which a constant force explains most.
 
-    The joint model is fitted anew with each force: it takes a large part of the torque of a contact
-    that lasts. Of windows of all lengths the best is chosen, and the best that it does not overlap;
-    then both ends move while that explains more.
-
-    Args:
-        fitted: A joint model.
+    The joint model is refitted with each force, as it absorbs a large part of a long contact. Of
+    windows of all lengths the best is chosen, and the best that it does not overlap; then both ends
+    move while that explains more.
     """
     rows = np.cumsum([0, *(len(motion) for motion in fitted.motions)])
     forces = [
@@ -109,10 +106,7 @@ class _WindowedForces:
         return cls(edges, score, shared, square, inverse)
 
     def grid(self) -> IntArray:
-        """Return windows of all lengths, each half overlapping the next, shape (w, 2).
-
-        A window is its first block and the block after the last.
-        """
+        """Return windows of all lengths as first block and end, half overlapping, shape (w, 2)."""
         blocks = len(self.edges) - 1
         lengths = max(blocks // WINDOWS, 2) * 2 ** np.arange(DOUBLINGS)
         lengths = lengths[lengths <= MAX_SHARE * blocks]

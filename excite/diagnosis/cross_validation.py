@@ -43,14 +43,9 @@ def gain(
 ) -> float:
     """Return the log-likelihood that a model gains over another on rows that are not fitted.
 
-    Of an effect that acts for some of the time, its own fold says nothing, but the others are
-    predicted better by what is fitted without its torque.
-
-    Args:
-        model: A joint model.
-        left_out: Numbers of its effects that are left out.
-        other: Another joint model of the same motions, or the same one.
-        other_left_out: Numbers of its effects that are left out.
+    Each is taken without the effects of the numbers `left_out`; both have the same motions. The
+    fold in which a transient effect acts says nothing of it, but the other folds are predicted
+    better by a fit that has its torque.
     """
     rows = model.regression.independent_share * model.regression.moving.sum(axis=0)
     errors = _log_errors(other, [other_left_out]) - _log_errors(model, [left_out])
@@ -58,15 +53,10 @@ def gain(
 
 
 def select(model: JointModel) -> list[EffectEvidence]:
-    """Leave out effects that are not needed, and those that predict a joint worse.
+    """Return the evidence of all effects, after some are left out.
 
-    The latter are of joints that are predicted worse than by the base model alone.
-
-    Args:
-        model: The joint model.
-
-    Returns:
-        The evidence of all effects.
+    These are effects that are not needed, and those that spoil the prediction of a joint which is
+    predicted worse than by the base model alone.
     """
     evidence = posterior.select(model)
     everything = set(range(len(model.models)))
@@ -94,11 +84,10 @@ def _spoiling_group(
     present: FloatArray,
     evidence: Sequence[EffectEvidence],
 ) -> frozenset[int]:
-    """Return the effect without which a joint and the whole robot are predicted better.
+    """Return the effect without which a joint and the whole robot are predicted better, or none.
 
-    All effects of the joint together are an alternative. Empty if there is none: an effect may
-    explain more at other joints than it spoils at this one. `present` are the logarithms of the
-    errors of all joints without those that are left out already, shape (n,).
+    All effects of the joint together are an alternative. `present` are the logarithms of the errors
+    of all joints without those that are left out already, shape (n,).
     """
     groups = [
         frozenset(entry.members)
@@ -115,11 +104,7 @@ def _spoiling_group(
 
 
 def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
-    """Mean logarithms of squared errors on rows to which variants are not fitted, (variants, n).
-
-    A variant is a set of effects that are left out. Errors of the thirds of a single recording are
-    summed before.
-    """
+    """Mean log squared errors on rows to which variants are not fitted, shape (variants, n)."""
     regression, parts = model.regression, _folds(model)
     unused = np.zeros(len(regression.nonnegative), bool)
     unused[model.session_places] = True

@@ -17,18 +17,13 @@ Pair = tuple[str | None, str, str]
 
 @dataclass(frozen=True)
 class Decision:
-    """Odds of a pair of effects, one of which acts at a joint.
-
-    All log odds are those of the effect over its rival [nat].
+    """Log odds of an effect over its rival at a joint, of which one acts [nat].
 
     Attributes:
-        joint: Name of the joint; None for effects of no single joint.
-        effect: Name of the effect that the earlier diagnosis reported.
-        rival: Name of an equivalent or rival.
-        before: By the earlier recordings; None where the earlier diagnosis does not state them.
-        expected: What was expected after the discriminating recording, if the effect acts and if
-            the rival does; None where no design is given.
-        after: By all recordings.
+        before: Log odds by the earlier recordings; None where the earlier diagnosis has none.
+        expected: Log odds that were expected after the discriminating recording, if the effect acts
+            and if the rival does; None where no design is given.
+        after: Log odds by all recordings.
     """
 
     joint: str | None
@@ -92,9 +87,7 @@ class ExpectedEvidence:
     def log_odds(self, pair: Pair, before: float | None) -> tuple[float, float] | None:
         """Return the log odds after the recording if the effect acts, and if the rival does.
 
-        Args:
-            pair: Joint, effect and rival.
-            before: Log odds by the earlier recordings; None counts as even.
+        Log odds `before` by the earlier recordings that are None count as even.
         """
         joint, effect, rival = pair
         if not {pair, (joint, rival, effect)} <= set(self.log_bayes_factors):
@@ -127,11 +120,7 @@ class Decisions:
         )
 
     def applied_to(self, document: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a diagnosis whose findings have no equivalents that are excluded.
-
-        Args:
-            document: Content of `diagnosis.json`.
-        """
+        """Return a diagnosis whose findings have no equivalents that are excluded."""
         findings = []
         for finding in document["findings"]:
             excluded = {
@@ -156,13 +145,7 @@ def decide(
     diagnosis: Diagnosis,
     expected: Sequence[ExpectedEvidence] = (),
 ) -> Decisions:
-    """Compare the members of each class of an earlier diagnosis by all recordings.
-
-    Args:
-        earlier: The diagnosis of the earlier recordings.
-        diagnosis: The diagnosis of all recordings.
-        expected: Evidence that designs expected.
-    """
+    """Compare the members of each class of an earlier diagnosis by all recordings."""
     joints = diagnosis.identified.model.robot.joints
     pairs, classes = [], []
     for finding in earlier.findings:

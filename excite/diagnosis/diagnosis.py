@@ -1,9 +1,7 @@
 """Diagnosis of a robot from recordings: the effects that the base model lacks.
 
-The training recordings decide everything: the joint model (`joint_model`), its rare effects
-(`selection`), which effects are needed (`posterior`), their probabilities (`probability`), what
-remains (`unmodelled`) and the saved model (`final_model`). The held-out recordings are read once,
-at the end, by the saved model.
+The training recordings decide everything; the held-out recordings are read once, at the end, by
+the saved model. The README of this folder names the steps and their modules.
 """
 
 from __future__ import annotations
@@ -71,7 +69,7 @@ class DiagnosisOptions:
 
     Attributes:
         band: Cutoff frequency [Hz]; chosen from the data when None.
-        prior: What is known: its parameters are not refit, and its effects are no findings.
+        prior: Known parameters, which are not refit, and known effects, which are no findings.
     """
 
     band: float | None = None
@@ -111,19 +109,10 @@ class Diagnosis:
     Attributes:
         identified: The base model without effects.
         hertz: Cutoff frequency [Hz].
-        model: The joint model of the training recordings.
         effects: All effects that were considered, the most probable first.
-        final: The model that is saved.
-        noise: Noise of the joint model's residual.
         residual: RMS residual of the joint model on the training recordings, shape (n,) [N m].
-        unmodelled: Torque that no effect explains, by joint.
-        held_out: Errors on the held-out recordings.
-        budget: What each effect explains of the held-out torque.
         document: Content of the `model.json` by which the held-out errors are computed.
         rivals: Of each finding: its log Bayes factor over every effect that is not excluded.
-        changes: Changes of friction between recordings.
-        gears: Gear parameters of joints with two encoders.
-        known: The effects of the prior.
     """
 
     identified: Identification
@@ -177,15 +166,6 @@ def diagnose(
     progress: Progress = lambda _: None,
 ) -> Diagnosis:
     """Find the effects that the base model lacks.
-
-    Args:
-        robot: The robot.
-        parameters: Layout of its standard parameters.
-        base: Its base parameters.
-        train: Training recordings.
-        validate: Held-out recordings.
-        options: Options; defaults when None.
-        progress: Called with a line of text at each stage.
 
     Raises:
         UnusableInput: If there is no held-out recording, or a recording is too short.
@@ -293,11 +273,10 @@ def _savable(
     rare: Sequence[RareEffect],
     effects: Sequence[EffectEstimate],
 ) -> tuple[JointModel, dict[Key, float]]:
-    """Return a joint model without flexible models, and the effects to be saved: probabilities.
+    """Return a joint model without flexible models, and the probabilities of effects to be saved.
 
-    Flexible models are not saved. What they stand for is left to the effects of the catalogue,
-    which are judged by the residual that they leave. A friction that is not asserted is no reason
-    to change one that a prior states.
+    Flexible models cannot be saved: the effects are judged by the residual without them. A friction
+    that is not asserted is no reason to change one that a prior states.
     """
     named = [i for i, m in enumerate(model.models) if m.effect != UNMODELLED]
     if len(named) < len(model.models):

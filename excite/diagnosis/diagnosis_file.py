@@ -61,11 +61,7 @@ WITHHELD = "withheld: a recording is in doubt"
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the content of `diagnosis.json`.
-
-    Args:
-        diagnosis: The diagnosis.
-    """
+    """Return the content of `diagnosis.json`."""
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
     torque_rms = rms(held_out.torque, held_out.moving)
@@ -133,10 +129,6 @@ def withhold_findings(
 
     If a column may hold another quantity than assumed, a residual is no evidence about a joint. The
     withheld findings are listed among those that were considered.
-
-    Args:
-        document: Content of `diagnosis.json`.
-        doubts: Unrepaired doubts about the recordings.
     """
     withheld = [entry for entry in document["findings"] if entry["joint"] is not None]
     kept = [entry for entry in document["findings"] if entry["joint"] is None]
@@ -233,10 +225,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
 def _determined(
     parameters: Mapping[str, tuple[float, float]],
 ) -> dict[str, tuple[float, float]]:
-    """Parameters that are worth stating: those that differ from their neutral value.
-
-    A coefficient means nothing without its exponent, so that both are left to the curve.
-    """
+    """Parameters that differ from their neutral value; a coefficient needs its exponent, too."""
     out = {
         key: (value, std)
         for key, (value, std) in parameters.items()

@@ -53,16 +53,10 @@ _ABSCISSAS: Mapping[str, _Abscissa] = {
 
 
 def effect_curve(model: JointModel, estimate: EffectEstimate, regime: str) -> dict[str, Any] | None:
-    """Return the mean torque of an effect over a quantity; None where no single quantity shows it.
+    """Return the curve of a finding: its mean torque over the quantity on which it depends.
 
-    Args:
-        model: The joint model.
-        estimate: An effect that it has.
-        regime: Quantity over which the effect shows; see `diagnosis_file.REGIMES`.
-
-    Returns:
-        The element "curve" of a finding: torque and its standard deviation [N m or N], positive
-        where it opposes the motion if "opposes_motion".
+    Torque and standard deviation [N m or N] are positive where the torque opposes the motion if
+    "opposes_motion". None where no single quantity, which `regime` names, shows the effect.
     """
     abscissa, j, rows = _ABSCISSAS.get(regime), estimate.joint, model.rows
     if abscissa is None or j is None:

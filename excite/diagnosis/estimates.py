@@ -86,10 +86,7 @@ class EffectEstimate(EffectEvidence):
 
     @property
     def severity_interval(self) -> tuple[float, float]:
-        """90 % interval of the severity.
-
-        The form of an effect is wrong by a factor, and a severity is positive.
-        """
+        """90 % interval of the severity, which is positive and wrong by a factor."""
         spread = float(np.exp(QUANTILE * self.relative_std))
         return self.severity / spread, self.severity * spread
 
@@ -100,24 +97,14 @@ class EffectEstimate(EffectEvidence):
 
     @property
     def needed(self) -> bool:
-        """True if the joint model needs it, and it is a friction or asserted.
-
-        Another effect may well be in the place of a rare one that is less probable than not: what
-        is not asserted is not to be predicted either.
-        """
+        """True if the joint model needs it, and it is a friction or asserted."""
         return self.asserted or (self.is_in_model and self.effect in FRICTIONS)
 
 
 def estimate_effects(
     model: JointModel, rare: Sequence[RareEffect], evidence: Sequence[EffectEvidence]
 ) -> list[EffectEstimate]:
-    """Estimate all effects of a joint model.
-
-    Args:
-        model: The joint model.
-        rare: Its rare effects.
-        evidence: Evidence of all effects.
-    """
+    """Estimate all effects of a joint model."""
     posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
     probabilities = posterior.probabilities(model.n, evidence)
     likeness = _likeness(posterior_of, evidence)
@@ -148,14 +135,7 @@ def on_base(
     evidence: Sequence[EffectEvidence],
     base: FittedRobot,
 ) -> list[EffectEstimate]:
-    """Return estimates whose parameters are those on top of another base model.
-
-    Args:
-        effects: The estimates.
-        model: The joint model.
-        evidence: Evidence of all effects.
-        base: The base model.
-    """
+    """Return estimates whose parameters are those on top of another base model."""
     posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
     return [
         replace(effect, parameters=posterior_of.parameters(effect.members, base))
@@ -166,11 +146,7 @@ def on_base(
 
 
 def _same_by_definition(model: JointModel, estimate: EffectEstimate) -> tuple[str, ...]:
-    """Names of effects whose torque has the same form.
-
-    Convex nonlinear viscous friction and drag are one thing at a joint (the contract). So are a
-    wave of few periods over the range of a joint and a curve of its position.
-    """
+    """Names of effects of the same form: drag and convex viscous friction; waves and springs."""
     effect, shapes = estimate.effect, estimate.models
     if effect == "drag":
         return ("nonlinear_viscous",)
@@ -191,18 +167,11 @@ def with_unmodelled(
     model: JointModel,
     unmodelled: Sequence[UnmodelledTorque],
 ) -> list[EffectEstimate]:
-    """Return estimates whose probabilities take account of torque that no effect explains, the most
-    probable first.
+    """Return estimates, the most probable first, in view of torque that no effect explains.
 
     Where torque of size u remains at a joint, an effect that explains torque of size s beyond all
-    others may stand for a part of the same unnamed thing. By the share s²/(s² + u²) its probability
-    is that of its evidence; otherwise that evidence is not its own, and what remains is what the
-    other joints of the robot say about frictions, and nothing about all other effects.
-
-    Args:
-        effects: The estimates.
-        model: The joint model.
-        unmodelled: Torque that no effect of it explains.
+    others may be a part of the same unnamed thing. By the share s²/(s² + u²) its probability is
+    that of its evidence; otherwise that of the other joints' evidence for a friction, or 0.
     """
     left = np.zeros(model.n)
     for entry in unmodelled:
@@ -225,15 +194,10 @@ def with_doubts_about_prior(
 ) -> list[EffectEstimate]:
     """Return estimates whose probabilities take account of errors of the trusted parameters.
 
-    Any effect but the usual frictions can stand for a part of these errors. They are what the joint
-    model leaves, r, beyond what a refit of the base model leaves, r₁. By its share in the power of
-    both, Σ s²/r₁² / Σ (s² + max(r² − r₁², 0))/r₁² over the joints on which it acts, an effect that
-    explains torque of size s is more than a part of them.
-
-    Args:
-        effects: The estimates.
-        residual: RMS residual of the joint model, shape (n,) [N m].
-        refit: RMS residual of the base model identified without the prior, shape (n,) [N m].
+    Any effect but the usual frictions can explain a part of these errors. Their size follows from
+    the RMS residuals r of the joint model and r₁ of the base model refit without the prior, both of
+    shape (n,) [N m]. An effect that explains torque of size s is more than a part of them with the
+    probability Σ s²/r₁² / Σ (s² + max(r² − r₁², 0))/r₁² over the joints on which it acts.
     """
     errors = np.maximum(residual**2 - refit**2, 0.0)
     weights = 1.0 / np.maximum(refit**2, 1e-300)
@@ -331,10 +295,7 @@ class _Posterior:
         )
 
     def estimate(self, estimate: EffectEstimate) -> EffectEstimate:
-        """Return an estimate of an effect of the model with its size and its parameters.
-
-        An effect whose coefficients are all held at zero by their signs is not in the model.
-        """
+        """Return an estimate of an effect of the model with its size and its parameters."""
         effects, slices = estimate.members, self.model.regression.slices
         places = self.places(effects)
         if not len(places):
@@ -384,8 +345,7 @@ class _Posterior:
     ) -> dict[str, tuple[float, float]]:
         """Return the parameters of the largest model of an effect, with standard deviations.
 
-        Next to other effects its coefficients may have left the range that is physically possible.
-        Then they say nothing, and there are none.
+        There are none where its coefficients, next to those of other effects, are not plausible.
         """
         draws = self.draws(self.places(effects))
         sizes = {e: self.relative_size(e) for e in effects if len(self.places([e]))}
@@ -428,10 +388,7 @@ class _Posterior:
     def _nonlinear(
         self, shape: CandidateModel, c: FloatArray, places: IntArray
     ) -> tuple[FloatArray, float]:
-        """Change of an effect's coefficients per logarithm of its nonlinear parameter, and its std.
-
-        The nonlinear parameter has a prior of standard deviation 1 in the logarithm.
-        """
+        """Change of coefficients per logarithm of the effect's nonlinear parameter, and its std."""
         none = np.zeros(len(places)), 0.0
         if shape.nonlinear is None:
             return none

@@ -1,9 +1,8 @@
 """Search for the filter that recorded torque has passed, before any other effect is fitted.
 
-Presliding hysteresis explains smoothed steps of friction nearly as well as a filter does, joint by
-joint: once it is fitted, it leaves nothing for a step towards a filter. Filters of all kinds and
-corner frequencies are therefore compared, each with the frictions of every joint. It is one filter
-of all joints, so that they contradict what an effect of one joint asks for.
+Presliding hysteresis explains smoothed steps of friction nearly as well as a filter does: once it
+is fitted, no evidence for a filter remains. Filters of all kinds and corner frequencies, one for
+all joints, are therefore compared first, each with the frictions of every joint.
 """
 
 from __future__ import annotations
@@ -44,8 +43,6 @@ class FilterFits:
     """Frictions of all joints at the identified parameters, with several recording chains.
 
     Attributes:
-        identified: The base model.
-        motions: The motions to fit.
         kinds: Filters that are compared, of every kind those of all corner frequencies.
     """
 
@@ -85,10 +82,9 @@ class FilterFits:
     def chosen(self, by_errors: Callable[[JointModel], float] = lambda _: 0.0) -> JointModel:
         """Return the frictions that start every fit, with a filter if the motions show one.
 
-        Args:
-            by_errors: Evidence that errors of the positions alone give the filter of a model.
+        `by_errors` returns the evidence that position errors alone give the filter of a model.
         """
-        if self.motions[0].n == 1:  # its filter cannot be told from the dynamics of a single joint
+        if self.motions[0].n == 1:  # a filter looks like the dynamics of a single joint
             return self.start
         plain, filtered = (
             replace(model, regression=model.regression.copy())

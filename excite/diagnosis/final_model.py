@@ -65,32 +65,19 @@ class FinalModel:
 
     @property
     def residual(self) -> FloatArray:
-        """Torque of the fitted motions that it does not predict, shape (N, n) [N m].
-
-        Rows at standstill have the torque.
-        """
+        """Torque of the fitted motions that it does not predict, shape (N, n) [N m]."""
         coefficients = self.regression.solution.coefficients.copy()
         coefficients[: self.regression.base_count] = 0.0  # the changes between recordings
         return self.regression.torque - self.regression.torque_along(coefficients)
 
     def has(self, effect: str, joint: int | None) -> bool:
-        """Tell whether an effect is saved.
-
-        Args:
-            effect: Its name.
-            joint: Index of its joint; None for an effect of no single joint.
-        """
+        """Tell whether an effect is saved."""
         return any((e.shape.effect, e.shape.joint) == (effect, joint) for e in self.saved_effects)
 
     def document(
         self, recordings: Sequence[Recording], known: Sequence[FittedEffect] = ()
     ) -> dict[str, Any]:
-        """Return the content of `model.json`.
-
-        Args:
-            recordings: The recordings to which the model is fitted.
-            known: Effects of the prior, which it has as well.
-        """
+        """Return the content of `model.json`, which contains the known effects of the prior."""
         out = identified_model.model_document(self.identified, recordings)
         robot = self.identified.model.robot
         out["effects"] = [
@@ -115,15 +102,7 @@ def fit(
     recordings: Sequence[Recording],
     progress: Callable[[str], None] = lambda _: None,
 ) -> FinalModel:
-    """Fit the model that is saved.
-
-    Args:
-        identified: The base model without effects.
-        model: The joint model.
-        probabilities: Probabilities of the effects to be saved.
-        recordings: The recordings to fit.
-        progress: Called with each line of progress.
-    """
+    """Fit the model that is saved, with effects of these probabilities."""
     left_out = [i for i, shape in enumerate(model.models) if shape.key not in probabilities]
     solution = model.regression.without(left_out)
     shapes = [
@@ -198,11 +177,7 @@ def fit(
 def _widths(
     refitted: Identification, model: JointModel, shapes: Sequence[CandidateModel]
 ) -> FloatArray:
-    """Return the widths of Coulomb friction of the saved model, shape (n,).
-
-    Saved frictions were fitted jointly with the widths of the joint model. Those of other joints
-    stood for frictions that are not saved.
-    """
+    """Return the widths of Coulomb friction (n,): the joint model's where frictions are saved."""
     widths = refitted.model.widths.copy()
     for shape in shapes:
         if shape.effect in FRICTIONS:
@@ -221,12 +196,7 @@ def _fitted(
 
 
 def _continued(effect: FittedEffect, viscous: FloatArray) -> FittedEffect:
-    """Return an effect that is dissipative beyond the recorded speeds.
-
-    Args:
-        effect: The effect.
-        viscous: Viscous friction of each joint, shape (n,).
-    """
+    """Return an effect that is dissipative beyond the recorded speeds."""
     shape = effect.shape
     if shape.effect != "nonlinear_viscous":
         return effect
@@ -253,11 +223,6 @@ def _cleaned(
 
 
 def renewed(identified: Identification, motions: Sequence[RecordedMotion]) -> list[RecordedMotion]:
-    """Return motions with an identified base model.
-
-    Args:
-        identified: The base model.
-        motions: Motions with any base model.
-    """
+    """Return motions with an identified base model."""
     psi = joint_model.initial_parameters(identified)
     return joint_model.renewed(identified, motions, psi, identified.model.widths)

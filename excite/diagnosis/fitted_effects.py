@@ -80,20 +80,12 @@ def restored(stated: EffectDocument, robot: Robot) -> FittedEffect:
 
 
 def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Predict the torque along a recording at its own times, effects included.
-
-    Returns:
-        Times [s], shape (N,), and torque [N m], shape (N, n).
-    """
+    """Return times (N,) [s] of a recording and the torque (N, n) [N m] there, effects included."""
     return fitted.predict(recording, _effect_torque(fitted, recording) if fitted.effects else None)
 
 
 def read_back(document: Mapping[str, Any]) -> IdentifiedModel:
-    """Return the model that `excite predict` reads from the text of a `model.json`.
-
-    Args:
-        document: Content of the file.
-    """
+    """Return the model that `excite predict` reads from the text of a `model.json`."""
     file = identified_model.model_file(Path("model.json"))
     return identified_model.model_from_document(file, json.loads(_json.dumps(document)))
 
@@ -105,10 +97,7 @@ def residuals(
 ) -> FloatArray:
     """Return measured minus predicted torque at the rows of motions, shape (N, n) [N m].
 
-    Args:
-        model: A model.
-        recordings: The recordings in which the motions lie.
-        motions: The motions, with the measured torque below the cutoff frequency.
+    The measured torque is that of the motions, below the cutoff frequency.
     """
     predictions = {r.source: predict(model, r) for r in recordings}
     out = []
@@ -120,12 +109,7 @@ def residuals(
 
 
 def without_effects(fitted: IdentifiedModel, recording: Recording) -> Recording:
-    """Return a recording whose torque is without what the effects of a model predict.
-
-    Args:
-        fitted: The model.
-        recording: A recording of its robot.
-    """
+    """Return a recording whose torque is without what the effects of a model predict."""
     effect_torque = _effect_torque(fitted, recording)
     torques = [(stretch, effect_torque(stretch)) for stretch in recording.segments()]
     times, torque = at_row_times(recording, torques)

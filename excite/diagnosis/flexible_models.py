@@ -66,12 +66,9 @@ EXPERIMENTS: Mapping[str, str] = {
 def flexible_models(
     motions: Sequence[RecordedMotion], sigma: FloatArray, joints: Sequence[int] | None = None
 ) -> Iterator[CandidateModel]:
-    """Yield the flexible models of every joint.
+    """Yield the flexible models of some joints, of all if None.
 
-    Args:
-        motions: The motions to fit.
-        sigma: RMS residual of each joint without them, shape (n,) [N m].
-        joints: Indices of the joints; all when None.
+    `sigma` is the RMS residual of each joint without them, shape (n,) [N m].
     """
     rows = motion_rows(motions)
     for j in range(rows.n) if joints is None else joints:
@@ -192,10 +189,7 @@ def _resonances(columns: _Columns, state: str, regime: str) -> Iterator[Candidat
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Resonance(Effect):
-    """Definition of an oscillator that some torque drives.
-
-    The columns are ω² z, ω ż, and the free oscillation from the start of each motion.
-    """
+    """An oscillator driven by some torque: columns ω² z, ω ż, and free oscillation of a motion."""
 
     columns: _Columns
     drives: Sequence[FloatArray]
@@ -216,10 +210,7 @@ class _Resonance(Effect):
 def _oscillator(
     omega: float, damping: float, rate: float
 ) -> tuple[tuple[FloatArray, FloatArray], ...]:
-    """Return the filters (b, a) of ω² z and ω ż of an oscillator at a sampling rate [Hz].
-
-    They are the same for all joints.
-    """
+    """Return the filters (b, a) of ω² z and ω ż of an oscillator at a sampling rate [Hz]."""
     a = 1.0, 2.0 * damping * omega, omega**2
     return tuple(signal.bilinear(b, a, rate) for b in ((omega**2,), (omega, 0.0)))
 

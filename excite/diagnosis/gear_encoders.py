@@ -89,15 +89,7 @@ class _GearRows:
 def gears(
     motions: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Sequence[Recording]]
 ) -> tuple[GearEstimate, ...]:
-    """Estimate the gear of every joint that has two encoders.
-
-    Args:
-        motions: Motions of the fitted and of the held-out recordings.
-        recordings: Fitted and held-out recordings.
-
-    Returns:
-        Estimates; empty if no recording has `qlink`.
-    """
+    """Estimate the gear of every joint that has two encoders, from fitted and held-out data."""
     entries = motions[0][0].fitted_robot.robot.entries
     estimates = []
     for j in range(motions[0][0].n):

@@ -1,8 +1,5 @@
 """Joint model of a robot: base model, frictions of every joint, delay and ripple, fitted together.
 
-Real joints have Stribeck, nonlinear viscous and load-dependent friction and presliding hysteresis
-at once. All of it is fitted jointly with the base model, before anything is judged:
-
 1. columns of the frictions at every joint (`dense_models`), with nonnegative coefficients;
 2. weights of the rows from the residual and its autocorrelation;
 3. the delay, whose coefficient on the slope of the torque moves into the torque's time stamps, and
@@ -46,7 +43,7 @@ from .recording_chain import RecordingChain
 from .regression import JointRegression, independent_share, rms
 
 ROUNDS = 4
-"""Rounds of the fit: delay and weights change by less than 1 % after three."""
+"""Fits, with the first one: delay and weights change by less than 1 % after three."""
 RIPPLE_ROUNDS = (1, 2)
 """Rounds that are followed by a search for ripple: not before the first fit of the frictions."""
 MIN_FREEDOM = 0.1
@@ -81,7 +78,6 @@ class JointModel:
     Attributes:
         motions: Recorded motions, with the base model and with the torque moved by the delay.
         models: Effects in the order of the regression.
-        regression: The regression.
         chain: How torque is recorded. Its delay was removed from the torque of the motions, its
             filter is part of all columns.
         level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
@@ -162,22 +158,14 @@ class JointModel:
         return np.asarray(self.solution.coefficients[self.regression.slices[effect]])
 
     def keeping(self, effects: Sequence[int]) -> JointModel:
-        """Return the model with some of its effects, and the same rows and weights.
-
-        Args:
-            effects: Numbers of the effects, in rising order.
-        """
+        """Return the model with some of its effects, and the same rows and weights."""
         models = tuple(self.models[i] for i in effects)
         regression = self.regression.keeping(effects)
         regression.built_up = _built_up(models)
         return replace(self, models=models, regression=regression)
 
     def built_up(self, joint: int) -> list[int]:
-        """Return the numbers of the frictions of a joint that build up in presliding elements.
-
-        Args:
-            joint: Index of the joint.
-        """
+        """Return the numbers of the frictions of a joint that build up in presliding elements."""
         return [i for i, m in enumerate(self.models) if m.joint == joint and _is_built_up(m)]
 
     def columns(self, model: CandidateModel) -> Columns | None:
@@ -254,10 +242,7 @@ def _is_built_up(model: CandidateModel) -> bool:
 
 
 def _built_up(models: Sequence[CandidateModel]) -> dict[int, tuple[int | None, int | None]]:
-    """Return the built-up frictions, with the presliding hysteresis of their joint.
-
-    Without that the other form of the friction stands in, which is named last.
-    """
+    """Return each built-up friction with the hysteresis of its joint, else with its other form."""
     at_once = {m.key: i for i, m in enumerate(models) if not _is_built_up(m)}
     return {
         i: (at_once.get(("hysteresis", m.joint)), at_once.get(m.key))
@@ -277,7 +262,6 @@ def dense_models(
     there shows none.
 
     Args:
-        motions: The motions.
         build_ups: How dry frictions build up, by joint; these joints have both forms of them.
         shares: Shares of the presliding elements in an earlier fit, by joint.
     """
@@ -310,14 +294,7 @@ def fit(
     rare: Sequence[CandidateModel],
     start: JointModel,
 ) -> JointModel:
-    """Fit the joint model to recorded motions.
-
-    Args:
-        identified: The base model.
-        motions: The motions to fit.
-        rare: Further effects.
-        start: What `filter_search.FilterFits.chosen` returns.
-    """
+    """Fit the joint model to recorded motions, from a start by `FilterFits.chosen`."""
     widths, chain = start.motions[0].widths, start.chain
     waves: list[CandidateModel] = []
     build_ups: Mapping[int, Mapping[str, float]] | None = None
@@ -403,11 +380,7 @@ def _shares_of_elements(
 
 
 def renewed_chain(fitted: JointModel) -> RecordingChain:
-    """Return the recording chain with the step of a fit; no delay without evidence.
-
-    Args:
-        fitted: A joint model.
-    """
+    """Return the recording chain with the step of a fit; no delay without evidence."""
     x, chain = fitted.solution.coefficients, fitted.chain
     seconds = chain.delay + float(x[fitted.delay_place])
     if delay_evidence(fitted, seconds)[0] <= MIN_ENTRY_EVIDENCE:
@@ -417,12 +390,7 @@ def renewed_chain(fitted: JointModel) -> RecordingChain:
 
 
 def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
-    """Return the log Bayes factor for a delay of the recording, and its standard deviation [s].
-
-    Args:
-        fitted: A joint model.
-        seconds: The delay [s].
-    """
+    """Return the log Bayes factor for a delay [s] of the recording, and the delay's std [s]."""
     information, prior = _information(fitted, np.array([fitted.delay_place]))
     std = float(1.0 / np.sqrt(information[0, 0] + prior[0]))
     occam = float(np.log1p(information[0, 0] / prior[0]))
@@ -430,10 +398,7 @@ def delay_evidence(fitted: JointModel, seconds: float) -> tuple[float, float]:
 
 
 def _renewed_change_scale(fitted: JointModel) -> FloatArray:
-    """Return the scale of the changes between recordings of every joint, shape (n,).
-
-    Scales of joints are compared one joint at a time, at the present scales of the others.
-    """
+    """Return the scale of the changes between recordings, one joint at a time, shape (n,)."""
     places = np.arange(len(fitted.solution.coefficients))[fitted.session_places]
     if not len(places):
         return fitted.change_scale
@@ -453,11 +418,7 @@ def _renewed_change_scale(fitted: JointModel) -> FloatArray:
 
 
 def _information(fitted: JointModel, places: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return the information of the data on coefficients of the base model, and of their prior.
-
-    After elimination of all others, shape (k, k), and the prior's, shape (k,). The coefficients
-    have either sign.
-    """
+    """Return the information of the data on signed coefficients (k, k), and of their prior (k,)."""
     prior = np.diag(fitted.regression.prior_matrix)[places]
     total = np.linalg.inv(fitted.solution.covariance(places, places))
     values, vectors = np.linalg.eigh(total - np.diag(prior))
@@ -502,10 +463,8 @@ def base_model(
     """Return the joint model of the base model without effects.
 
     Args:
-        identified: The base model.
-        motions: The motions to fit.
-        psi: Its standard parameters, shape (P,).
-        chain: How torque is recorded; its delay was removed from the torque of the motions.
+        psi: Standard parameters, shape (P,).
+        chain: Recording chain; its delay was removed from the torque of the motions.
         previous: A fit that gives the weights of the rows, the size of changes between recordings,
             and the measured torque of the motions; the base model does if None.
     """
@@ -544,10 +503,7 @@ def base_model(
 def reweight(regression: JointRegression, transient: BoolArray | None = None) -> None:
     """Set the weights of the rows by the residual, twice, since they change it.
 
-    Args:
-        regression: The regression.
-        transient: Rows that do not count, since their residual is that of a transient effect,
-            shape (N,).
+    Rows in which a transient effect acts, shape (N,), do not count.
     """
     moving = regression.moving
     if transient is not None:
@@ -565,12 +521,7 @@ def reweight(regression: JointRegression, transient: BoolArray | None = None) ->
 def transient_rows(
     models: Sequence[CandidateModel], motions: Sequence[RecordedMotion]
 ) -> BoolArray:
-    """Return the rows in which an effect acts that other rows do not show, shape (N,).
-
-    Args:
-        models: The effects.
-        motions: The motions.
-    """
+    """Return the rows in which an effect acts that other rows do not show, shape (N,)."""
     out = []
     for motion in motions:
         acting = np.zeros(len(motion), bool)
@@ -582,7 +533,7 @@ def transient_rows(
 
 
 def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
-    """Return the Coulomb friction of each joint, or more where it is small, shape (n,) [N m].
+    """Return the Coulomb friction of each joint, shape (n,) [N m].
 
     It is at least a share of the other joints' and of the variation of the joint's torque.
     """
@@ -613,13 +564,7 @@ def initial_parameters(identified: Identification) -> FloatArray:
 def identified_motions(
     identified: Identification, segments: Sequence[RecordingSegment], hertz: float
 ) -> list[RecordedMotion]:
-    """Return the motions of segments that are long enough, with the identified base model.
-
-    Args:
-        identified: The base model.
-        segments: Segments of the recordings.
-        hertz: Cutoff frequency [Hz].
-    """
+    """Return the motions of segments that are long enough, with the identified base model."""
     psi, model = initial_parameters(identified), identified.model
     robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
     theta = model.base.matrix @ psi
@@ -679,9 +624,8 @@ def _base_prior(
 def _dissipated(identified: Identification, free: IntArray, count: int) -> BoolArray:
     """Tell which coefficients of the base model are frictions, which cannot be negative.
 
-    The model that is saved has none below zero: an effect must not have its evidence by one. Where
-    friction of the base model alone feeds in power, as of a motor that another one drives, it
-    stands for something else.
+    They can be where friction of the base model alone feeds in power, as of a motor that another
+    one drives: it represents another effect there.
     """
     model, out = identified.model, np.zeros(count, bool)
     if identified.options.trusted:
@@ -726,10 +670,7 @@ def consistent_parameters(identified: Identification, fitted: JointModel) -> Flo
 
 
 def consistent_estimate(identified: Identification, fitted: JointModel) -> ConsistentEstimate:
-    """Return the physically consistent estimate of a fit without a trusted prior.
-
-    The information of the base parameters is what the data hold after elimination of all effects.
-    """
+    """Return the physically consistent estimate of a fit without a trusted prior."""
     information, score, _ = fitted.regression.data_information(len(fitted.free))
     values, vectors = np.linalg.eigh(information)
     known = values > 1e-12 * values.max()

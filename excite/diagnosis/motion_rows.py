@@ -32,7 +32,6 @@ class MotionRows:
         motor_torque: Torque of the base model, or of a joint model [N m], shape (N, n).
         distance: Travel since the last reversal, shape (N, n).
         moving: Rows at which a joint is judged, shape (N, n).
-        linear: Whether each joint is prismatic.
     """
 
     time: FloatArray
@@ -90,10 +89,7 @@ def _state(motion: RecordedMotion) -> dict[str, Any]:
 
 
 def travel_since_reversal(q: FloatArray, dq: FloatArray) -> FloatArray:
-    """Return the travel since the last reversal, shape (C,).
-
-    Reversals within very slow motion do not count.
-    """
+    """Return the travel since the last reversal, except those in very slow motion, shape (C,)."""
     sign = np.sign(dq) * (np.abs(dq) > SLOW_SPEED_RATIO * np.abs(dq).max(initial=0.0))
     index = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(q)), 0))
     last_sign = sign[index]
@@ -106,17 +102,7 @@ def travel_since_reversal(q: FloatArray, dq: FloatArray) -> FloatArray:
 def binned_means(
     x: FloatArray, y: FloatArray, edges: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the means of y in bins of x.
-
-    Args:
-        x: Abscissa, shape (N,).
-        y: Quantity, shape (N,).
-        edges: Edges of the bins.
-
-    Returns:
-        Centres of the bins that have enough rows and means there, shapes (b,), and the mean in the
-        bin of each row, shape (N,).
-    """
+    """Return centres and means (b,) of y in bins of x with enough rows, and means by row (N,)."""
     bins = len(edges) - 1
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, bins - 1)
     count = np.bincount(place, minlength=bins)

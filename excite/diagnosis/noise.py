@@ -75,15 +75,9 @@ def estimate_noise(
     residuals: Sequence[FloatArray],
     recordings: Sequence[Recording],
 ) -> NoiseEstimate:
-    """Estimate the noise of a residual from what does not repeat.
+    """Estimate the noise of residuals, of shapes (N, n) [N m], from the part that does not repeat.
 
     Where nothing repeats, the residual's spectral density above the motion gives a lower bound.
-
-    Args:
-        model: The base model.
-        motions: Motions of the recordings.
-        residuals: Torque residual of each, shapes (N, n) [N m].
-        recordings: The recordings.
     """
     rows = np.concatenate(quantization_residuals(model, motions))
     steps = np.sqrt(np.mean(rows**2, axis=0))
@@ -106,10 +100,7 @@ def estimate_noise(
 def _spectral_noise(
     motions: Sequence[RecordedMotion], residuals: Sequence[FloatArray]
 ) -> FloatArray:
-    """RMS of white noise below the cutoff with the median density above the motion, shape (n,).
-
-    The cutoff is that of this filter, or the lower one of a file that was filtered before.
-    """
+    """RMS of white noise below the lower cutoff, with the density above the motion, shape (n,)."""
     from scipy import signal  # slow to import
 
     squares, rows = np.zeros(residuals[0].shape[1]), 0
@@ -132,10 +123,7 @@ def _spectral_noise(
 def _noise_square(
     motion: RecordedMotion, residual: FloatArray, period: Period
 ) -> FloatArray | None:
-    """Mean square of what differs in a period and the next, without friction that warms up, (n,).
-
-    None if the motion is too short; residual (N, n) [N m].
-    """
+    """Mean square change from a period to the next without warming, (n,); None if too short."""
     first, later, inside = _two_periods(motion, residual, period)
     rows = len(residual) - len(later)
     if inside.sum() < 0.15 * rows or inside.sum() < 20:
@@ -163,12 +151,7 @@ def products_of_periods(
 ) -> FloatArray:
     """Return the products of a residual in two subsequent periods, shape (m, n) [(N m)²].
 
-    Their mean is the power that repeats. Empty if nothing repeats.
-
-    Args:
-        periods: Period and window by recording.
-        motions: The motions.
-        residual: Their residual, shape (N, n) [N m].
+    Their mean is the power that repeats; empty if nothing repeats. The residual is of shape (N, n).
     """
     out = [np.zeros((0, residual.shape[1]))]
     for motion, part in zip(motions, split_by_motion(residual, motions), strict=True):
@@ -220,10 +203,7 @@ def _usual_rows(square: FloatArray) -> BoolArray:
 
 
 def estimate_period(recording: Recording) -> Period | None:
-    """Return period and window of a recording, as stated or else as its positions show.
-
-    None if it does not repeat often enough.
-    """
+    """Return the stated or visible period of a recording and its window; None if it has none."""
     if recording.repetition is None:
         repetition = periodicity.find_period(recording, None)
         return None if repetition is None else (repetition.period, repetition.window)
@@ -234,13 +214,10 @@ def estimate_period(recording: Recording) -> Period | None:
 def quantization_residuals(
     model: IdentificationModel, motions: Sequence[RecordedMotion]
 ) -> tuple[FloatArray, ...]:
-    """Draw residuals of the base model by quantisation of positions and torque alone.
+    """Draw `DRAWS` residuals (N, n) [N m] of the base model by quantisation alone.
 
     The error of each position is unknown, but not its distribution: smoothed positions are
     quantised again, with random origins.
-
-    Returns:
-        `DRAWS` residuals of shape (N, n) [N m].
     """
     rng = np.random.default_rng(0)
     errors = [(_position_error(model, motion), _torque_error(motion)) for motion in motions]
@@ -252,8 +229,8 @@ def quantization_residuals(
 def _torque_error(motion: RecordedMotion) -> FloatArray:
     """Residual of a motion by the quantisation of its torque, zero where no step shows, (N, n).
 
-    The torque of the model is rounded to multiples of the step. Noise smooths the steps: what
-    repeats with the motion is the mean error over the noise, which is seen above the cutoff.
+    The torque of the model is rounded to multiples of the step. Noise smooths the steps: the error
+    that repeats with the motion is the mean over the noise that is seen above the cutoff.
     """
     torque, model = motion.segment.torque, motion.motor_torque
     step = encoder_resolution.estimate_resolution(torque)
@@ -269,10 +246,7 @@ def _torque_error(motion: RecordedMotion) -> FloatArray:
 
 
 def _position_error(model: IdentificationModel, motion: RecordedMotion) -> Draw:
-    """Function that draws the residual of a motion by quantised positions.
-
-    The unquantised regressor is shared.
-    """
+    """Function that draws the residual of a motion by quantised positions."""
     if not motion.steps.any():
         return lambda rng: np.zeros((len(motion), motion.n))
     smooth = position_errors.smooth_positions(motion)

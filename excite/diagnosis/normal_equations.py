@@ -107,13 +107,9 @@ class Elimination:
     def of(
         cls, system: System, base: IntArray, kept: BoolArray, nonnegative: BoolArray
     ) -> Elimination:
-        """Eliminate the coefficients of the base model by a Schur complement.
+        """Eliminate the coefficients `base` (f,) of the base model by a Schur complement.
 
-        Args:
-            system: The normal equations.
-            base: Coefficients that are eliminated, shape (f,).
-            kept: Coefficients that are kept, shape (K,).
-            nonnegative: Coefficients that cannot be negative, shape (K,).
+        `kept` coefficients (K,) remain, of which the `nonnegative` ones (K,) cannot be negative.
         """
         others = np.flatnonzero(kept)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(system.matrix), 1e-300))
@@ -128,12 +124,9 @@ class Elimination:
         return cls(scale, base, others, nonnegative[others], factor, half, schur, target)
 
     def minimum(self, system: System, used: BoolArray, likely: BoolArray) -> Solution:
-        """Return the minimum over the used coefficients.
+        """Return the minimum over the used coefficients, shape (K,).
 
-        Args:
-            system: The normal equations.
-            used: The coefficients that are used, shape (K,).
-            likely: Coefficients that are probably active, by a similar problem, shape (K,).
+        `likely` ones (K,) are probably active, by a similar problem.
         """
         x, active = np.zeros(len(used)), used.copy()
         others = self.others
@@ -156,16 +149,13 @@ def _bounded_minimum(
     bounded: BoolArray,
     likely: BoolArray,
 ) -> tuple[FloatArray, BoolArray, float]:
-    """Minimise ½ xᵀ M x − tᵀ x, some of x ≥ 0, by block principal pivoting.
+    """Minimise ½ xᵀ M x − tᵀ x, x[bounded] ≥ 0, x[~used] = 0, by block principal pivoting.
 
     All coefficients that violate an optimality condition change sides at once, or the last of them
     where that does not help (Portugal, Júdice & Vicente, Math. Comput. 63, 1994). From the active
-    set of a similar problem a few exchanges suffice; where rounding errors keep them from ending,
-    the active set is that of Lawson & Hanson (1974).
-
-    Coefficients that are not used are zero; those that are bounded cannot be negative, and those
-    that are likely are probably not zero. Returns x, its active coefficients, and log det M over
-    these.
+    set `likely` of a similar problem a few exchanges suffice; where rounding errors keep them from
+    ending, the active set is that of Lawson & Hanson (1974). Returns x, its active coefficients,
+    and log det M over these.
     """
     bounded = bounded & used
     tolerance = RELATIVE_TOLERANCE * float(np.abs(target[bounded]).max(initial=0.0))

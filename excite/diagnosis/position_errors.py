@@ -1,11 +1,9 @@
 """Evidence that errors of the recorded positions give effects of a robot that has none.
 
-An error of a position enters the model's torque, and with it the residual, and the columns of each
-effect that depends on the motion. Both are correlated, which no weight of the rows tells: Stribeck
-friction and the torque of a base on springs fit what noise of the positions and coarse encoders
-leave. The recorded motions are therefore disturbed once more, by noise of the density that is seen
-above the cutoff frequency and by quantisation, with the torque of the base model along the
-positions before, and what an effect explains of them is no evidence for it.
+An error of a position enters the residual and the columns of each effect alike. The recorded
+motions are therefore disturbed once more, by noise of the density that is seen above the cutoff
+frequency and by quantisation, with the torque of the base model along the positions before. The
+evidence that an effect has there discounts its evidence (`probability.beyond_errors`).
 """
 
 from __future__ import annotations
@@ -34,11 +32,7 @@ CORRECTIONS = 5
 
 
 def smooth_positions(motion: RecordedMotion) -> FloatArray:
-    """Return the positions of a motion without their quantisation, shape (M, n).
-
-    Args:
-        motion: The recorded motion.
-    """
+    """Return the positions of a motion without their quantisation, shape (M, n)."""
     segment = motion.segment
     low_passed = motion.band.transform(segment.q).filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO)
     return np.where(segment.smoothed, segment.q, low_passed)
@@ -48,9 +42,6 @@ def position_noise(motion: RecordedMotion) -> FloatArray:
     """Return the standard deviation of white noise of the positions, with quantisation, shape (n,).
 
     It has the median density above the cutoff frequency, where no motion is expected.
-
-    Args:
-        motion: The recorded motion.
     """
     from scipy import signal  # slow to import
 
@@ -69,14 +60,9 @@ def position_noise(motion: RecordedMotion) -> FloatArray:
 def quantized_positions(
     motion: RecordedMotion, smooth: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return positions as the encoders of a motion would have recorded them, shape (M, n).
+    """Return smooth positions as the encoders of a motion would have recorded them, shape (M, n).
 
-    Those of coarse encoders are smoothed as the recorded ones were.
-
-    Args:
-        motion: The recorded motion.
-        smooth: Positions, shape (M, n).
-        rng: Draws the origins of the encoders.
+    `rng` draws the origins of the encoders. Those of coarse encoders are smoothed as the recorded.
     """
     step, segment = motion.steps, motion.segment
     coarse, positions = step > 0.0, smooth.copy()
@@ -93,12 +79,7 @@ def quantized_positions(
 
 @dataclass(frozen=True)
 class PositionErrors:
-    """Motions of a robot without effects whose positions have further errors.
-
-    Attributes:
-        identified: The base model.
-        motions: The recorded motions.
-    """
+    """Motions of a robot without effects whose positions have further errors."""
 
     identified: Identification
     motions: Sequence[RecordedMotion]
@@ -108,9 +89,8 @@ class PositionErrors:
     def evidence(self, shapes: Sequence[CandidateModel], model: JointModel) -> dict[Key, float]:
         """Return the log Bayes factors that the errors give effects, of those that have any.
 
-        Args:
-            shapes: Models of rare effects; frictions and ripple are judged with them.
-            model: A joint model whose weights the rows have.
+        `shapes` are models of rare effects, with which frictions and ripple are judged. The rows
+        have the weights of a joint model.
         """
         if not self._matter(model):
             return {}
@@ -123,11 +103,7 @@ class PositionErrors:
         return {key: factor for key, factor in factors.items() if factor > 0.0}
 
     def filter_evidence(self, model: JointModel) -> float:
-        """Return the log likelihood ratio that the errors give the kind of a model's filter.
-
-        Args:
-            model: A joint model with a filter, whose weights the rows have.
-        """
+        """Return the log likelihood ratio that the errors give the kind of a model's filter."""
         if not self._matter(model):
             return 0.0
         fits, regression = self._fits(_kind_of_filter(model)), model.regression
@@ -138,11 +114,7 @@ class PositionErrors:
         return max(0.5 * regression.independent_share * (without - with_), 0.0)
 
     def residual(self, model: JointModel) -> FloatArray:
-        """Return the residual that the errors leave of the frictions, shape (N, n) [N m].
-
-        Args:
-            model: A joint model whose weights the rows have.
-        """
+        """Return the residual that the errors leave of the frictions, shape (N, n) [N m]."""
         if not self._matter(model):
             return np.zeros_like(model.regression.torque)
         regression = self._fitted((), model).regression

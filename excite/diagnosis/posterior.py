@@ -44,7 +44,6 @@ class EffectEvidence:
 
     Attributes:
         members: Numbers of the regression's effects (several waves are one effect).
-        models: Their models.
         freedom: Number of their coefficients.
         log_bayes_factor: Of the model with it over the model without.
         growth: RMS torque by which the residual of each joint grows without it, √(r² − r₀²) with
@@ -91,11 +90,7 @@ class EffectEvidence:
 
 
 def left_out(evidence: Sequence[EffectEvidence]) -> frozenset[int]:
-    """Return the numbers of the effects that are not in the selected model.
-
-    Args:
-        evidence: Evidence of all effects of a joint model.
-    """
+    """Return the numbers of the effects that are not in the selected model."""
     return frozenset(number for e in evidence if not e.is_in_model for number in e.members)
 
 
@@ -108,12 +103,7 @@ def effect_groups(model: JointModel) -> dict[Key, tuple[int, ...]]:
 
 
 def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Probability]:
-    """Return the probability of every effect; the odds of frictions are shared over the joints.
-
-    Args:
-        n: Number of joints.
-        evidence: Evidence of all effects of a joint model.
-    """
+    """Return the probability of every effect; the odds of frictions are shared over the joints."""
     out = {
         e.key: probability.rare_probability(e.log_bayes_factor, e.size)
         for e in evidence
@@ -131,25 +121,16 @@ def probabilities(n: int, evidence: Sequence[EffectEvidence]) -> dict[Key, Proba
 
 
 def shared_probabilities(n: int, log_bayes_factors: Sequence[float]) -> list[float]:
-    """Return the probabilities of one kind of friction, or of ripple.
-
-    Args:
-        n: Number of joints.
-        log_bayes_factors: ln B at the joints whose model has it.
-    """
+    """Return the probabilities of one kind of friction, or of ripple."""
     factors = np.full(n, -np.inf)
     factors[: len(log_bayes_factors)] = log_bayes_factors
     return probability.friction_probabilities(factors)[: len(log_bayes_factors)].tolist()
 
 
 def select(model: JointModel) -> list[EffectEvidence]:
-    """Leave out effects that are not needed, the least needed first.
+    """Return the evidence of all effects, the least needed left out one after the other.
 
-    Args:
-        model: The joint model.
-
-    Returns:
-        The evidence of all effects; of one that is left out, what it had when it left.
+    An effect that is left out has the evidence with which it left.
     """
     groups = effect_groups(model)
     regression = model.regression
@@ -183,10 +164,7 @@ def select(model: JointModel) -> list[EffectEvidence]:
 def _next_to_form_errors(
     model: JointModel, joint: int, left_out: Collection[int], evidence: Mapping[Key, EffectEvidence]
 ) -> dict[Key, EffectEvidence]:
-    """Return the evidence of the frictions of a joint, each next to the form errors of larger ones.
-
-    Otherwise what one friction curve has no form for, which grows with it, would be another one.
-    """
+    """Return the evidence of a joint's frictions, each next to the form errors of larger ones."""
     present = sorted(
         (e for key, e in evidence.items() if key[0] in FRICTIONS and key[1] == joint),
         key=lambda e: -e.log_bayes_factor,
@@ -223,20 +201,13 @@ def _next_to_form_errors(
 def judge(
     model: JointModel, key: Key, left_out: Collection[int] = ()
 ) -> tuple[EffectEvidence, frozenset[int]]:
-    """Return the evidence of an effect without the frictions that hide it.
+    """Return the evidence of an effect without the frictions that hide it, and all that leave.
 
     The joint model has all frictions from the start, and one that nearly has the form of the effect
     has taken its torque, or one kind of friction has at several joints. Of two such explanations
     the one with less evidence leaves, the friction without which the effect grows most first, until
-    the effect is needed or none is left. Frictions that are needed next to the effect come back.
-
-    Args:
-        model: A joint model with the effect.
-        key: Effect and joint.
-        left_out: Numbers of effects that are left out.
-
-    Returns:
-        The evidence, and all effects that are left out; if the effect is not needed, as given.
+    the effect is needed or none remains. Frictions that are needed next to the effect come back. If
+    the effect is not needed, `left_out` is returned as given.
     """
     groups, regression = effect_groups(model), model.regression
     joints = regression.joints_of(groups[key])
@@ -300,13 +271,7 @@ def _gain_of_transient(
 def evidence_of(
     model: JointModel, members: tuple[int, ...], left_out: Collection[int] = ()
 ) -> EffectEvidence:
-    """Return the evidence of an effect in a model without some others.
-
-    Args:
-        model: The joint model.
-        members: Numbers of the effect, several where it has several waves.
-        left_out: Numbers of the effects that are left out.
-    """
+    """Return the evidence of an effect, of all its waves, in a model without some others."""
     regression, current = model.regression, model.regression.without(left_out)
     coefficients = [current.coefficients[regression.slices[e]] for e in members]
     used = [len(c) for c in coefficients if c.any()]  # of two forms of a friction one acts

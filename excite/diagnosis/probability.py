@@ -1,14 +1,13 @@
 """Calibrated probabilities of effects, from their evidence and their size.
 
-No effect of a real robot has exactly the form of its model, so that evidence for one is tempered:
-it also explains a part of what another form leaves. Evidence against it is not, since that has
-nothing to do with its form. What is small against the noise is no evidence for a rare effect:
+No effect of a real robot has exactly the form of its model, so that evidence for one is tempered;
+evidence against it is not, since that has nothing to do with its form:
 
     frictions that any joint may have:  P = σ(max(ln B, 0)/T + min(ln B, 0) + λ_j)
     all others:                         P = σ(ln B / T′ + λ′) Φ(ln(s/s₀)/w)
 
 σ(x) = 1/(1 + exp(−x)), Φ is the normal distribution, s the RMS torque beyond what all other effects
-could stand for, over the noise. A maker's gears are alike, so that the odds follow from the other
+could explain, over the noise. A maker's gears are alike, so that the odds follow from the other
 joints of the robot: with their probabilities P_k, λ_j = ln (ΣP_k + a)/(n − 1 − ΣP_k + b), the log
 odds of a Beta(a, b) prior, iterated over all joints (an empirical Bayes estimate).
 `scripts/calibrate.py` fits the constants.
@@ -45,7 +44,7 @@ class Probability:
 
     Attributes:
         evidence: That it is not noise, by its evidence, and that of other joints for a friction.
-        size: That it is large enough to be told from the errors of other forms; 1 for a friction of
+        size: That it is larger than errors of the forms of others; 1 for a friction of
             the model, and that it counts for any other.
         share: That it, or one of its equivalents, is there, and no other effect in its place.
         known: That it is no part of torque that no effect explains.
@@ -67,8 +66,7 @@ class Probability:
 def friction_probabilities(log_bayes_factors: FloatArray) -> FloatArray:
     """Return the probability of a friction at every joint of a robot, shape (n,).
 
-    Args:
-        log_bayes_factors: ln B of the friction at every joint, shape (n,); −∞ where it is absent.
+    ln B of the friction at every joint has the same shape; −∞ where it is absent.
     """
     a, b = SHARED_COUNTS
     supporting = np.maximum(log_bayes_factors, 0.0) / TEMPERATURE
@@ -82,12 +80,7 @@ def friction_probabilities(log_bayes_factors: FloatArray) -> FloatArray:
 
 
 def rare_probability(log_bayes_factor: float, size: float) -> Probability:
-    """Return the probability of any other effect.
-
-    Args:
-        log_bayes_factor: ln B.
-        size: RMS torque beyond what all other effects could stand for, over the noise.
-    """
+    """Return the probability of any other effect, of a size over the noise [1]."""
     return Probability(float(by_evidence(log_bayes_factor)), float(by_size(size)))
 
 
@@ -96,10 +89,6 @@ def beyond_errors(log_bayes_factor: float, by_errors: float) -> float:
 
     Errors that give it the log Bayes factor N, with coefficients c of c²/(2 σ²) = N, multiply their
     variance σ² by 1 + 2 N: the evidence is ln B/(1 + 2 N). Evidence against it is not theirs.
-
-    Args:
-        log_bayes_factor: ln B.
-        by_errors: N.
     """
     return (
         log_bayes_factor / (1.0 + 2.0 * by_errors) if log_bayes_factor > 0.0 else log_bayes_factor
@@ -107,11 +96,7 @@ def beyond_errors(log_bayes_factor: float, by_errors: float) -> float:
 
 
 def by_evidence(log_bayes_factor: float | FloatArray) -> FloatArray:
-    """Return the probability of any other effect that is large, σ(ln B / T′ + λ′).
-
-    Args:
-        log_bayes_factor: ln B.
-    """
+    """Return the probability of any other effect that is large, σ(ln B / T′ + λ′)."""
     return np.asarray(
         special.expit(np.asarray(log_bayes_factor) / RARE_TEMPERATURE + RARE_LOG_ODDS)
     )
@@ -120,14 +105,11 @@ def by_evidence(log_bayes_factor: float | FloatArray) -> FloatArray:
 def by_size(
     size: float | FloatArray, least: float = RARE_SIZE, spread: float = RARE_SPREAD
 ) -> FloatArray:
-    """Return the probability that the size of an effect is large enough, Φ(ln(s/s₀)/w).
+    """Return the probability Φ(ln(s/s₀)/w) that an effect is large enough.
 
-    By default, for evidence for any effect other than a friction to be its own.
-
-    Args:
-        size: RMS torque beyond what all other effects could stand for, over the noise.
-        least: Size s₀ at which that is as probable as not.
-        spread: Spread w of the logarithm of the size.
+    By default, for evidence for any effect other than a friction to be its own. s is the RMS torque
+    beyond all that other effects could explain, over the noise; s₀ is the `least` of it, at which
+    that is as probable as not; w is the `spread` of its logarithm.
     """
     size_odds = np.log(np.maximum(np.asarray(size), 1e-9) / least) / spread
     return np.asarray(special.ndtr(size_odds))

@@ -35,10 +35,8 @@ class Candidate:
     """A candidate model with its fit on top of a joint model.
 
     Attributes:
-        model: The candidate.
-        fit: Its fit.
-        share: Share of independent rows in the residual. An effect that is left out makes the
-            residual look correlated, so that the evidence is that of usual residuals.
+        share: Share of independent rows in a usual residual; that of an effect that is left out
+            looks correlated.
     """
 
     model: CandidateModel
@@ -85,12 +83,7 @@ class CandidateShapes:
 
     @classmethod
     def of(cls, joint: JointModel, shapes: Iterable[CandidateModel]) -> CandidateShapes:
-        """Compute the columns of some models.
-
-        Args:
-            joint: The joint model over whose motions they are computed.
-            shapes: The models.
-        """
+        """Compute the columns of some models."""
         kept: list[CandidateModel] = []
         batches, remaining = [], iter(shapes)
         while batch := list(itertools.islice(remaining, BATCH_SIZE)):
@@ -128,13 +121,7 @@ class Ranking:
         return max(self.plausible, key=lambda c: c.evidence)
 
     def other_forms(self, chosen: Candidate) -> list[Ranking]:
-        """Return the shapes of each other form of the effect.
-
-        Shapes of one form have the same nonlinear parameters.
-
-        Args:
-            chosen: The chosen shape.
-        """
+        """Return the shapes of each other form of the effect: of other nonlinear parameters."""
         forms: dict[frozenset[str], list[Candidate]] = {}
         for candidate in self.plausible:
             forms.setdefault(frozenset(candidate.model.values), []).append(candidate)
@@ -178,18 +165,11 @@ class CandidateColumns:
         self._contacts = CandidateShapes.of(model, ())
 
     def seek_contacts(self, model: JointModel) -> None:
-        """Renew the candidates for contacts: the times at which most remains.
-
-        Args:
-            model: The joint model of whose residual they explain a part.
-        """
+        """Renew the candidates for contacts: the times at which most remains."""
         self._contacts = CandidateShapes.of(model, contact_search.contacts(model))
 
     def _rankings(self, model: JointModel, groups: Iterable[CandidateShapes]) -> dict[Key, Ranking]:
-        """Return the ranking of the shapes of every effect of some groups at every joint.
-
-        A shape that the model has already would have evidence by the wider prior of two.
-        """
+        """Return the ranking of the shapes of every effect at every joint that the model lacks."""
         plausible: dict[Key, list[Candidate]] = {}
         counts: dict[Key, int] = {}
         present = {shape.form for shape in model.models}
@@ -208,10 +188,7 @@ class CandidateColumns:
         Where the base model is trusted, frictions fit a part of what is wrong with it: load
         friction of several joints, or all frictions of one joint. An effect that a refit would
         absorb therefore competes for the place of all load friction, and for that of all frictions
-        of its joint, as well; one that has evidence there and cannot be told from them is tried.
-
-        Args:
-            model: The joint model on top of which they are fitted.
+        of its joint, as well; one with evidence there that is like theirs is tried.
         """
         groups = self._shapes, self._absorbed, self._contacts
         rankings = self._rankings(model, groups)
@@ -253,9 +230,6 @@ def _scores(rankings: Mapping[Key, Ranking]) -> dict[Key, float]:
     Changes of links differ by the variance that remains next to each: that of one link, as a
     payload, explains a part of that of another, of all joints but the last, or most of each. By the
     weights without it, that is hardly worse than all of it.
-
-    Args:
-        rankings: The shapes of each.
     """
     scores = {key: ranking.evidence for key, ranking in rankings.items()}
     changes = [key for key in scores if is_of_link(key[0]) and EFFECTS_BY_NAME[key[0]].prior_only]
@@ -269,10 +243,6 @@ def tuned(model: JointModel, ranking: Ranking) -> Candidate:
 
     The best of each form is optimised: between two points of its grid it may explain more than a
     form of more parameters, or a function of state.
-
-    Args:
-        model: The joint model.
-        ranking: The candidates of the grid.
     """
     best = optimised(model, ranking.best)
     others = [

@@ -1,12 +1,11 @@
 """Recording chain: how torque is recorded, relative to the positions.
 
-Torque may be recorded later than the positions, on another clock, and both may have passed
-different low-pass filters: those of the drives, of the logger, of whoever stored the file. Relative
-to the torque that the recorded motion needs, this is one frequency response of all joints: a delay
-and a Butterworth filter of one to four poles, passed forwards, or forwards and backwards (`delay`).
-Without the filter, torque whose steps were smoothed would be taken for presliding hysteresis of
-every joint. The delay, with that of the filter at low frequencies, is removed from the recorded
-torque, and the model passes the filter: to divide by a small gain would amplify the noise.
+Torque may be recorded on another clock than the positions, and both may have passed different
+low-pass filters. Relative to the torque that the recorded motion needs, this is one frequency
+response of all joints: a delay and a Butterworth filter of one to four poles, passed forwards, or
+forwards and backwards (`delay`). The delay, with that of the filter at low frequencies, is removed
+from the recorded torque, and the model passes the filter: to divide by a small gain would amplify
+the noise.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ CORNER_STD = 1.0
 PRIOR_STD = np.array([DELAY_STD, CORNER_STD])
 """Prior standard deviations of `columns`."""
 MIN_CORNER = 6.0
-"""Smallest corner frequency: no one filters a robot's torque at much less [Hz]."""
+"""Smallest corner frequency of usual filters of torque [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,6 @@ class RecordingChain:
 
     Attributes:
         delay: Time by which all torque is recorded late, at low frequencies [s].
-        filter: The filter; None without one.
     """
 
     delay: float = 0.0
@@ -55,32 +53,18 @@ class RecordingChain:
         return RecordingChain(seconds, self.filter.with_corner(corner))
 
     def without_delay(self, motion: RecordedMotion) -> RecordedMotion:
-        """Return a motion with torque from which the delay was removed.
-
-        Args:
-            motion: The motion as it is recorded.
-        """
+        """Return a motion with torque from which the delay was removed."""
         if not self.delay:
             return motion
         at = motion.times + self.delay
         return motion.with_torque(interpolated(at, motion.times, motion.segment.torque))
 
     def without_filter(self, motion: RecordedMotion, torque: FloatArray) -> FloatArray:
-        """Return torque at every sample of a motion without the filter, shape (M, n) [N m].
-
-        Args:
-            motion: The motion.
-            torque: Torque that has passed the filter, shape (M, n) [N m].
-        """
+        """Return filtered torque at every sample of a motion without the filter, (M, n) [N m]."""
         return torque if self.filter is None else self.filter.passed(motion, torque, inverse=True)
 
     def passed(self, motion: RecordedMotion, rows: FloatArray) -> FloatArray:
-        """Return columns at the rows of a motion after the filter, shape (N, …).
-
-        Args:
-            motion: The motion.
-            rows: Low-passed columns, shape (N, …).
-        """
+        """Return low-passed columns at the rows of a motion after the filter, shape (N, …)."""
         return rows if self.filter is None else _passed(motion, rows, self.filter)
 
     def gain(self, frequencies: FloatArray) -> FloatArray:
@@ -112,13 +96,9 @@ def _response(low_pass: LowPass, slope: bool, count: int, rate: float) -> NDArra
 def columns(motion: RecordedMotion, modelled: FloatArray, chain: RecordingChain) -> FloatArray:
     """Return the change of the torque by the delay, per second, and by the filter, (N, n, 2).
 
-    The slope is that of the recorded torque, whose noise is uncorrelated with its own slope; the
-    filter's is that of modelled torque, by the logarithm of the corner frequency.
-
-    Args:
-        motion: The motion, with the torque from which a delay was removed.
-        modelled: Torque of a fit, shape (M, n) [N m].
-        chain: The present recording chain.
+    The slope is that of the recorded torque, from which a delay was removed, as its noise is
+    uncorrelated with its own slope; the filter's is that of the modelled torque of a fit, shape
+    (M, n) [N m], by the logarithm of the corner frequency.
     """
     slope = -motion.torque_slope
     if chain.filter is None:

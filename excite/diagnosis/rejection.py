@@ -30,11 +30,7 @@ WEAK_FRICTION = "weak evidence: other friction curves look like it"
 
 
 def reason(estimate: EffectEstimate) -> str:
-    """Return why an effect is no finding.
-
-    Args:
-        estimate: An effect that is not asserted.
-    """
+    """Return why an effect is no finding."""
     if estimate.spoils_prediction:
         return SPOILS_PREDICTION
     if estimate.effect in DENSE_NAMES and estimate.size < MIN_SEVERITY:

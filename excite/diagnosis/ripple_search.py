@@ -44,7 +44,7 @@ MIN_ORDER_DISTANCE = 0.5
 ORDER_TOLERANCE = 1e-4
 """Step at which the refinement of an order ends, in the same unit."""
 ANGLE_BIN = np.pi / 2400.0
-"""Width of the bins of angle in the order spectrum [rad], an eighth of the shortest wave."""
+"""Width of the bins of angle in the order spectrum [rad], a sixteenth of the shortest wave."""
 SPEED_CLASSES = 8
 """Classes of speed in the order spectrum."""
 MIN_WAVE_ROWS = 0.05
@@ -56,8 +56,7 @@ MIN_WAVES = 3.0
 def find_waves(fitted: JointModel) -> list[CandidateModel]:
     """Find torque ripple in the residual, at each joint until no wave has evidence.
 
-    The order of each wave is that of the highest peak of the order spectrum. It is refined jointly
-    with those of the waves found before it, which were biased without it.
+    Each order is refined jointly with those of the waves before it, which were biased without it.
     """
     share = fitted.regression.independent_share
     out = []
@@ -134,10 +133,9 @@ def _are_near(orders: Sequence[float], width: float) -> bool:
 
 
 def refined_waves(fitted: JointModel) -> list[CandidateModel]:
-    """Return the waves of a joint model with orders refined by a Gauss-Newton step.
+    """Return the waves of a joint model, the orders of a joint refined by a Gauss-Newton step.
 
-    All orders of a joint are refined jointly. A wave whose order comes near that of an earlier one
-    was a part of it.
+    A wave whose order comes near that of an earlier one was a part of it.
     """
     out = list[CandidateModel]()
     for j in range(fitted.n):
@@ -182,13 +180,7 @@ def _peak_width(motions: Sequence[RecordedMotion], joint: int) -> float:
 
 
 def encoder_errors(fitted: JointModel) -> list[CandidateModel]:
-    """Return the encoder error of each joint whose order fits the residual best, above the grid's.
-
-    Its torque on the joint is a wave whose amplitude grows with the square of the speed.
-
-    Args:
-        fitted: A joint model.
-    """
+    """Return the encoder error of each joint that fits the residual best, above the grid."""
     out = []
     for j in range(fitted.n):
         width = _peak_width(fitted.motions, j)
@@ -259,10 +251,10 @@ def _spectrum_peak(
 def _refined(
     fitted: JointModel, joint: int, known: Sequence[_Wave], order: float, width: float
 ) -> list[_Wave]:
-    """Refine orders by Gauss-Newton steps, jointly with all coefficients of a joint model.
+    """Refine orders by Gauss-Newton steps, jointly with all coefficients of a model without waves.
 
-    The joint model is without the waves. Those that are known were refined without the last one,
-    whose order is that of a peak in the order spectrum of some width [1/rad].
+    The known waves were refined without the last one, whose order is that of a peak in the order
+    spectrum of some width [1/rad].
     """
     distances = width * np.linspace(-1.0, 1.0, NEAR_ORDERS)
 

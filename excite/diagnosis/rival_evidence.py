@@ -1,4 +1,4 @@
-"""Evidence between effects that may stand in each other's place.
+"""Evidence between effects that may explain the same torque.
 
 The members of a class are compared one at a time, each without the others and jointly with all
 other effects of the model, which are refitted:
@@ -6,7 +6,7 @@ other effects of the model, which are refitted:
     ln B_ab = ln p(τ | a, not b) − ln p(τ | b, not a)
 
 in the Laplace approximation of `posterior`. The log odds are ln B_ab/T′ with the temperature T′ of
-`probability`, by which all equivalents are weighed.
+`probability`.
 """
 
 from __future__ import annotations
@@ -32,11 +32,7 @@ DECIDED_LOG_ODDS = float(np.log(1.0 / rare_candidates.EQUIVALENT_SHARE))
 
 
 def log_odds(log_bayes_factor: float) -> float:
-    """Return calibrated log odds between two effects [nat].
-
-    Args:
-        log_bayes_factor: Log Bayes factor of one over the other.
-    """
+    """Return calibrated log odds between two effects [nat]."""
     return log_bayes_factor / probability.RARE_TEMPERATURE
 
 
@@ -46,14 +42,8 @@ def not_excluded(
     """Return the log Bayes factor of each finding over every rival that is not excluded.
 
     Rivals are its equivalents, and the effects with which it is often confused and which the model
-    does not have at the joint anyway. An effect of no single joint, as a delay of the clock, is not
-    confused with one of a joint.
-
-    Args:
-        model: The joint model.
-        effects: Estimates of all effects.
-        trusted: Whether the base model is trusted, so that effects may be found that a refit of it
-            absorbs.
+    does not have at the joint anyway. If the base model is trusted, these may be effects that a
+    refit of it absorbs. Only another effect of no single joint is a rival of such an effect.
     """
     out = {}
     for finding in (effect for effect in effects if effect.asserted):
@@ -82,19 +72,10 @@ def not_excluded(
 def compare(
     model: JointModel, effects: Sequence[EffectEstimate], joint: int | None, names: Sequence[str]
 ) -> dict[str, float]:
-    """Compare the members of a class.
+    """Return the log evidence of the model with each member of a class alone, up to a constant.
 
     An effect that the joint model lacks enters with its best plausible form; one that has none
     counts like no effect.
-
-    Args:
-        model: The joint model.
-        effects: Estimates of all effects.
-        joint: Index of the joint; None for effects of no single joint.
-        names: Names of the effects.
-
-    Returns:
-        By name, the log evidence of the model with this member alone, up to a common constant.
     """
     needed = {e.key for e in effects if e.needed}
     members = {
@@ -129,11 +110,7 @@ def _is_at(shape: CandidateModel, joint: int | None) -> bool:
 def _best_form(
     reduced: JointModel, name: str, joint: int | None, strongest: float
 ) -> list[Candidate]:
-    """Return the best form of an effect, none where no form is plausible.
-
-    Its nonlinear parameters are optimised where that may bring it near the evidence of the
-    strongest member that the model has.
-    """
+    """Return the best plausible form of an effect, optimised if it may come near the strongest."""
     forms = EFFECTS_BY_NAME[name].candidates(reduced.motions)
     shapes = CandidateShapes.of(reduced, (shape for shape in forms if _is_at(shape, joint)))
     plausible = [candidate for candidate in shapes.fitted(reduced) if candidate.is_plausible]
@@ -146,10 +123,7 @@ def _best_form(
 
 
 def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[CandidateModel]:
-    """Return the models of an effect with the discrepancy of its form.
-
-    All members have it, so that none is preferred because it is more flexible.
-    """
+    """Return the models of an effect with the discrepancy of its form, which all members have."""
     out = []
     for candidate in group:
         shape = varied = candidate.model

@@ -58,7 +58,6 @@ class RareEffect:
     """An effect that was added to the joint model, and what else might be in its place.
 
     Attributes:
-        key: Effect and joint.
         evidence: Its log Bayes factor before it was added.
         before: Log Bayes factors, before it was added, of all other effects that were not tried in
             vain.
@@ -77,11 +76,8 @@ class RareEffect:
 
         Another effect k may be in place of the chosen one, or next to it: the weights of the three
         cases are exp(E/T), exp(E_k/T) and exp((E + E_k|chosen)/T). E and E_k are scaled to the
-        weights of the rows that the chosen effect leaves. The same effect on another link is no
-        other effect.
-
-        Args:
-            present: Other effects of the model, which are there and not in its place.
+        weights of the rows that the chosen effect leaves. Neither the same effect on another link
+        nor one of the effects `present` in the model is in its place.
         """
         odds, temperature = probability.RARE_LOG_ODDS, probability.RARE_TEMPERATURE
         scale = _scale(self.final, self.evidence)
@@ -116,16 +112,9 @@ def find_rare_effects(
 ) -> tuple[JointModel, tuple[RareEffect, ...], tuple[EffectEvidence, ...]]:
     """Fit the joint model, and add rare effects while there is evidence for one.
 
-    Args:
-        identified: The base model. Of a trusted prior, effects that a refit absorbs can be found
-            as well.
-        motions: The motions to fit.
-        position_errors: Errors of their positions.
-        progress: Called with a line of text for each candidate.
-
-    Returns:
-        The joint model, its rare effects, and the evidence of some that are not added: those that
-        are too small, or that errors of the positions look like.
+    With a trusted prior, effects that a refit absorbs can be found as well. Returns the joint
+    model, its rare effects, and the evidence of some that are not added: those that are too small,
+    or whose evidence errors of the positions give as well.
     """
     search = _Search(identified, motions, position_errors, progress)
     search.add_effects(CandidateColumns(search.model, bool(identified.options.trusted)))
@@ -138,8 +127,6 @@ class _Addition:
     """A candidate that has passed all tests.
 
     Attributes:
-        shape: Its model.
-        joint: The joint model with it.
         evidence: Its evidence in that model.
     """
 
@@ -149,14 +136,7 @@ class _Addition:
 
 
 class _Search:
-    """Search for rare effects: the joint model, what was added to it, and what was tried in vain.
-
-    Args:
-        identified: The base model.
-        motions: The motions to fit.
-        position_errors: Errors of their positions.
-        progress: Called with a line of text for each candidate.
-    """
+    """Search for rare effects: the joint model, and effects that were added or tried in vain."""
 
     def __init__(
         self,
@@ -179,11 +159,7 @@ class _Search:
         self._small: dict[Key, EffectEvidence] = {}
 
     def add_effects(self, candidates: CandidateColumns) -> None:
-        """Add effects, the best one first, while there is evidence for one.
-
-        Args:
-            candidates: The candidates.
-        """
+        """Add effects, the best one first, while there is evidence for one."""
         while len(self._shapes) < MAX_RARE_EFFECTS:
             scores, rankings = candidates.scored(self.model)
             if self.effects:
@@ -200,10 +176,7 @@ class _Search:
             self._add(chosen, scores)
 
     def _keep_small(self, scores: Mapping[Key, float]) -> None:
-        """Drop small effects whose torque the effect that was added last explains.
-
-        A flexible model, which has no name, explains it, too. `scores` are next to that effect.
-        """
+        """Drop small effects whose torque the last effect explains; `scores` are next to that."""
         if self.effects[-1].key[0] != UNMODELLED:
             kept = {key for key, score in scores.items() if score > MIN_CANDIDATE_EVIDENCE}
             self._small = {key: small for key, small in self._small.items() if key in kept}
@@ -258,12 +231,9 @@ class _Search:
     def _best(
         self, keys: Sequence[Key], scores: dict[Key, float], rankings: Mapping[Key, Ranking]
     ) -> _Addition | None:
-        """Return the best of some candidates; None if none passes.
+        """Return the best of candidates in order of their evidence; None if none passes.
 
-        Args:
-            keys: The candidates, the one with the most evidence first.
-            scores: Their evidence, to which the optimisation of their shapes is added.
-            rankings: Their shapes.
+        The optimisation of their shapes is added to their evidence `scores`.
         """
         keys = [key for key in keys if self._in_vain[_place(key)] < MAX_REJECTIONS]
         first, others = keys[:OPTIMISED_CANDIDATES], keys[OPTIMISED_CANDIDATES:]
@@ -304,12 +274,7 @@ class _Search:
         return self._best(others, scores, rankings) if best is None and others else best
 
     def _tried(self, shape: CandidateModel, ranking: Ranking) -> _Addition | None:
-        """Add an effect to the joint model; None if it is to be left out again.
-
-        Args:
-            shape: The best shape of the effect.
-            ranking: All its shapes.
-        """
+        """Add an effect to the joint model; None if it is to be left out again."""
         if not self._may_be_needed(shape):
             return None
         extended = self._fit((*self._shapes, shape))
@@ -322,10 +287,7 @@ class _Search:
     def _chosen_again(
         self, shape: CandidateModel, extended: JointModel, ranking: Ranking
     ) -> tuple[CandidateModel, JointModel]:
-        """Choose among all functions of the measured torque, next to a joint model with one.
-
-        The torque of the joint model, which replaces the measured torque, is another one with it.
-        """
+        """Choose among functions of the measured torque, which a joint model with one replaces."""
         reduced = _without(extended, shape)
         again = CandidateShapes.of(reduced, [c.model for c in ranking.plausible])
         plausible = tuple(c for c in again.fitted(reduced) if c.is_plausible)
@@ -352,11 +314,7 @@ class _Search:
         return (moved.model, other) if is_better else (shape, extended)
 
     def _may_be_needed(self, shape: CandidateModel) -> bool:
-        """Tell whether there is evidence for an effect next to the present model.
-
-        Its delay, widths and ripple are not fitted anew, nor is evidence against an effect overcome
-        by that.
-        """
+        """Tell whether there is evidence for an effect next to the present model."""
         extended = self.model.with_effects([shape])
         joint_model.reweight(extended.regression)
         return _evidence(extended, shape.key) > 0.0
@@ -366,10 +324,7 @@ class _Search:
     ) -> _Addition | None:
         """Judge an effect of a joint model; None if it is to be left out again.
 
-        Args:
-            extended: The joint model with it.
-            shape: Its shape.
-            before: The joint model that must not predict clearly better, if any.
+        `before` is the joint model that must not predict clearly better, if any.
         """
         key = shape.key
         members = posterior.effect_groups(extended).get(key)
@@ -436,11 +391,7 @@ class _Search:
 
 
 def _better_flexible_model(model: JointModel, joint: int) -> Candidate | None:
-    """Return the flexible model that explains a joint better than its rare effects and ripple.
-
-    Torque of another form may have been taken apart by several effects of the joint alone, each of
-    which explains a part of it, so that no flexible model has enough evidence jointly with them.
-    """
+    """Return the flexible model that explains a joint better than its rare effects and ripple."""
     replaced = [
         i
         for i, m in enumerate(model.models)
@@ -495,10 +446,7 @@ def _place(key: Key) -> Key:
 
 
 def _is_same_body(first: CandidateModel, second: CandidateModel) -> bool:
-    """Tell whether two models are one load, one kinematic error, or one contact at a time.
-
-    They may be on different links.
-    """
+    """Tell whether two models are one load, one kinematic error, or one contact, on any link."""
     if first.effect != second.effect or not is_of_link(first.effect):
         return False
     if first.interval is None or second.interval is None:
@@ -510,16 +458,10 @@ def _is_same_body(first: CandidateModel, second: CandidateModel) -> bool:
 def _is_seen_in_motion(
     model: JointModel, replaced: Collection[int], members: Collection[int]
 ) -> bool:
-    """Tell whether an effect explains torque far from any rest of the joints.
+    """Tell whether an effect, but for a contact, explains torque far from any rest of the joints.
 
-    Friction at rest takes any value, and passes from one to another in a time of its own. An effect
-    that explains this alone is worse than none as soon as the joints move. A contact is sought in a
-    short interval, and needs no such rows.
-
-    Args:
-        model: A joint model with the effect.
-        replaced: Numbers of the effects whose place it takes.
-        members: Numbers of the effect.
+    Friction at rest takes any value. An effect that explains this alone is worse than none as soon
+    as the joints move.
     """
     if any(model.models[number].interval is not None for number in members):
         return True
@@ -531,10 +473,7 @@ def _is_seen_in_motion(
 
 
 def _is_plausible(model: JointModel, effects: Sequence[int]) -> bool:
-    """Tell whether fitted coefficients are physically possible, without a form error.
-
-    The model that is saved has no form error.
-    """
+    """Tell whether fitted coefficients are physically possible, without a form error."""
     regression = model.regression
     solution = regression.without((), model.form_places)
     return all(

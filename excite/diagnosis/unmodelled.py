@@ -47,7 +47,6 @@ class ResidualResponse:
         x: Abscissa, shape (b,).
         y: Torque [N m], or the impulse response over its largest value, shape (b,).
         other: Index of the joint whose quantity `over` is; None for the same joint.
-        relative: Whether y is relative.
     """
 
     over: str
@@ -62,12 +61,11 @@ class UnmodelledTorque:
     """Torque of a joint that no effect explains.
 
     Attributes:
-        joint: Index of the joint.
-        regime: What it depends on; see `flexible_models.EXPERIMENTS`, or `REPETITION`.
+        regime: Quantity it depends on; see `flexible_models.EXPERIMENTS`, or `REPETITION`.
         share: Its share of the residual's power without it.
         size: Its RMS [N m].
         probability: That it is physics and neither noise nor an effect of the catalogue.
-        response: The torque over what it depends on.
+        response: The torque over the quantity on which it depends.
         frequency: Frequency of a resonance [Hz]; None of anything else.
     """
 
@@ -97,10 +95,7 @@ def find(
     """Find torque that no effect of a joint model explains.
 
     Args:
-        model: The joint model.
-        evidence: Evidence of all effects.
-        estimate: The noise of its residual.
-        residual: That residual, zero at standstill, shape (N, n) [N m].
+        residual: Residual of the joint model, zero at standstill, shape (N, n) [N m].
         by_errors: Residual that errors of the positions alone leave, shape (N, n) [N m].
     """
     rows, regression = model.rows, model.regression
@@ -149,11 +144,8 @@ def find(
 def repeated_share(products: FloatArray, square: float, known: FloatArray) -> tuple[float, float]:
     """Return the share of a residual's power that repeats, and that share over its standard error.
 
-    Args:
-        products: Products of the residuals of two periods, shape (m,).
-        square: Mean square residual.
-        known: Products of errors of positions and torque that repeat as well, of one draw of such
-            errors, shape (m,).
+    `products` are those of the residuals of two periods, `known` those of one draw of errors of
+    positions and torque that repeat as well, shapes (m,); `square` is the mean square residual.
     """
     count = min(ERROR_BLOCKS, len(products))
     blocks, known_blocks = (

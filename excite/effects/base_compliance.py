@@ -49,17 +49,10 @@ the largest one against the force, over the largest along it."""
 def simulate_base(
     inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, force: FloatArray, dt: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Simulate coupled oscillators under each force alone: position, velocity and acceleration.
+    """Simulate coupled oscillators under each force (C, k) alone, with matrices (C, k, k).
 
-    Each step is exact for the means of all coefficients over the step.
-
-    Args:
-        inertia, damping, stiffness: Matrices, shape (C, k, k).
-        force: Forces, shape (C, k).
-        dt: Step [s].
-
-    Returns:
-        Three arrays of shape (C, k, k), with a column for each force.
+    Each step `dt` [s] is exact for the means of all coefficients over the step. Position, velocity
+    and acceleration have the shape (C, k, k), with a column for each force.
     """
     count, k = force.shape
     if k == 1:  # in closed form
@@ -111,10 +104,7 @@ def matrix_exponential(a: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _upright_frequency_ratio(
     motions: Sequence[RecordedMotion], axes: Sequence[int], pedestal: float
 ) -> float:
-    """Frequency of the base with all joints at zero over that under the moving robot.
-
-    A stretched-up arm, for example, has little inertia about the vertical.
-    """
+    """Frequency of the base with all joints at zero over that under the moving robot."""
     upright, along = motions[0].upright_inertia[list(axes)], list(axes)
     in_motion = np.mean(
         [motion.base_dynamics.mass[:, along, along].mean(axis=0) for motion in motions], axis=0

@@ -47,13 +47,7 @@ class FloatingBaseDynamics:
 
 
 def floating_base_dynamics(robot: Robot, model: pin.Model, motion: Samples) -> FloatingBaseDynamics:
-    """Linearise the dynamics about a base at rest along a motion of the joints.
-
-    Args:
-        robot: The robot.
-        model: Pinocchio model of the robot with its inertias.
-        motion: Joint motion, C samples.
-    """
+    """Linearise the dynamics about a base at rest along C samples of the joints."""
     free = _on_floating_base(model)
     data, zero, count = free.createData(), np.zeros(6), len(motion)
     slopes, mass = np.empty((2, count, free.nv, 6)), np.empty((count, 6, free.nv))

@@ -86,28 +86,16 @@ def _course(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 
 
 def unit_forces(motion: RecordedMotion) -> FloatArray:
-    """Return the torque of unit forces on the centres of mass of all links, in the base frame.
-
-    Args:
-        motion: The motion.
-
-    Returns:
-        Shape (N, links, n, 3).
-    """
+    """Return the torque of unit forces on the links' centres of mass, shape (N, links, n, 3)."""
     return motion.lowpass(-np.swapaxes(motion.link_jacobians, 2, 3), Grid.COARSE)
 
 
 def contact_models(
     motions: Sequence[RecordedMotion], number: int, low: float, high: float, alternatives: float
 ) -> Iterator[CandidateModel]:
-    """Yield forces on every link, about an interval in which a constant force explains most.
+    """Yield forces on every link from `low` to `high` [s] of a motion.
 
-    Args:
-        motions: The motions to fit.
-        number: Number of the motion during which they act.
-        low: Begin of the interval [s].
-        high: End of the interval [s].
-        alternatives: Number of intervals of which it was chosen.
+    `alternatives` is the number of intervals of which this was chosen.
     """
     for stretch, swells, knots in COURSES:
         margin = 0.5 * (stretch - 1.0) * (high - low)

@@ -33,7 +33,6 @@ class LowPass:
     """Butterworth low-pass filter whose delay at low frequencies is not part of it.
 
     Attributes:
-        poles: Number of poles.
         passes: 1; 2 for a filter that is passed forwards and backwards, which has no phase.
         hertz: Corner frequency [Hz].
     """
@@ -43,11 +42,7 @@ class LowPass:
     hertz: float
 
     def response(self, frequencies: FloatArray) -> NDArray[np.complex128]:
-        """Return the frequency response, shape (k,).
-
-        Args:
-            frequencies: The frequencies [Hz], shape (k,).
-        """
+        """Return the response at frequencies [Hz], shape (k,)."""
         from scipy import signal  # slow to import
 
         b, a = signal.butter(self.poles, 1.0, analog=True)
@@ -58,11 +53,7 @@ class LowPass:
         return np.asarray(once * np.exp(1j * omega * a[-2]))  # its delay at low frequencies
 
     def slope(self, frequencies: FloatArray) -> NDArray[np.complex128]:
-        """Return the derivative of the response by the logarithm of the corner frequency.
-
-        Args:
-            frequencies: The frequencies [Hz], shape (k,).
-        """
+        """Return the derivative of the response by the logarithm of the corner frequency, (k,)."""
         step = 1e-4
         above, below = (
             self.with_corner(self.hertz * np.exp(x)).response(frequencies) for x in (step, -step)
@@ -76,13 +67,7 @@ class LowPass:
     def passed(
         self, motion: RecordedMotion, torque: FloatArray, inverse: bool = False
     ) -> FloatArray:
-        """Return torque filtered below the cutoff frequency of a motion, the rest as it is.
-
-        Args:
-            motion: The recorded motion.
-            torque: The torque at every sample, shape (M, n) [N m].
-            inverse: Undo the filter.
-        """
+        """Return torque (M, n), filtered below the cutoff frequency of a motion."""
 
         def change(frequencies: FloatArray) -> NDArray[np.complex128]:
             return self.response(frequencies) ** (-1 if inverse else 1) - 1.0
@@ -188,12 +173,6 @@ def clock_delay() -> CandidateModel:
 
 
 def filtered_recording(filter_: LowPass) -> CandidateModel:
-    """Return the filter that all recorded torque has passed, over that of the positions.
-
-    Its coefficient is 1.
-
-    Args:
-        filter_: The filter.
-    """
+    """Return the filter that all recorded torque has passed; its coefficient is 1."""
     values = {"measured": 1.0, **{k: float(v) for k, v in asdict(filter_).items()}}
     return CandidateModel(DELAY, None, values)

@@ -25,15 +25,10 @@ class Effect:
     Derived classes state its torque, candidate models and constraints.
 
     Attributes:
-        name: Name in `diagnosis.json`.
         equation: Equation and its source.
-        units: Units of the reported parameters.
-        signature: Description of the residual that the effect causes.
-        experiment: Experiment that shows it apart from others.
         nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
         has_candidates: False for an effect that the joint model has at every joint, or that is
             sought in its residual.
-        depends_on_base: Whether its parameters depend on the base model to which it is added.
         prior_only: Whether a refit of the base model absorbs the effect, if it acts all the time,
             so that it can be found only with a trusted prior.
         form_std: Relative standard deviation of the parameters where the robot's effect has not
@@ -55,13 +50,10 @@ class Effect:
     of_link: bool = False
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-        """Return the torque per unit of each coefficient of a model at the motion's rows.
+        """Return the torque per unit of each coefficient at the motion's rows [N m], (N, n, k).
 
         It depends on nothing but the recorded motion, and the joints, values, interval and source
         of the model.
-
-        Returns:
-            Torque columns [N m], shape (N, n, k).
         """
         raise NotImplementedError
 
@@ -72,20 +64,12 @@ class Effect:
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the reported parameters by name: the coefficients, in the order of the units.
 
-        Args:
-            model: A model of the effect.
-            c: Coefficients without those of the discrepancy of its form, shape (k,).
-            base: The base model to which the effect is added.
+        `c` has no coefficients of the discrepancy of its form, shape (k,).
         """
         return dict(zip(self.units, c.tolist(), strict=False))
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
-        """Return whether coefficients are physically possible: sign, range, dissipation.
-
-        Args:
-            model: A model of the effect.
-            c: Coefficients, shape (k,).
-        """
+        """Return whether coefficients (k,) are physically possible: sign, range, dissipation."""
         return bool(np.isfinite(c).all())
 
     def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
@@ -99,16 +83,10 @@ class Effect:
     def predicted_torque(
         self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
     ) -> FloatArray:
-        """Return the torque of an effect of measured torque where none is measured.
+        """Return recorded minus produced torque of an effect of measured torque, (M, n) [N m].
 
-        Args:
-            motion: The recorded motion.
-            model: A model of the effect.
-            c: Coefficients, shape (k,).
-            produced: Torque that the actuators produce [N m], shape (M, n).
-
-        Returns:
-            Recorded minus produced torque [N m], shape (M, n).
+        `produced` is the torque that the actuators produce, of the same shape, where none is
+        measured.
         """
         raise NotImplementedError
 
@@ -118,9 +96,7 @@ class CandidateModel:
     """One form of an effect at one joint: a torque that is linear in its coefficients.
 
     Attributes:
-        definition: The effect.
         joint: Index of the joint that carries the effect; None for an effect of no single joint.
-        values: Nonlinear parameters by name.
         other: Index of a second joint that the effect depends on.
         interval: Start and end of an effect that acts for some of the time [s].
         source: Recording in which `interval` lies.
@@ -190,11 +166,7 @@ class CandidateModel:
         return (*signs, *(False,) * self.form_columns) if signs else ()
 
     def columns(self, motion: RecordedMotion) -> FloatArray:
-        """Return the torque per unit of each coefficient at the motion's rows.
-
-        Returns:
-            Torque columns [N m], shape (N, n, k).
-        """
+        """Return the torque per unit of each coefficient at the motion's rows [N m], (N, n, k)."""
         if self.own_columns is not None:
             return self.own_columns(motion)
         return self.definition.torque_columns(motion, self)
@@ -242,9 +214,6 @@ class NonlinearParameter:
     Attributes:
         model: A model of which it is the only nonlinear parameter to change.
         key: Name of the parameter, as `Effect.varied` takes it: usually its key in the values.
-        value: Present value.
-        low: Lower bound.
-        high: Upper bound.
     """
 
     model: CandidateModel
@@ -254,11 +223,7 @@ class NonlinearParameter:
     high: float
 
     def optimised(self, gain: Callable[[CandidateModel], float]) -> CandidateModel:
-        """Return the model with the highest gain between the bounds, or a better model variant.
-
-        Args:
-            gain: Log-likelihood gain of a model.
-        """
+        """Return the model with the highest gain between the bounds, or a better model variant."""
         best, best_gain = self.maximise(gain, gain(self.current))
         for _ in range(MAX_VARIANT_STEPS):
             gains = [(gain(variant.current), variant) for variant in best.variants()]
@@ -279,12 +244,10 @@ class NonlinearParameter:
     def maximise(
         self, gain: Callable[[CandidateModel], float], current_gain: float
     ) -> tuple[CandidateModel, float]:
-        """Maximise the gain over this parameter alone.
+        """Return the model of maximal gain over this parameter alone, and its gain.
 
-        The search is bounded and runs over the logarithm, to 0.4 % of its range.
-
-        Returns:
-            The best model and its gain; the present model and `current_gain` if none is better.
+        The search is bounded and runs over the logarithm, to 0.4 % of its range. If none is better,
+        the present model and `current_gain` are returned.
         """
         from scipy.optimize import minimize_scalar  # slow to import
 
@@ -324,29 +287,14 @@ def grid_candidates(
 
 
 def single_joint_columns(motion: RecordedMotion, joint: int, x: FloatArray) -> FloatArray:
-    """Return low-passed columns that act on one joint only.
-
-    Args:
-        motion: The recorded motion.
-        joint: Index of the joint.
-        x: Torque at every sample, shape (M,) or (M, k).
-
-    Returns:
-        Columns of shape (N, n, k).
-    """
+    """Return columns (N, n, k) of a torque (M,) or (M, k) that acts on one joint."""
     return single_joint_rows(motion, joint, motion.lowpass(x[:, None] if x.ndim == 1 else x))
 
 
 def single_joint_rows(motion: RecordedMotion, joint: int, low: FloatArray) -> FloatArray:
-    """Return columns that act on one joint only.
+    """Return columns (N, n, k) that are the low-passed columns (N, k) of one joint.
 
-    Args:
-        motion: The recorded motion.
-        joint: Index of the joint.
-        low: Low-passed columns of the joint, shape (N, k).
-
-    Returns:
-        Columns of shape (N, n, k), in whose memory the rows of each joint are adjacent.
+    In memory the rows of each joint are adjacent.
     """
     out = np.zeros((motion.n, *low.shape))
     out[joint] = low

@@ -99,12 +99,8 @@ def high_order(
 ) -> CandidateModel:
     """Return a wave of an order above those of the grid, as of the encoder of a geared motor.
 
-    Args:
-        joint: Index of the joint.
-        unit: What `recorded_motion.radian` returns.
-        order: Order of a peak in the spectrum of the residual [1/rad or 1/m].
-        width: Distance within which the order may be optimised [1/rad or 1/m].
-        alternatives: Number of orders that were searched.
+    Order and the width within which it may be optimised are those of a peak in the spectrum of the
+    residual, of `alternatives` orders [1/rad or 1/m]; `unit` is `recorded_motion.radian`.
     """
     model = CandidateModel(
         ENCODER_ERROR, joint, {"order": order}, facts={"unit": unit}, alternatives=alternatives

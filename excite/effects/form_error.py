@@ -36,13 +36,7 @@ hysteresis of real gears. A term of the model, not a threshold."""
 def with_form_error(
     model: CandidateModel, motions: Sequence[RecordedMotion], coefficients: FloatArray
 ) -> CandidateModel:
-    """Return a model that has its discrepancy as further columns.
-
-    Args:
-        model: A model of one joint, or of the whole robot.
-        motions: Motions that it is fitted to.
-        coefficients: Coefficients of the model, shape (k,), in whose units the further columns are.
-    """
+    """Return a model with its discrepancy as further columns, in units of its coefficients (k,)."""
     n, joint = motions[0].n, model.joint
     count = n + DERIVATIVES
     if joint is not None:

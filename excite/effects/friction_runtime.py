@@ -92,15 +92,8 @@ def columns(
 ) -> tuple[list[Any], list[Any]]:
     """Return the torque per unit of each coefficient of an effect without memory, in their order.
 
-    Args:
-        effect: Name of the effect.
-        v: Its nonlinear parameters.
-        x: Motion of its joint.
-        m: Module of the functions: numpy, or casadi for symbols.
-
-    Returns:
-        Factors of the sign of the velocity, and after them the columns without a sign, both over
-        `unit`.
+    The first list has factors of the sign of the velocity, the second the columns without a sign,
+    both over `unit`. The functions are those of a module m: numpy, or casadi for symbols.
     """
     return _COLUMNS[effect](v, x, m)
 
@@ -111,16 +104,7 @@ def unit(v: dict[str, float]) -> float:
 
 
 def stateless(term: Term, x: JointMotion, m: Any = np) -> tuple[Any, Any]:
-    """Return both parts of a term's torque s + d sign(dq), the sign smooth over the width.
-
-    Args:
-        term: A term without memory.
-        x: Motion of its joint.
-        m: Module of the functions: numpy, or casadi for symbols.
-
-    Returns:
-        The smooth part s and the factor d of the sign [N m or N].
-    """
+    """Return s and d of a term's torque s + d sign(dq), the sign smooth over the width."""
     dry, smooth = columns(term.effect, term.values, x, m)
     c = term.coefficients
     parts = zip(c[len(dry) :], smooth, strict=True), zip(c[: len(dry)], dry, strict=True)
@@ -232,11 +216,7 @@ KNOWN = (*_COLUMNS, *WITH_MEMORY)
 
 
 def reaches(v: dict[str, float]) -> Any:
-    """Return the deflections at which the elements slip, shape (ELEMENTS,) [rad or m].
-
-    Args:
-        v: Values of a term: "reach" of the first and "last_reach".
-    """
+    """Return the deflections at which the elements slip, shape (ELEMENTS,) [rad or m]."""
     return np.geomspace(v["reach"], v["last_reach"], ELEMENTS)
 
 

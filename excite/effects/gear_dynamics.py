@@ -33,18 +33,10 @@ GAP_DAMPING_RATIO = 0.3
 
 
 def link_lag_torque(motion: RecordedMotion, joint: int, lag: FloatArray, of: Grid) -> FloatArray:
-    """Return the torque on all joints by a link that lags behind its motor.
+    """Return the torque on all joints by a link that lags behind its motor, shape (N, n, 1) [N m].
 
-    To first order −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈); the rotor moves with the encoder.
-
-    Args:
-        motion: The recorded motion.
-        joint: Index of the joint.
-        lag: δ = θ − q [rad], shape (M,) or (C,).
-        of: Grid of `lag`.
-
-    Returns:
-        Shape (N, n, 1) [N m].
+    To first order −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈) with the lag δ = θ − q [rad], shape (M,) or (C,);
+    the rotor moves with the encoder.
     """
     by_q, by_v, mass = motion.derivatives
     spectrum = motion.band.transform(lag[:, None], of)
@@ -75,21 +67,14 @@ def starts_in_motion(motion: RecordedMotion, joint: int) -> bool:
 def elastic_deflection(
     motion: RecordedMotion, joint: int, stiffness: float, ratio: float, starts_at_rest: bool
 ) -> FloatArray:
-    """Simulate the elastic deflection δ of a joint.
+    """Return the elastic deflection δ of a joint at the coarse samples [rad], shape (C,).
 
     M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the load is that at the link's position, not at
-    the motor's.
+    the motor's. The damping `ratio` is D / (2 √(K M)).
 
     Args:
-        motion: The recorded motion.
-        joint: Index of the joint.
-        stiffness: K [N m/rad].
-        ratio: Damping ratio D / (2 √(K M)).
         starts_at_rest: Whether the link is at rest where the recording starts with a turning
             motor (`starts_in_motion`); otherwise it moves with the motor.
-
-    Returns:
-        δ at the coarse samples [rad], shape (C,).
     """
     by_q, by_v = (part[:, joint, joint] for part in motion.derivatives[:2])
     force, inertia = motion.rigid_torque[:, joint], motion.link_inertias[:, joint]
@@ -118,20 +103,10 @@ def simulate_oscillator(
     dt: float,
     start: tuple[float, float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Simulate m ẍ + d ẋ + k x = f with time-varying coefficients.
+    """Return position and velocity of m ẍ + d ẋ + k x = f with time-varying coefficients, (M,).
 
-    Each step is exact for the means of f, m, k and d over the step. All arrays have shape (M,).
-
-    Args:
-        force: f.
-        inertia: m.
-        stiffness: k.
-        damping: d.
-        dt: Step [s].
-        start: Initial position and velocity; static equilibrium when None.
-
-    Returns:
-        Position and velocity at every sample.
+    Each step is exact for the means of f, m, k and d over the step. The start is an initial
+    position and velocity; static equilibrium when None.
     """
     x, v = start or (float(force[0] / stiffness[0]), 0.0)
     force, inertia, stiffness, damping = (
@@ -161,15 +136,9 @@ def simulate_oscillator(
 def solve_linear_recursion(
     transition: FloatArray, push: FloatArray, start: FloatArray
 ) -> FloatArray:
-    """Solve zₖ₊₁ = A(k) zₖ + b(k) for all k at once, as a banded triangular system.
+    """Return z, shape (M + 1, m, c), of zₖ₊₁ = A(k) zₖ + b(k) by one banded triangular system.
 
-    Args:
-        transition: A, shape (M, m, m).
-        push: b, shape (M, m, c).
-        start: z₀, shape (m, c).
-
-    Returns:
-        z, shape (M + 1, m, c).
+    The transitions A have the shape (M, m, m), the pushes b (M, m, c), and the start z₀ (m, c).
     """
     from scipy.linalg.lapack import dtbtrs  # slow to import
 
@@ -183,20 +152,11 @@ def solve_linear_recursion(
 
 
 def simulate_backlash_gap(push: FloatArray, dt: float, half_gap: float, omega: float) -> FloatArray:
-    """Simulate a link inside its backlash gap: free motion with inelastic impacts.
+    """Simulate a link inside its backlash gap, shape (M,): free motion with inelastic impacts.
 
-    ẍ = a − ω² x − 2 ζ ω ẋ inside ±`half_gap`, with ζ = `GAP_DAMPING_RATIO`; impacts at the gap
-    boundaries are perfectly inelastic. Euler steps, implicit in the position: between the
-    boundaries xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt².
-
-    Args:
-        push: Acceleration a by the load [rad/s²], shape (M,).
-        dt: Step [s].
-        half_gap: Half of the gap [rad].
-        omega: Natural angular frequency ω inside the gap [rad/s].
-
-    Returns:
-        x [rad], shape (M,).
+    ẍ = a − ω² x − 2 ζ ω ẋ inside ±`half_gap`, with the acceleration a by the load, `push`, and ζ =
+    `GAP_DAMPING_RATIO`; impacts at the gap boundaries are perfectly inelastic. Euler steps,
+    implicit in the position: between the boundaries xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt².
     """
     c = 1.0 - 2.0 * GAP_DAMPING_RATIO * omega * dt
     b, leaving = 1.0 + c - (omega * dt) ** 2, omega**2 * half_gap

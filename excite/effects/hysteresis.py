@@ -30,11 +30,9 @@ directions [1]: such a motion shows only a spring, which a larger motion would n
 
 
 def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:
-    """Return the force of a Maxwell-slip element of unit strength (Iwan 1966).
+    """Return the force of a Maxwell-slip element of unit strength (Iwan 1966), shape (M,).
 
-    Args:
-        q: Joint position, shape (M,).
-        reach: Deflection at which the element slips [rad or m].
+    It slips at the deflection `reach` [rad or m].
     """
     stroke, travel, distance = _strokes(q)
     *starts, _ = accumulate(
@@ -44,12 +42,7 @@ def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:
 
 
 def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Divide a motion at its reversals.
-
-    Returns:
-        The stroke of each sample, (M,); the travel of each stroke; and the distance of each sample
-        from the start of its stroke, (M,).
-    """
+    """Return each sample's stroke (M,), travels of strokes, and distances in the strokes (M,)."""
     directions = np.sign(np.diff(q, prepend=q[0]))
     # first sample of each stroke; the stroke starts at the sample before
     first = np.flatnonzero(np.diff(directions, prepend=2.0))
@@ -73,12 +66,8 @@ def _elements(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 def build_up(model: CandidateModel, c: FloatArray, coulomb: float) -> dict[str, float]:
     """Return how the dry friction of a joint builds up: the values that `direction` needs.
 
-    The elements have shares of it, and what remains of Coulomb friction needs no travel.
-
-    Args:
-        model: What `dense_model` returns.
-        c: Its coefficients, shape (k,).
-        coulomb: Coulomb friction of the joint [N m].
+    The elements of a `dense_model` with coefficients c have shares of it, and the part of the
+    Coulomb friction [N m] beyond them needs no travel.
     """
     strengths = c[:ELEMENTS]
     total = max(coulomb, float(strengths.sum()), 1e-300)
@@ -92,14 +81,10 @@ def built_up_share(values: Mapping[str, float]) -> float:
 
 
 def direction(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Return the direction of a dry friction, within -1 and 1, shape (M,).
+    """Return the direction of a dry friction of one joint, within -1 and 1, shape (M,).
 
     It is the smooth sign of the speed, or, if the values of the model say how the friction builds
     up, the mean of the Maxwell-slip elements.
-
-    Args:
-        motion: The recorded motion.
-        model: A friction of one joint.
     """
     sign = motion.sign(model.joint_index)
     if "share_0" not in model.values:
@@ -151,13 +136,8 @@ def dense_model(
     """Return a nonnegative combination of Maxwell-slip elements of a joint.
 
     The columns after them, of either sign, make the two branches of the loop unequal; the last one
-    is the damping of the elements.
-
-    Args:
-        motions: The recorded motions.
-        joint: Index of the joint.
-        build_up: Shares of the elements in an earlier fit, as of `build_up`, by which they are
-            damped; equal ones if None, or if it has none.
+    is the damping of the elements. They are damped by their shares in an earlier fit, as
+    `build_up` returns them, or by equal ones.
     """
     unit = radian(motions, joint)
     last = LAST_REACH * unit

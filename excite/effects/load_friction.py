@@ -45,10 +45,7 @@ def dense_model(
 ) -> CandidateModel:
     """Return friction of a joint that grows with the load and its square.
 
-    Args:
-        motions: The recorded motions.
-        joint: Index of the joint.
-        build_up: How it builds up, as of `hysteresis.build_up`; at once if None.
+    It builds up as `hysteresis.build_up` says; at once if None.
     """
     load = np.abs(np.concatenate([motion.transmitted_torque[:, joint] for motion in motions]))
     return CandidateModel(

@@ -58,16 +58,11 @@ def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel
 
 
 def without_falling(model: CandidateModel, c: FloatArray, viscous: float) -> CandidateModel:
-    """Return a model whose friction does not fall beyond the speeds of its fit.
+    """Return a `dense_model` whose friction does not fall beyond the speeds of its fit.
 
-    Each curve is less a line, which viscous friction makes up for. Where this is smaller than all
-    lines of concave curves, friction falls towards the largest speed; further on, it would feed in
-    power at some speed.
-
-    Args:
-        model: A model as `dense_model` returns it.
-        c: Its coefficients, shape (k,).
-        viscous: Viscous friction of its joint [N m s/rad or N s/m].
+    Each curve is less a line, which viscous friction [N m s/rad or N s/m] makes up for. Where this
+    is smaller than all lines of concave curves, friction falls towards the largest speed; further
+    on, it would feed in power at some speed.
     """
     lines = float(c[:CONCAVE_CURVES].sum())
     made_up = viscous * model.values["top_speed"]

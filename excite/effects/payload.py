@@ -80,9 +80,9 @@ class _Payload(Effect):
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
         """Check that it is a body, or on the last link of a chain also a change of its tool.
 
-        The last link may have lost a body, or carry it in another way. A body may be gone that the
-        model has in part on other links, since recordings do not tell them apart. In a single
-        recording the last link has a body that the others have not.
+        The last link may have lost a body, or carry it in another place. The model may have a part
+        of the lost body on other links, as recordings do not tell links of one body apart. A load
+        in one of several recordings is a body.
         """
         fitted, link = model.motions[0].fitted_robot, int(model.values["link"])
         if model.source or not _ends_a_chain(fitted, link):

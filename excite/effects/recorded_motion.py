@@ -36,8 +36,6 @@ class FittedRobot:
     """The robot with the parameters of the fitted base model.
 
     Attributes:
-        robot: The robot.
-        parameters: Layout of the standard parameters.
         model: Pinocchio model with the fitted link inertias.
         psi: Standard parameters ψ̂, shape (P,).
     """
@@ -48,11 +46,7 @@ class FittedRobot:
     psi: FloatArray
 
     def actuator_parameter(self, kind: str) -> FloatArray:
-        """Return an actuator parameter of every joint, shape (n,); 0 if the model has none.
-
-        Args:
-            kind: "rotor_inertia", "viscous", "coulomb" or "offset".
-        """
+        """Return "rotor_inertia", "viscous", "coulomb" or "offset" of every joint, (n,), or 0."""
         if kind not in self.parameters.drive:
             return np.zeros(self.robot.n)
         return np.asarray(self.psi[self.parameters.block(kind)])
@@ -83,7 +77,6 @@ class RecordedMotion:
 
     Attributes:
         segment: The segment as it was recorded.
-        band: Low-pass filter of the segment.
         fitted_robot: Robot with the parameters of the base model.
         widths: Widths of the smooth Coulomb friction [rad/s], shape (n,).
         theta: Base parameters θ̂ of the fit.
@@ -120,12 +113,7 @@ class RecordedMotion:
         return int(self.torque.shape[1])
 
     def for_all_fits(self, name: str, compute: Callable[[], T]) -> T:
-        """Return a value that depends on neither the torque nor the base model, computed once.
-
-        Args:
-            name: Name of the value.
-            compute: Computes it.
-        """
+        """Return a value that depends on neither the torque nor the base model, computed once."""
         if name not in self.motion_cache:
             self.motion_cache[name] = compute()
         return cast(T, self.motion_cache[name])
@@ -145,11 +133,7 @@ class RecordedMotion:
     ) -> RecordedMotion:
         """Return the motion with another fit of the base model.
 
-        Args:
-            fitted_robot: The robot with its parameters.
-            widths: Widths of the smooth Coulomb friction, shape (n,).
-            theta: Base parameters, shape (p,).
-            coulomb: Joints by the columns of Γ that are their Coulomb friction.
+        `coulomb` are joints by the columns of Γ that are their Coulomb friction.
         """
         step, slopes = filtered_friction(widths, self.samples.dq, self.band)
         gamma = self.gamma.copy()
@@ -171,12 +155,7 @@ class RecordedMotion:
         )
 
     def replace_torques(self, measured: FloatArray, motor: FloatArray | None = None) -> None:
-        """Put the torque of a joint model in the place of measured torque and base model.
-
-        Args:
-            measured: In the place of `measured_torque`, shape (M, n) [N m].
-            motor: In the place of `motor_torque`, unless None, shape (M, n) [N m].
-        """
+        """Put a joint model's torques (M, n) [N m] in the place of measured and motor torque."""
         self.__dict__["measured_torque"] = measured
         if motor is not None:
             self.__dict__["motor_torque"] = motor
@@ -203,7 +182,11 @@ class RecordedMotion:
 
     @memoized_for_all_fits
     def samples(self) -> Samples:
-        """Low-passed motion at every sample of the recording, shapes (M, n)."""
+        """Low-passed motion at every sample of the recording, shapes (M, n).
+
+        q and q̈ pass a filter of twice the bandwidth, q̇ that of `friction_speed`: it is not the
+        derivative of q.
+        """
         position = self.band.transform(self.segment.q)
         speed = friction_speed(self.segment.q, self.band, position)
         return Samples(
@@ -246,10 +229,7 @@ class RecordedMotion:
 
     @memoized_for_all_fits
     def reversal_dwell(self) -> FloatArray:
-        """Time that each joint stays within one encoder step Δ when it reverses, √(2 Δ/|q̈|).
-
-        Shape (n,) [s]; ∞ for a joint that does not reverse.
-        """
+        """Time √(2 Δ/|q̈|) of each joint in an encoder step Δ at reversals, or ∞; (n,) [s]."""
         out = np.full(self.n, np.inf)
         for j, step in enumerate(self.steps):
             turns = np.flatnonzero(np.diff(np.sign(self.samples.dq[:, j])))
@@ -287,15 +267,7 @@ class RecordedMotion:
         )
 
     def lowpass(self, x: FloatArray, of: Grid = Grid.RECORDED) -> FloatArray:
-        """Low-pass signals and return their kept rows.
-
-        Args:
-            x: Signals of shape (M, …) or (C, …).
-            of: Grid of x.
-
-        Returns:
-            Shape (N, …).
-        """
+        """Low-pass signals (M, …) or (C, …) and return their kept rows, shape (N, …)."""
         if self.grid is Grid.RECORDED and of is Grid.COARSE:
             x = self.upsample(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
         source = Grid.RECORDED if self.grid is Grid.RECORDED else of
@@ -335,10 +307,7 @@ class RecordedMotion:
 
     @cached_property
     def motor_torque(self) -> FloatArray:
-        """Torque of the base model with actuators, at every sample [N m], shape (M, n).
-
-        A joint model that is fitted to the motion puts its torque in the place of this one.
-        """
+        """Torque of the base model with actuators, or of a fitted joint model [N m], (M, n)."""
         s, parameter = self.samples, self.fitted_robot.actuator_parameter
         friction = parameter("viscous") * s.dq + parameter("coulomb") * np.tanh(s.dq / self.widths)
         return (
@@ -350,10 +319,7 @@ class RecordedMotion:
 
     @cached_property
     def measured_torque(self) -> FloatArray:
-        """Measured torque, low-passed, at every sample [N m], shape (M, n).
-
-        The noiseless torque of a joint model that is fitted to the motion takes its place.
-        """
+        """Measured torque, low-passed, or that of a fitted joint model [N m], shape (M, n)."""
         return self.band.filter(self.segment.torque, Grid.RECORDED)
 
     @cached_property
@@ -459,30 +425,16 @@ def position_range(motions: Sequence[RecordedMotion], joint: int) -> tuple[float
 
 
 def radian(motions: Sequence[RecordedMotion], joint: int) -> float:
-    """Return the travel that counts as a radian of a joint: 1, or of a sliding joint [m] 1/(2π) of
-    its range, which counts as a turn.
-
-    Args:
-        motions: The recorded motions.
-        joint: Index of the joint.
-    """
+    """Return the travel that counts as a radian of a joint: 1, or a sliding joint's range/(2π)."""
     low, high = position_range(motions, joint)
     is_sliding = motions[0].fitted_robot.robot.entries[joint].kind == "prismatic"
     return max(high - low, MIN_TRAVEL) / (2.0 * np.pi) if is_sliding else 1.0
 
 
 def interpolated(at: FloatArray, times: FloatArray, x: FloatArray) -> FloatArray:
-    """Interpolate signals by a cubic spline; they keep their value beyond their ends.
+    """Interpolate signals (N, k) to times (M,) by a cubic spline; constant beyond their ends.
 
     Linear interpolation would lose 17 % of a sine wave that is sampled four times a period.
-
-    Args:
-        at: Times of the result [s], shape (M,).
-        times: Times of the signals [s], shape (N,).
-        x: The signals, shape (N, k).
-
-    Returns:
-        Shape (M, k).
     """
     return np.asarray(CubicSpline(times, x)(np.clip(at, times[0], times[-1])))
 
@@ -499,15 +451,7 @@ def recorded_motions(
     segments: Sequence[RecordingSegment],
     hertz: float,
 ) -> list[RecordedMotion]:
-    """Return the motion of every segment that is long enough for the low-pass filter.
-
-    Args:
-        model: The base model.
-        fitted: Robot with fitted parameters.
-        theta: Base parameters of the fit.
-        segments: Segments of the recordings.
-        hertz: Cutoff frequency of the filter [Hz].
-    """
+    """Return the motion of every segment that is long enough for the low-pass filter."""
     out = []
     for segment in segments:
         band = segment.band(hertz)

@@ -45,10 +45,7 @@ def dense_model(
 ) -> CandidateModel:
     """Return a nonnegative combination of exponential and Gaussian Stribeck curves of a joint.
 
-    Args:
-        motions: The recorded motions.
-        joint: Index of the joint.
-        build_up: How it builds up, as of `hysteresis.build_up`; at once if None.
+    They build up as `hysteresis.build_up` says; at once if None.
     """
     values = {"top_speed": max_speed(motions, joint), **(build_up or {})}
     return CandidateModel(STRIBECK, joint, values)

@@ -103,10 +103,7 @@ class _ThermalDrift(Effect):
         return {"change": change * span / (1.0 - change * facts["below"])}
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
-        """Check that friction, of which the base fit has the mean, never becomes negative.
-
-        Nor does it start at a large multiple of the mean.
-        """
+        """Check that friction never becomes negative, nor starts at a multiple of its mean."""
         if "reference" in model.values:
             below, above = model.facts["below"], model.facts["above"]
             lower = -min(1.0 / above, MAX_COLD_EXCESS / below)
@@ -137,11 +134,7 @@ def _warming(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 
 
 def _run_time(motion: RecordedMotion, values: Values) -> FloatArray:
-    """Return the time since the joint was cold [s], shape (M,).
-
-    That is the start of the recording, or an "origin" by the clock of all recordings. A recording
-    from before it has another clock.
-    """
+    """Return the time since the start of the recording or the "origin" before it [s], (M,)."""
     if "origin" not in values or motion.times[0] < values["origin"]:
         return motion.run_time
     return motion.times - values["origin"]
@@ -188,11 +181,7 @@ def _mean_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
 
 
 def _common_origin(motions: Sequence[RecordedMotion]) -> list[float]:
-    """Return the start of the first of several recordings by one clock [s]; none without one.
-
-    Recordings that follow each other without an overlap have the same clock: the joint was cold
-    before the first, and is warm when the next one starts.
-    """
+    """Return the start of several recordings by one clock [s], one after the other; else none."""
     spans = {
         source: (
             min(float(m.times[0] - m.run_time[0]) for m in motions if m.segment.source == source),

@@ -20,14 +20,13 @@ MAX_LEVEL_COEFFICIENT = 1.1
 MAX_USUAL_LOSS = 0.3
 """Largest loss at a usual torque."""
 MAX_LOSS = 0.5
-"""Largest loss at the largest torque: magnetic saturation costs 10-30 % at peak current, and of a
-drive that records what it is told and clips it, no one would let half get lost."""
+"""Largest loss at the largest torque: magnetic saturation costs 10-30 % at peak current."""
 
 
 class _TorqueSaturation(Effect):
-    """Losses as functions of the measured torque, for which that of the joint model stands.
+    """Losses as functions of the measured torque, which the joint model's replaces.
 
-    The recorded τ stands for a current that produced less: true = τ (1 − loss (τ/τ_max)²). A
+    The recorded τ is that of a current that produced less: true = τ (1 − loss (τ/τ_max)²). A
     magnetically saturated motor levels off with the measured torque as τ/(1 + |τ/L|^p)^(1/p).
     """
 
@@ -94,14 +93,9 @@ def lost_torque(values: Values, x: FloatArray) -> FloatArray:
 
 
 def recorded_torque(loss: float, values: Values, torque: FloatArray) -> FloatArray:
-    """Return the torque that is recorded while a saturating actuator produces a torque.
+    """Return the torque x that is recorded where an actuator produces τ [N m], shape (M,).
 
-    Solves x − c · lost(x) = τ for x.
-
-    Args:
-        loss: Coefficient c.
-        values: Values of the candidate model.
-        torque: Produced torque τ [N m], shape (M,).
+    Solves x − c · lost(x) = τ with the coefficient c of the `loss`.
     """
     x = np.linspace(0.0, 2.0 * values["largest"], 4001)
     produced = x - loss * lost_torque(values, x)

@@ -32,7 +32,7 @@ from excite import effects
 from excite._types import FloatArray
 from excite.cli import main as main_module
 from excite.cli.diagnose import diagnosis_text
-from excite.diagnosis import estimates, posterior, rejection
+from excite.diagnosis import estimates, posterior
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME, nonlinear_viscous
@@ -125,7 +125,7 @@ def test_an_effect_whose_coefficients_are_all_zero_is_not_in_the_model():
     at_zero = dataclasses.replace(friction, is_in_model=False)  # leaves it out of the solution
     kept = dataclasses.replace(friction, is_in_model=True)
     estimate, _ = estimates.estimate_effects(model, (), [kept, at_zero])
-    assert not estimate.needed and rejection.reason(estimate)
+    assert not estimate.needed and estimate.rejection
 
 
 def test_static_friction_at_rest_is_no_mismatch():
@@ -233,7 +233,7 @@ def test_an_effect_that_is_too_small_to_be_named_is_considered():
     small = recordings_of(lambda t, q, dq, tau: at_joint(1, 0.05 * np.abs(dq[:, 1])))
     stated = document(diagnose(small))
     (entry,) = (e for e in stated["considered"] if e["effect"] == "asymmetric_viscous")
-    assert entry["joint"] == "joint_2" and entry["reason"] == rejection.TOO_SMALL
+    assert entry["joint"] == "joint_2" and entry["reason"] == estimates.Rejection.TOO_SMALL
     assert entry["probability"] < 0.5 and entry["evidence"]["log_bayes_factor"] > 50.0
     (unknown,) = stated["unknown"]
     assert unknown["joint"] == "joint_2" and "asymmetric_viscous" in unknown["too_small"]

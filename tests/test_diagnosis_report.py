@@ -21,10 +21,10 @@ from synthetic_recordings import (
 from test_report import answer, check_page, section
 
 from excite.cli.diagnose import diagnosis_text
-from excite.diagnosis import diagnosis, rejection
+from excite.diagnosis import diagnosis
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document, withhold_findings
-from excite.diagnosis.estimates import EffectEstimate
+from excite.diagnosis.estimates import EffectEstimate, Rejection
 from excite.diagnosis.probability import Probability
 from excite.effects import EFFECTS_BY_NAME
 from excite.recordings import Remark, RemarkKind
@@ -287,18 +287,18 @@ def test_effects_that_are_no_findings_have_reasons() -> None:
         return dataclasses.replace(effect, is_in_model=False, probable=probable, **evidence)
 
     sure = Probability(0.9)
-    assert rejection.reason(changed(sure, size=0.1)) == rejection.TOO_SMALL
-    assert rejection.reason(changed(sure, size=2.0)) == rejection.EXPLAINED_AS_WELL
-    assert rejection.reason(changed(Probability(0.01))) == rejection.WEAK_FRICTION
+    assert changed(sure, size=0.1).rejection == Rejection.TOO_SMALL
+    assert changed(sure, size=2.0).rejection == Rejection.EXPLAINED_AS_WELL
+    assert changed(Probability(0.01)).rejection == Rejection.WEAK_FRICTION
     for probable, expected in (
-        (Probability(0.01), rejection.WEAK_EVIDENCE),
-        (Probability(0.9, share=0.1), rejection.EXPLAINED_AS_WELL),
-        (Probability(0.9, size=0.1), rejection.TOO_SMALL),
-        (Probability(0.9, known=0.1), rejection.NEXT_TO_UNKNOWN),
+        (Probability(0.01), Rejection.WEAK_EVIDENCE),
+        (Probability(0.9, share=0.1), Rejection.EXPLAINED_AS_WELL),
+        (Probability(0.9, size=0.1), Rejection.TOO_SMALL),
+        (Probability(0.9, known=0.1), Rejection.NEXT_TO_UNKNOWN),
     ):
-        assert rejection.reason(changed(probable, models=spring)) == expected
+        assert changed(probable, models=spring).rejection == expected
     spoiling = changed(sure, size=0.1, spoils_prediction=True)
-    assert rejection.reason(spoiling) == rejection.SPOILS_PREDICTION
+    assert spoiling.rejection == Rejection.SPOILS_PREDICTION
 
 
 def test_exponent_that_may_be_one_has_no_value() -> None:

@@ -18,8 +18,9 @@ from diagnosis_cases import (
 )
 
 from excite._types import FloatArray
-from excite.diagnosis import position_errors, rejection
+from excite.diagnosis import position_errors
 from excite.diagnosis.diagnosis import Diagnosis
+from excite.diagnosis.estimates import Rejection
 from excite.diagnosis.position_errors import PositionErrors
 from excite.recordings import Recording
 
@@ -85,4 +86,4 @@ def test_exact_positions_are_no_evidence():
 
 def test_reason_is_stated():
     considered = diagnose(recorded("14 bits", seed=2)).considered
-    assert rejection.ERRORS_OF_POSITIONS in [rejection.reason(e) for e in considered]
+    assert Rejection.ERRORS_OF_POSITIONS in [e.rejection for e in considered]

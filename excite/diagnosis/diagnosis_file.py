@@ -14,13 +14,12 @@ from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..robot.parameter_names import percent
 from . import (
     effect_curves,
-    rejection,
     rival_evidence,
     session_changes,
     unmodelled,
 )
 from .diagnosis import Diagnosis
-from .estimates import QUANTILE, EffectEstimate
+from .estimates import QUANTILE, EffectEstimate, Rejection
 from .gear_encoders import GearEstimate
 from .posterior import DENSE_NAMES
 from .regression import rms
@@ -213,7 +212,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
     if hidden := sorted(set(estimate.parameters) - set(shown)):
         out["not_shown"] = hidden
     if not estimate.asserted:
-        out["reason"] = rejection.reason(estimate)
+        out["reason"] = str(estimate.rejection)
     if estimate.asserted and (rivals := diagnosis.rivals.get(estimate.key)):
         out["rivals"] = [
             {"effect": name, "log_bayes_factor": x, "log_odds": rival_evidence.log_odds(x)}
@@ -407,7 +406,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         for effect in diagnosis.considered
         if effect.joint == entry.joint
         and effect.effect not in DENSE_NAMES
-        and rejection.reason(effect) == rejection.TOO_SMALL
+        and effect.rejection == Rejection.TOO_SMALL
     ]
     return {
         "joint": name,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,19 @@ MAX_LOG_STD = 3.0
 way says that nothing is known."""
 QUANTILE = 1.645
 """Quantile of the normal distribution of a 90 % interval."""
+
+
+class Rejection(StrEnum):
+    """Why an effect that had some evidence is no finding."""
+
+    TOO_SMALL = "too small against the noise"
+    EXPLAINED_AS_WELL = "another effect explains it as well"
+    NEXT_TO_UNKNOWN = "next to unknown torque, of which it may be a part"
+    SPOILS_PREDICTION = "spoils the prediction of recordings it is not fitted to"
+    PRIOR_IN_DOUBT = "the parameters of the prior are in doubt, and it may be a part of their error"
+    ERRORS_OF_POSITIONS = "noise or steps of the recorded positions look like it"
+    WEAK_EVIDENCE = "weak evidence"
+    WEAK_FRICTION = "weak evidence: other friction curves look like it"
 
 
 @dataclass(frozen=True)
@@ -99,6 +113,27 @@ class EffectEstimate(EffectEvidence):
     def needed(self) -> bool:
         """True if the joint model needs it, and it is a friction or asserted."""
         return self.asserted or (self.is_in_model and self.effect in FRICTIONS)
+
+    @property
+    def rejection(self) -> Rejection:
+        """Reason why it is no finding: of a less probable effect, its least probable factor."""
+        if self.spoils_prediction:
+            return Rejection.SPOILS_PREDICTION
+        if self.effect in DENSE_NAMES and self.size < MIN_SEVERITY:
+            return Rejection.TOO_SMALL
+        if self.probability >= MIN_PROBABILITY:
+            return Rejection.EXPLAINED_AS_WELL
+        weak = Rejection.WEAK_FRICTION if self.effect in FRICTIONS else Rejection.WEAK_EVIDENCE
+        if self.by_errors > self.log_bayes_factor:
+            weak = Rejection.ERRORS_OF_POSITIONS
+        factors = {
+            Rejection.TOO_SMALL: self.probable.size,
+            weak: self.probable.evidence,
+            Rejection.EXPLAINED_AS_WELL: self.probable.share,
+            Rejection.NEXT_TO_UNKNOWN: self.probable.known,
+            Rejection.PRIOR_IN_DOUBT: self.probable.prior,
+        }
+        return min(factors, key=lambda reason: factors[reason])
 
 
 def estimate_effects(

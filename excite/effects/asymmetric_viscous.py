@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from .._types import FloatArray
 from .effect import CandidateModel, Values
-from .friction import max_speed
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion, max_speed
 
 MAX_EXCESS = 1.5
 """Largest half difference of both directions, over the friction of the base fit at full speed: the

@@ -19,8 +19,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel
-from .friction import max_speed
-from .recorded_motion import RecordedMotion, position_range
+from .recorded_motion import RecordedMotion, max_speed, position_range
 
 POSITION_WAVES = 4
 """Half waves over the range of the joint: the factor is smooth [1]."""

@@ -1,20 +1,10 @@
-"""Coulomb and viscous friction, and the largest speed, which several frictions need."""
+"""Friction: Coulomb and viscous friction of a joint whose prior states none."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-
-import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel
 from .joint_torque import JointTorque
-from .recorded_motion import RecordedMotion
-
-
-def max_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
-    """Return the largest speed of a joint [rad/s]."""
-    return max(float(np.abs(motion.samples.dq[:, joint]).max()) for motion in motions)
 
 
 class _Friction(JointTorque):

@@ -8,10 +8,9 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Values, single_joint_rows
-from .friction import max_speed
 from .friction_runtime import CONCAVE_CURVES, JointMotion, columns
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion, max_speed
 
 
 class _NonlinearViscous(JointTorque):

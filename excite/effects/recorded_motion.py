@@ -424,6 +424,11 @@ def position_range(motions: Sequence[RecordedMotion], joint: int) -> tuple[float
     return min(float(q.min()) for q in positions), max(float(q.max()) for q in positions)
 
 
+def max_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
+    """Return the largest speed of a joint [rad/s or m/s]."""
+    return max(float(np.abs(motion.samples.dq[:, joint]).max()) for motion in motions)
+
+
 def radian(motions: Sequence[RecordedMotion], joint: int) -> float:
     """Return the travel that counts as a radian of a joint: 1, or a sliding joint's range/(2π)."""
     low, high = position_range(motions, joint)

@@ -8,10 +8,9 @@ import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Values
-from .friction import max_speed
 from .friction_runtime import STRIBECK_SPEEDS, JointMotion, columns
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion, max_speed
 
 
 class _Stribeck(JointTorque):

@@ -39,7 +39,6 @@ from excite.designer import optimize
 from excite.designer.criteria import Criterion
 from excite.designer.design_objective import SampledMotion
 from excite.designer.discrimination import SeparationObjective
-from excite.designer.isolability_forecast import CONFUSABLE_PAIRS
 from excite.designer.options import DesignOptions
 from excite.diagnosis import rival_evidence
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
@@ -47,6 +46,7 @@ from excite.robot import limits, robot
 from excite.robot.dynamics import regressor
 from excite.robot.robot import locate
 from excite.robot.samples import Samples
+from excite.schemas.effects import CONFUSABLE_PAIRS
 from excite.simulator.effect_instance import with_effects
 from excite.simulator.experiment import run_session
 from excite.simulator.recording_file import json_text

@@ -24,10 +24,11 @@ from .._types import FloatArray
 from ..robot.inertial_parameters import Parameters, mean_inertia
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from ..schemas.effects import FORM_ERROR_STD
 from .casadi_batch import MappedFunction
 from .casadi_model import link_torque
 from .design_objective import SampledMotion
-from .form_uncertainty import EXACT_FORMS, RELATIVE_STD, discrepancy_factors, shape_points
+from .form_uncertainty import EXACT_FORMS, discrepancy_factors, shape_points
 from .presliding import PreslidingState, presliding_state
 
 SPEED_ROUNDING = 1e-4
@@ -472,7 +473,7 @@ def _form_columns(
             for above, below in zip(*ends, strict=True)
         ]
     if effect.joint is None:  # the shares of the joints may differ
-        units = RELATIVE_STD * np.eye(builder.constants.robot.n)
+        units = FORM_ERROR_STD * np.eye(builder.constants.robot.n)
         return out + [ca.SX(unit) * column for unit in units for column in columns]
     limits, j = builder.constants.limits, effect.joint
     factors = discrepancy_factors(

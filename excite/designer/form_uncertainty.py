@@ -19,6 +19,8 @@ from collections.abc import Iterator, Mapping
 import casadi as ca
 import numpy as np
 
+from ..schemas.effects import FORM_ERROR_STD, FORM_POSITION_WAVES, FORM_SPEED_WAVES
+
 SHAPE_STD: Mapping[str, Mapping[str, float]] = {
     "elasticity": {"stiffness": 0.35, "damping": 0.7},
     "stribeck": {"velocity": 0.7, "exponent": 0.35},
@@ -38,12 +40,6 @@ EXACT_FORMS = frozenset(
 )
 """Effects that have exactly the form of their columns: those that a refit of the base model absorbs
 (`prior_only` in the catalogue)."""
-POSITION_WAVES = 4
-"""Half waves of the factors over the range of the joint [1], as in `effects.form_error`."""
-SPEED_WAVES = 2
-"""Half waves of the factors over the range of speeds [1], as in `effects.form_error`."""
-RELATIVE_STD = 0.15
-"""Standard deviation η of each factor [1], as in `effects.form_error`."""
 
 
 def shape_points(
@@ -75,7 +71,7 @@ def discrepancy_factors(
     low, high = span
     place, rate = (q - low) / (high - low), speed / top_speed
     return [
-        RELATIVE_STD * ca.cos(np.pi * m * x)
-        for x, count in ((place, POSITION_WAVES), (rate, SPEED_WAVES))
+        FORM_ERROR_STD * ca.cos(np.pi * m * x)
+        for x, count in ((place, FORM_POSITION_WAVES), (rate, FORM_SPEED_WAVES))
         for m in range(1, count + 1)
     ]

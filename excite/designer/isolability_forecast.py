@@ -16,6 +16,7 @@ from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from ..schemas.effects import CONFUSABLE_PAIRS, MIN_SEVERITY
 from ..trajectory.fourier import FourierSeries
 from .discrimination import (
     Comparison,
@@ -33,25 +34,6 @@ from .explanations import EffectSpecification, friction_of, symbolic_effect
 
 FORECAST_RATE = 40.0
 """Samples per second of the forecast [Hz]: twice the band in which torque is compared."""
-SMALLEST_SEVERITY = 0.3
-"""RMS torque of the effects after projection off the base, over the noise [1]: the smallest that
-counts as an effect in a diagnosis."""
-CONFUSABLE_PAIRS = (
-    ("nonlinear_viscous", "drag"),
-    ("load_friction", "position_friction"),
-    ("hysteresis", "delay"),
-    ("stribeck", "drag"),
-    ("stribeck", "hysteresis"),
-    ("torque_gain", "torque_saturation"),
-    ("elasticity", "delay"),
-    ("torque_ripple", "encoder_error"),
-    ("stribeck", "nonlinear_viscous"),
-    ("load_friction", "torque_saturation"),
-    ("thermal_drift", "asymmetric_viscous"),
-)
-"""Effects that one recording often cannot tell apart."""
-
-
 MAX_LINK_JOINTS = 12
 """Joints up to which effects of the links behind a joint are forecast, too [1]: their columns take
 the dynamics of the complete robot once per joint."""
@@ -143,7 +125,7 @@ def forecast_isolability(
         candidates = tuple(CandidateExplanation(form, None, 0.5) for form in effects.values())
         question = ExplanationSet(constants, candidates, comparisons)
         columns = EffectColumns(constants, list(effects.values()), uncertain_forms=True)
-        explanations = question.sized(columns, sampled, settings, SMALLEST_SEVERITY)
+        explanations = question.sized(columns, sampled, settings, MIN_SEVERITY)
         objective = SeparationObjective(columns, explanations, comparisons, settings)
         values = objective.separations(sampled)
         odds = 0.5 * values.reshape(len(pairs), 2).min(axis=1)

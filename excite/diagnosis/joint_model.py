@@ -27,13 +27,14 @@ from ..effects import (
     stribeck,
 )
 from ..effects.effect import CandidateModel, Key
-from ..effects.form_error import RELATIVE_STD, with_form_error
+from ..effects.form_error import with_form_error
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.consistency import ConsistentEstimate
 from ..identification.dissipation import friction_powers
 from ..identification.identification import Identification
 from ..identification.segments import RecordingSegment
+from ..schemas.effects import FORM_ERROR_STD
 from . import recording_chain, ripple_search, session_changes
 from .columns import Columns
 from .flexible_models import UNMODELLED
@@ -216,7 +217,7 @@ class JointModel:
                 prior /= np.maximum(size, 1e-3 * size.max())
         prior[: len(model.prior_shares)] *= model.prior_shares
         if model.form_columns:
-            prior[-model.form_columns :] = RELATIVE_STD
+            prior[-model.form_columns :] = FORM_ERROR_STD
         nonnegative = np.array(model.nonnegative or (False,) * k)
         return Columns(tuple(joints), tuple(values), nonnegative, prior)
 

@@ -20,6 +20,7 @@ import numpy as np
 from .._types import FloatArray
 from ..effects.effect import CandidateModel, Key
 from ..effects.form_error import with_form_error
+from ..schemas.effects import MIN_SEVERITY
 from . import probability
 from .joint_model import FRICTIONS, JointModel, transient_rows
 from .normal_equations import Solution
@@ -27,8 +28,6 @@ from .probability import Probability
 
 DENSE_NAMES = (*FRICTIONS, "torque_ripple")
 """Effects that the joint model has from the start."""
-MIN_SEVERITY = 0.3
-"""Growth of the residual without an effect, over the noise, from which it counts."""
 SIZE_SPREAD = 0.4
 """Standard deviation of the logarithm of a friction's size, by the form of its curve, of which
 another friction may take a part."""

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..designer.isolability_forecast import CONFUSABLE_PAIRS
 from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel, Key
 from ..effects.form_error import with_form_error
+from ..schemas.effects import CONFUSABLE_PAIRS
 from . import probability, rare_candidates
 from .estimates import EffectEstimate
 from .joint_model import JointModel

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects.effect import CandidateModel, Key
-from ..effects.form_error import RELATIVE_STD
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
+from ..schemas.effects import FORM_ERROR_STD
 from . import cross_validation, joint_model, posterior, probability
 from .filter_search import FilterFits
 from .flexible_models import UNMODELLED, flexible_models
@@ -310,7 +310,7 @@ class _Search:
         other = self._fit((*self._shapes, moved.model))
         gain = _evidence(other, shape.key) - _evidence(extended, shape.key)
         # a difference of form explains the square of its share of the evidence
-        is_better = gain > RELATIVE_STD**2 * present.evidence
+        is_better = gain > FORM_ERROR_STD**2 * present.evidence
         return (moved.model, other) if is_better else (shape, extended)
 
     def _may_be_needed(self, shape: CandidateModel) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
+from ..schemas.effects import BASE_MODES
 from .effect import CandidateModel, Effect, NonlinearParameter, Values, grid_candidates, within
 from .gear_dynamics import (
     FREQUENCY_FACTOR,
@@ -19,9 +20,6 @@ from .gear_dynamics import (
 )
 from .recorded_motion import FittedRobot, RecordedMotion
 
-MODES = ((0, 1), (3, 4), (5,), (3,), (4,))
-"""Coordinates of a base that slides horizontally, tilts about both horizontal axes, turns about the
-vertical, or tilts about one axis."""
 FREQUENCIES = np.geomspace(1.9, 19.0, 10)
 """Grid of natural frequencies of the base under the moving robot [Hz]. Optimised between its points
 they have a prior from 1.5 to 24 Hz: mounts of robots lie at 5 to 20 Hz (the catalogue's usual
@@ -124,7 +122,7 @@ class _BaseCompliance(Effect):
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         values = model.values
-        axes = list(MODES[int(values["way"])])
+        axes = list(BASE_MODES[int(values["way"])])
         dynamics, upright = motion.base_dynamics, motion.upright_inertia[axes]
         mass, by_speed, by_place = (
             x[:, :, axes] for x in (dynamics.mass, dynamics.by_speed, dynamics.by_place)
@@ -152,7 +150,7 @@ class _BaseCompliance(Effect):
 
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         """Yield frequencies and damping ratios of every mode."""
-        for mode, axes in enumerate(MODES):
+        for mode, axes in enumerate(BASE_MODES):
             ratio = _upright_frequency_ratio(motions, axes, PEDESTAL_INERTIA)
             frequencies = (FREQUENCIES * ratio).tolist()
             for damping in DAMPING_RATIOS:
@@ -175,7 +173,7 @@ class _BaseCompliance(Effect):
 
     def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
         """Change damping, the pedestal's inertia, or the ratio of two frequencies."""
-        v, axes = model.values, MODES[int(model.values["way"])]
+        v, axes = model.values, BASE_MODES[int(model.values["way"])]
         out = [model.with_values(damping=z) for z in neighbouring_damping_ratios(v["damping"])]
         for stand in (v["stand"] / PEDESTAL_FACTOR, v["stand"] * PEDESTAL_FACTOR):
             if MIN_PEDESTAL_INERTIA < stand < MAX_PEDESTAL_INERTIA:

@@ -18,18 +18,12 @@ from dataclasses import replace
 import numpy as np
 
 from .._types import FloatArray
+from ..schemas.effects import FORM_POSITION_WAVES, FORM_SPEED_WAVES
 from .effect import CandidateModel
 from .recorded_motion import RecordedMotion, max_speed, position_range
 
-POSITION_WAVES = 4
-"""Half waves over the range of the joint: the factor is smooth [1]."""
-SPEED_WAVES = 2
-"""Half waves over the range of speeds [1]."""
 DERIVATIVES = 2
 """Time derivatives of the torque, as of a second-order lag [1]."""
-RELATIVE_STD = 0.15
-"""Prior standard deviation η of each factor [1]: the least form error of load friction, ripple and
-hysteresis of real gears. A term of the model, not a threshold."""
 
 
 def with_form_error(
@@ -41,7 +35,7 @@ def with_form_error(
     if joint is not None:
         low, high = position_range(motions, joint)
         top = max_speed(motions, joint)
-        count = POSITION_WAVES + SPEED_WAVES + DERIVATIVES
+        count = FORM_POSITION_WAVES + FORM_SPEED_WAVES + DERIVATIVES
 
     def columns(motion: RecordedMotion) -> FloatArray:
         torque = model.columns(motion)
@@ -52,8 +46,8 @@ def with_form_error(
             s = motion.samples
             q, speed = motion.at_rows(np.column_stack([s.q[:, joint], s.dq[:, joint]])).T
             place, rate = (q - low) / max(high - low, 1e-9), np.abs(speed) / max(top, 1e-9)
-            factors = [np.cos(np.pi * m * place) for m in range(1, POSITION_WAVES + 1)]
-            factors += [np.cos(np.pi * m * rate) for m in range(1, SPEED_WAVES + 1)]
+            factors = [np.cos(np.pi * m * place) for m in range(1, FORM_POSITION_WAVES + 1)]
+            factors += [np.cos(np.pi * m * rate) for m in range(1, FORM_SPEED_WAVES + 1)]
             varied = total[:, :, None] * np.column_stack(factors)[:, None, :]
         derivatives, size = [total], np.sqrt(np.mean(total**2))
         while len(derivatives) <= DERIVATIVES:

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..designer.discrimination_result import CONFIRMATION_REMARK, DiscriminationResult
 from ..designer.experiment_menu import DECISIVE_LOG_ODDS, Experiment
-from ..designer.isolability_forecast import SMALLEST_SEVERITY, PairForecast
-from ..schemas.effects import effect_words
+from ..designer.isolability_forecast import PairForecast
+from ..schemas.effects import MIN_SEVERITY, effect_words
 from .content import Section, Table, TableCell
 from .formatting import capitalized, number, odds_words, plural
 
@@ -124,7 +124,7 @@ def isolability_section(pairs: Sequence[PairForecast]) -> Section:
     ]
     data = {
         "table": Table(("joint", "effect", "rival", "expected odds"), rows, (3,)),
-        "severity": f"{SMALLEST_SEVERITY:g}",
+        "severity": f"{MIN_SEVERITY:g}",
         "decisive": odds_words(DECISIVE_LOG_ODDS),
     }
     return Section("isolability", "Which effects will it not tell apart?", answer, data)

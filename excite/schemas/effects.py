@@ -36,8 +36,9 @@ DAMPING_RATIO = Range(1e-6, 10.0, "1")
 WAVE_MULTIPLES = {"twice": FLAG, "thrice": FLAG}
 INTEGERS = ("waves", "knots", "elements", "way", "form", "link", "count", "poles", "passes")
 """Values that are integers."""
-AXES_OF_WAYS = (2, 2, 1, 1, 1)
-"""Number of coordinates of each mode in which a base can move."""
+BASE_MODES = ((0, 1), (3, 4), (5,), (3,), (4,))
+"""Coordinates of a base that slides horizontally, tilts about both horizontal axes, turns about the
+vertical, or tilts about one axis."""
 ENDS = {"low": POSITION, "high": POSITION}
 """Positions between which a spring was fitted, and beyond which its torque is that of the end."""
 COLUMNS_OF_FORMS = (1, 2, 2, 3, 4)
@@ -199,11 +200,11 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
             {
                 "frequency": FREQUENCY,
                 "damping": DAMPING_RATIO,
-                "way": Range(0.0, len(AXES_OF_WAYS) - 1.0, "1"),
+                "way": Range(0.0, len(BASE_MODES) - 1.0, "1"),
                 "stand": POSITIVE,
                 "apart": Range(1e-2, 1e2, "1"),
             },
-            coefficients=lambda values: AXES_OF_WAYS[int(values["way"])],
+            coefficients=lambda values: len(BASE_MODES[int(values["way"])]),
             joint=False,
         ),
     ),
@@ -217,6 +218,30 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
 }
 """The forms of every effect of the catalogue, by its name."""
 
+
+CONFUSABLE_PAIRS = (
+    ("nonlinear_viscous", "drag"),
+    ("load_friction", "position_friction"),
+    ("hysteresis", "delay"),
+    ("stribeck", "drag"),
+    ("stribeck", "hysteresis"),
+    ("torque_gain", "torque_saturation"),
+    ("elasticity", "delay"),
+    ("torque_ripple", "encoder_error"),
+    ("stribeck", "nonlinear_viscous"),
+    ("load_friction", "torque_saturation"),
+    ("thermal_drift", "asymmetric_viscous"),
+)
+"""Effects that one recording often cannot tell apart."""
+MIN_SEVERITY = 0.3
+"""Smallest RMS torque of an effect beyond the base model and all others, over the noise [1]."""
+FORM_POSITION_WAVES = 4
+"""Half waves of the form error of an effect over the range of its joint: it is smooth [1]."""
+FORM_SPEED_WAVES = 2
+"""Half waves of this error over the range of speeds [1]."""
+FORM_ERROR_STD = 0.15
+"""Prior standard deviation η of each of its factors [1]: the least form error of load friction,
+ripple and hysteresis of real gears. A term of the model, not a threshold."""
 
 _WORDS = {
     "asymmetric_viscous": "viscous friction that differs by direction",

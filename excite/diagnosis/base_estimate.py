@@ -57,14 +57,14 @@ def base_estimate(joint: JointModel) -> Estimate:
     covariance[hidden, hidden] = np.inf
     freedom = float(regression.moving.sum() - regression.fitted_per_joint().sum())
     return Estimate(
-        Method.WLS,
-        theta,
-        np.linalg.solve(np.linalg.cholesky(spread), inward),
-        covariance,
-        np.diag(regression.sigma),
-        spectrum,
-        residual,
-        freedom,
+        method=Method.WLS,
+        theta=theta,
+        information_root=np.linalg.solve(np.linalg.cholesky(spread), inward),
+        covariance=covariance,
+        noise_root=np.diag(regression.sigma),
+        noise_spectrum=spectrum,
+        residual=residual,
+        degrees_of_freedom=freedom,
     )
 
 

@@ -163,9 +163,9 @@ def decide(
             pairs.append(
                 Decision(
                     *pair,
-                    before.get(rival),
-                    next((entry for entry in odds if entry is not None), None),
-                    rival_evidence.log_odds(factor),
+                    before=before.get(rival),
+                    expected=next((entry for entry in odds if entry is not None), None),
+                    after=rival_evidence.log_odds(factor),
                 )
             )
     return Decisions(tuple(pairs), tuple(classes))

@@ -193,10 +193,10 @@ def diagnose(
         band=hertz, trusted=options.prior.parameters, widths=options.prior.widths
     )
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
-    halves = [_motions(identified, group, hertz) for group in pieces]
-    errors = PositionErrors(identified, halves[0])
+    motions = [_motions(identified, group, hertz) for group in pieces]
+    errors = PositionErrors(identified, motions[0])
     progress("fitting all frictions jointly, then rare effects")
-    model, rare, small = selection.find_rare_effects(identified, halves[0], errors, progress)
+    model, rare, small = selection.find_rare_effects(identified, motions[0], errors, progress)
     progress("evidence of each effect")
     evidence = cross_validation.select(model)
     residual = model.regression.residual(model.regression.without(posterior.left_out(evidence)))
@@ -226,26 +226,26 @@ def diagnose(
     effects = estimates.on_base(effects, model, evidence, final.motions[0].fitted_robot)
     progress("held-out recordings")
     document = final.document(train, known)
-    measured = _motions(identified, recorded[1], hertz) if known else halves[1]
-    held_out = _held_out_errors(final, document, recorded[0], measured, halves[1])
+    measured = _motions(identified, recorded[1], hertz) if known else motions[1]
+    held_out = _held_out_errors(final, document, recorded[0], measured, motions[1])
     if refit is not None:
         held_out = replace(held_out, rmse_refit=_rmse(_motions(refit, pieces[1], hertz)))
     return Diagnosis(
-        identified,
-        hertz,
-        model,
-        tuple(effects),
-        final,
-        estimate,
-        residual_rms,
-        tuple(remaining),
-        held_out,
-        budget.torque_budget(identified, halves, final, effects, held_out),
-        document,
-        rival_evidence.not_excluded(model, effects, bool(settings.trusted)),
-        tuple(_changes(final, held_out)),
-        gear_encoders.gears(halves, (train, validate)),
-        known,
+        identified=identified,
+        hertz=hertz,
+        model=model,
+        effects=tuple(effects),
+        final=final,
+        noise=estimate,
+        residual=residual_rms,
+        unmodelled=tuple(remaining),
+        held_out=held_out,
+        budget=budget.torque_budget(identified, motions, final, effects, held_out),
+        document=document,
+        rivals=rival_evidence.not_excluded(model, effects, bool(settings.trusted)),
+        changes=tuple(_changes(final, held_out)),
+        gears=gear_encoders.gears(motions, (train, validate)),
+        known=known,
     )
 
 

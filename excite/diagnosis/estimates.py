@@ -265,30 +265,37 @@ def _displaced(
     left_out, joints = posterior.left_out(evidence), model.regression.joints_of
     acting = joints(present.members)
     return [
-        gone.effect
-        for gone in evidence
-        if gone.effect not in (*DENSE_NAMES, UNMODELLED, present.effect)
-        and not gone.is_in_model
-        and acting & joints(gone.members)
+        absent.effect
+        for absent in evidence
+        if absent.effect not in (*DENSE_NAMES, UNMODELLED, present.effect)
+        and not absent.is_in_model
+        and acting & joints(absent.members)
         and posterior.evidence_of(
-            model, gone.members, (left_out | set(present.members)) - set(gone.members)
+            model, absent.members, (left_out | set(present.members)) - set(absent.members)
         ).is_needed
     ]
 
 
-def _clock_delay(of: _Posterior) -> list[EffectEstimate]:
+def _clock_delay(posterior_of: _Posterior) -> list[EffectEstimate]:
     """The delay of the clock."""
-    model, seconds = of.model, of.model.chain.delay
+    model, seconds = posterior_of.model, posterior_of.model.chain.delay
     if not seconds:
         return []
     factor, std = joint_model.delay_evidence(model, seconds)
-    change = np.zeros(len(of.solution.coefficients))
+    change = np.zeros(len(posterior_of.solution.coefficients))
     change[model.delay_place] = seconds
-    torque = of.torque_beyond_base(change)
+    torque = posterior_of.torque_beyond_base(change)
     severity = float((torque / model.regression.sigma).max())
     is_large = abs(seconds) > recording_chain.MIN_DELAY and severity > MIN_SEVERITY
-    shapes = (delay.clock_delay(),)
-    evidence = EffectEvidence((), shapes, 1, factor, torque, severity, is_large)
+    evidence = EffectEvidence(
+        members=(),
+        models=(delay.clock_delay(),),
+        freedom=1,
+        log_bayes_factor=factor,
+        growth=torque,
+        size=severity,
+        is_in_model=is_large,
+    )
     return [
         EffectEstimate.of(
             evidence,
@@ -328,6 +335,12 @@ class _Posterior:
         return np.asarray(
             w[np.ix_(first, second)]
             - w[np.ix_(first, base)] @ self._base_inverse @ w[np.ix_(base, second)]
+        )
+
+    def shared_power(self, first: IntArray, second: IntArray) -> float:
+        """Return the posterior covariance of two torques beyond the base model, over all rows."""
+        return float(
+            np.sum(self.solution.covariance(first, second) * self.projected(first, second))
         )
 
     def estimate(self, estimate: EffectEstimate) -> EffectEstimate:
@@ -448,24 +461,24 @@ class _Posterior:
         return slope, float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
 
 
-def _likeness(of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:
+def _likeness(posterior_of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:
     """Names of effects at the same joint that may stand for each effect of the model."""
     needed = [
         e
         for e in evidence
-        if e.effect != UNMODELLED and e.is_in_model and len(of.places(e.members))
+        if e.effect != UNMODELLED and e.is_in_model and len(posterior_of.places(e.members))
     ]
     out: dict[Key, list[str]] = {}
     for first in needed:
-        a = of.places(first.members)
-        variance = float(np.sum(of.solution.covariance(a, a) * of.projected(a, a)))
+        a = posterior_of.places(first.members)
+        variance = posterior_of.shared_power(a, a)
         names = []
         for second in needed:
             if second is first or second.joint != first.joint or second.effect == first.effect:
                 continue
-            b = of.places(second.members)
-            other = float(np.sum(of.solution.covariance(b, b) * of.projected(b, b)))
-            shared = float(np.sum(of.solution.covariance(a, b) * of.projected(a, b)))
+            b = posterior_of.places(second.members)
+            other = posterior_of.shared_power(b, b)
+            shared = posterior_of.shared_power(a, b)
             if shared < ALIKE_CORRELATION * np.sqrt(max(variance * other, 1e-300)):
                 names.append(second.effect)
         out[first.key] = names

@@ -56,11 +56,11 @@ class FinalModel:
     @property
     def _recording(self) -> tuple[FittedEffect, ...]:
         """The recording chain: its filter and its delay, as far as it has them."""
-        late = FittedEffect(delay.clock_delay(), np.array([self.chain.delay]))
+        clock_delay = FittedEffect(delay.clock_delay(), np.array([self.chain.delay]))
         passed = self.chain.filter
         return (
             *((FittedEffect(delay.filtered_recording(passed), np.ones(1)),) if passed else ()),
-            *((late,) if abs(self.chain.delay) >= recording_chain.MIN_DELAY else ()),
+            *((clock_delay,) if abs(self.chain.delay) >= recording_chain.MIN_DELAY else ()),
         )
 
     @property

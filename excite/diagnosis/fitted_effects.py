@@ -144,16 +144,16 @@ def _effect_torque(
         )
         band = segment.band(min(fitted.hertz, MAX_BAND_SHARE * segment.rate))
         motion = RecordedMotion(
-            segment,
-            band,
-            robot,
-            fitted.widths,
-            np.zeros(0),
-            no_rows,
-            no_rows[:, :, None],
-            no_rows,
-            slice(0),
-            np.zeros(0),
+            segment=segment,
+            band=band,
+            fitted_robot=robot,
+            widths=fitted.widths,
+            theta=np.zeros(0),
+            torque=no_rows,
+            gamma=no_rows[:, :, None],
+            slopes=no_rows,
+            kept=slice(0),
+            time=np.zeros(0),
         )
         out = torque(of_motion, motion)
         for part in of_measured_torque:

@@ -173,7 +173,11 @@ def _resonances(columns: _Columns, state: str, regime: str) -> Iterator[Candidat
         drives.append(u - u.mean())
 
     resonance = _Resonance(
-        *(UNMODELLED, "z̈ + 2ζω ż + ω² z = u", {}, "", ""),
+        name=UNMODELLED,
+        equation="z̈ + 2ζω ż + ω² z = u",
+        units={},
+        signature="",
+        experiment="",
         columns=columns,
         drives=drives,
         regime=regime,

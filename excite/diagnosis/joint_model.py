@@ -318,10 +318,10 @@ def fit(
             motion.replace_torques(torque)
         fitted = base_model(identified, present, psi, chain, fitted)
         fitted = fitted.with_effects([*dense_models(present, build_ups, shares), *rare, *waves])
-    stay = _build_ups(identified, fitted, build_ups)
-    leaving = [i for j in build_ups or () if j not in stay for i in fitted.built_up(j)]
-    if leaving:
-        fitted = fitted.keeping([i for i in range(len(fitted.models)) if i not in leaving])
+    kept = _build_ups(identified, fitted, build_ups)
+    dropped = [i for j in build_ups or () if j not in kept for i in fitted.built_up(j)]
+    if dropped:
+        fitted = fitted.keeping([i for i in range(len(fitted.models)) if i not in dropped])
     reweight(fitted.regression)
     for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
         motion.replace_torques(torque, torque)
@@ -331,24 +331,24 @@ def fit(
 def _build_ups(
     identified: Identification,
     fitted: JointModel,
-    among: Mapping[int, Mapping[str, float]] | None,
+    candidates: Mapping[int, Mapping[str, float]] | None,
 ) -> dict[int, Mapping[str, float]]:
     """Return how the dry frictions of joints build up, by joint.
 
     Presliding elements must have most of Coulomb friction, with the other frictions built up in
     them as well, and there must be evidence for that. Joints enter by the first fit alone, in which
-    the weights are the same with and without them (`among` is None), and may leave later.
+    the weights are the same with and without them (`candidates` is None), and may leave later.
     """
-    mostly = _mostly_built_up(_shares_of_elements(identified, fitted))
-    if among is None and mostly:
-        among = mostly
-        fitted = fitted.with_effects(_built_up_models(fitted.motions, among))
-        mostly = _mostly_built_up(_shares_of_elements(identified, fitted))
+    built_up = _mostly_built_up(_shares_of_elements(identified, fitted))
+    if candidates is None and built_up:
+        candidates = built_up
+        fitted = fitted.with_effects(_built_up_models(fitted.motions, candidates))
+        built_up = _mostly_built_up(_shares_of_elements(identified, fitted))
     at_once = fitted.regression.log_evidence
     return {
         j: build_up
-        for j, build_up in mostly.items()
-        if j in (among or ())
+        for j, build_up in built_up.items()
+        if j in (candidates or ())
         and fitted.log_evidence - at_once(fitted.regression.without(fitted.built_up(j)))
         > MIN_ENTRY_EVIDENCE
     }

@@ -89,9 +89,9 @@ class Elimination:
         others: The others, shape (m,).
         bounded: Those of the others that cannot be negative, shape (m,).
         factor: L, shape (f, f).
-        half: W, shape (f, m + 1).
+        half_solved: W, shape (f, m + 1).
         schur: Information of the others, shape (m, m).
-        target: Their score, shape (m,).
+        score: Their score, shape (m,).
     """
 
     scale: FloatArray
@@ -99,9 +99,9 @@ class Elimination:
     others: IntArray
     bounded: BoolArray
     factor: FloatArray
-    half: FloatArray
+    half_solved: FloatArray
     schur: FloatArray
-    target: FloatArray
+    score: FloatArray
 
     @classmethod
     def of(
@@ -116,12 +116,12 @@ class Elimination:
         a, b = system.matrix * scale[:, None] * scale, system.score * scale
         factor = _cholesky(a[np.ix_(base, base)], RIDGE)
         right = np.column_stack([a[np.ix_(base, others)], b[base]])
-        half = _half_solved(factor, right)
-        product = half.T @ half
+        half_solved = _half_solved(factor, right)
+        product = half_solved.T @ half_solved
         schur = a[np.ix_(others, others)] - product[:-1, :-1]
         schur[np.diag_indices(len(others))] += RIDGE
-        target = b[others] - product[:-1, -1]
-        return cls(scale, base, others, nonnegative[others], factor, half, schur, target)
+        score = b[others] - product[:-1, -1]
+        return cls(scale, base, others, nonnegative[others], factor, half_solved, schur, score)
 
     def minimum(self, system: System, used: BoolArray, likely: BoolArray) -> Solution:
         """Return the minimum over the used coefficients, shape (K,).
@@ -131,9 +131,9 @@ class Elimination:
         x, active = np.zeros(len(used)), used.copy()
         others = self.others
         x[others], active[others], log_determinant = _bounded_minimum(
-            self.schur, self.target, used[others], self.bounded, likely[others]
+            self.schur, self.score, used[others], self.bounded, likely[others]
         )
-        right = self.half[:, -1] - self.half[:, :-1] @ x[others]
+        right = self.half_solved[:, -1] - self.half_solved[:, :-1] @ x[others]
         x[self.base] = _half_solved(self.factor, right, transposed=True)
         x *= self.scale
         objective = 0.5 * (system.power + x @ system.matrix @ x) - system.score @ x

@@ -47,8 +47,8 @@ class EffectEvidence:
         log_bayes_factor: Of the model with it over the model without.
         growth: RMS torque by which the residual of each joint grows without it, √(r² − r₀²) with
             the RMS residuals r without it and r₀ with it [N m], shape (n,).
-        size: The largest of them over the residual of its joint [1]; of an effect that acts for
-            some of the time, of the rows in which it acts.
+        size: The largest of them over `regression.sigma` of its joint [1]; of an effect that
+            acts for some of the time, of the rows in which it acts.
         is_in_model: Whether it is in the model that was selected.
         spoils_prediction: Whether it is not, because rows to which it is not fitted are predicted
             worse with it.
@@ -133,15 +133,15 @@ def select(model: JointModel) -> list[EffectEvidence]:
     """
     groups = effect_groups(model)
     regression = model.regression
-    left_out: set[int] = set()
+    omitted: set[int] = set()
     for key in [key for key in groups if key[0] not in DENSE_NAMES]:
-        left_out |= judge(model, key, left_out)[1]
-    gone = [key for key, members in groups.items() if set(members) <= left_out]
-    out = [evidence_of(model, groups[key]) for key in gone]
+        omitted |= judge(model, key, omitted)[1]
+    hidden = [key for key, members in groups.items() if set(members) <= omitted]
+    out = [evidence_of(model, groups[key]) for key in hidden]
     evidence = {
-        key: evidence_of(model, members, left_out)
+        key: evidence_of(model, members, omitted)
         for key, members in groups.items()
-        if key not in gone
+        if key not in hidden
     }
     while evidence:
         unneeded = [key for key, entry in evidence.items() if not entry.is_needed]
@@ -149,14 +149,14 @@ def select(model: JointModel) -> list[EffectEvidence]:
             break
         key = min(unneeded, key=lambda k: evidence[k].log_bayes_factor)
         out.append(evidence.pop(key))
-        left_out |= set(groups[key])
+        omitted |= set(groups[key])
         touched = regression.joints_of(groups[key])
         for other in evidence:
             if touched & regression.joints_of(groups[other]):
-                evidence[other] = evidence_of(model, groups[other], left_out)
+                evidence[other] = evidence_of(model, groups[other], omitted)
     # one that is doubtful only next to a form error stays: it is a part of the friction curve
     for joint in range(model.n):
-        evidence |= _next_to_form_errors(model, joint, left_out, evidence)
+        evidence |= _next_to_form_errors(model, joint, omitted, evidence)
     return [*evidence.values(), *(replace(e, is_in_model=False) for e in out)]
 
 
@@ -164,36 +164,38 @@ def _next_to_form_errors(
     model: JointModel, joint: int, left_out: Collection[int], evidence: Mapping[Key, EffectEvidence]
 ) -> dict[Key, EffectEvidence]:
     """Return the evidence of a joint's frictions, each next to the form errors of larger ones."""
-    present = sorted(
+    frictions = sorted(
         (e for key, e in evidence.items() if key[0] in FRICTIONS and key[1] == joint),
         key=lambda e: -e.log_bayes_factor,
     )
-    if len(present) < 2:
+    if len(frictions) < 2:
         return {}
     regression = model.regression.copy()
     extended = replace(model, regression=regression)
     out: dict[Key, EffectEvidence] = {}
-    gone = set(left_out)
-    for larger, smaller in itertools.pairwise(present):
-        alone = regression.without({*gone, *smaller.members})
+    omitted = set(left_out)
+    for larger, smaller in itertools.pairwise(frictions):
+        larger_only = regression.without({*omitted, *smaller.members})
         for number in larger.members:
-            if not alone.coefficients[regression.slices[number]].any():
+            if not larger_only.coefficients[regression.slices[number]].any():
                 continue  # a form that is not used here
             columns = model.columns(
                 with_form_error(
                     model.models[number],
                     model.motions,
-                    alone.coefficients[regression.slices[number]],
+                    larger_only.coefficients[regression.slices[number]],
                 )
             )
             if columns is not None:
-                regression.add(columns.after(len(alone.coefficients[regression.slices[number]])))
-        judged = evidence_of(extended, smaller.members, gone)
+                regression.add(
+                    columns.after(len(larger_only.coefficients[regression.slices[number]]))
+                )
+        judged = evidence_of(extended, smaller.members, omitted)
         if judged.size < MIN_SEVERITY:  # too small to be evidence; the robot's other joints decide
             judged = replace(judged, log_bayes_factor=min(judged.log_bayes_factor, 0.0))
         out[smaller.key] = judged
         if not judged.is_needed:
-            gone |= set(smaller.members)
+            omitted |= set(smaller.members)
     return out
 
 

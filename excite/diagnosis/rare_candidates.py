@@ -207,12 +207,12 @@ class CandidateColumns:
             # frictions that nothing needs are no merit of what would take their place
             lost = max(model.log_evidence - reduced.log_evidence, 0.0)
             absorbed = self._rankings(reduced, (self._absorbed,))
-            alone = _scores(absorbed)
+            unhidden = _scores(absorbed)
             for key, ranking in absorbed.items():
                 if key in is_seen:
                     continue  # no friction hides it
-                evidence = alone[key] - lost
-                if evidence > -TIE and alone[key] > MIN_CANDIDATE_EVIDENCE:
+                evidence = unhidden[key] - lost
+                if evidence > -TIE and unhidden[key] > MIN_CANDIDATE_EVIDENCE:
                     evidence = max(evidence, float(np.nextafter(MIN_CANDIDATE_EVIDENCE, np.inf)))
                 if joint in (None, key[1]) and evidence > scores.get(key, -np.inf):
                     scores[key], rankings[key] = evidence, ranking

@@ -132,12 +132,12 @@ def find(
         square = float(np.mean(residual[regression.moving[:, j], j] ** 2))
         known = expected[:, j]
         known = known + max(float(estimate.steps[j]) ** 2 - float(known.mean()), 0.0)
-        share, sure = repeated_share(products[:, j], square, known)
+        share, z_score = repeated_share(products[:, j], square, known)
         size = float(np.sqrt(max(share, 0.0) * square))
-        chance = float(special.expit(0.5 * max(sure, 0.0) ** 2 + LOG_ODDS))
-        if chance >= 0.5 and size > MIN_SIZE * estimate.floor[j]:
+        probability = float(special.expit(0.5 * max(z_score, 0.0) ** 2 + LOG_ODDS))
+        if probability >= 0.5 and size > MIN_SIZE * estimate.floor[j]:
             curve = _curve(rows, regression.moving[:, j], residual[:, j], j, "q", j)
-            out.append(UnmodelledTorque(j, REPETITION, share, size, chance, curve))
+            out.append(UnmodelledTorque(j, REPETITION, share, size, probability, curve))
     return sorted(out, key=lambda entry: entry.joint)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .._types import FloatArray
-from ..identification.lowpass import Grid
+from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from .effect import (
     CandidateModel,
     Effect,
@@ -37,7 +37,7 @@ ALIAS_ORDER_FACTOR = 1.25
 
 
 class _EncoderError(Effect):
-    """Torque by an error δ of the recorded position: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
+    """Torque by a position error δ: −(∂τ/∂q δ + (∂τ/∂q̇ + F_v) δ̇ + (M + I_a) δ̈)."""
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         joint, robot = model.joint_index, motion.fitted_robot
@@ -47,7 +47,10 @@ class _EncoderError(Effect):
         q = motion.coarse_samples.q[:, joint]
         error = np.array([f(order * q) for order in orders for f in (np.cos, np.sin)]).T
         spectrum = motion.band.transform(error, Grid.COARSE)
-        first, second = spectrum.filter(Grid.COARSE, 1, 2.0), spectrum.filter(Grid.COARSE, 2, 2.0)
+        first, second = (
+            spectrum.filter(Grid.COARSE, derivative, MOTION_BANDWIDTH_RATIO)
+            for derivative in (1, 2)
+        )
         torque = by_q * error[:, None] + by_v * first[:, None] + mass * second[:, None]
         torque[:, joint] += (
             robot.actuator_parameter("rotor_inertia")[joint] * second

@@ -159,8 +159,8 @@ def simulate_backlash_gap(push: FloatArray, dt: float, half_gap: float, omega: f
     implicit in the position: between the boundaries xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt².
     """
     c = 1.0 - 2.0 * GAP_DAMPING_RATIO * omega * dt
-    b, leaving = 1.0 + c - (omega * dt) ** 2, omega**2 * half_gap
-    leaves_high, leaves_low = np.flatnonzero(push < leaving), np.flatnonzero(push > -leaving)
+    b, threshold = 1.0 + c - (omega * dt) ** 2, omega**2 * half_gap
+    leaves_high, leaves_low = np.flatnonzero(push < threshold), np.flatnonzero(push > -threshold)
     kicks, out = (push * dt**2).tolist(), np.empty(len(push))
     k, x = 0, half_gap if push[0] > 0.0 else -half_gap
     while k < len(push):

@@ -51,6 +51,11 @@ def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     return stroke, np.diff(corners, append=q[-1]), q - corners[stroke]
 
 
+def _reach(model: CandidateModel) -> tuple[float, float]:
+    """Reaches of the first and of the last element [rad or m]."""
+    return model.values["reach"], model.values["last_reach"]
+
+
 def _elements(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     """Forces of the elements of a model's joint, shape (M, ELEMENTS)."""
     j = model.joint_index
@@ -59,8 +64,7 @@ def _elements(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         q = motion.samples.q[:, j]
         return np.column_stack([maxwell_slip(q, d) for d in reaches(model.values).tolist()])
 
-    name = f"Maxwell-slip elements of joint {j} from {model.values['reach']}"
-    return motion.for_all_fits(name, compute)
+    return motion.for_all_fits(("elements", j, *_reach(model)), compute)
 
 
 def build_up(model: CandidateModel, c: FloatArray, coulomb: float) -> dict[str, float]:
@@ -104,8 +108,8 @@ class _Hysteresis(Effect):
             unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
             return motion.lowpass(np.hstack([elements, unequal]))
 
-        name = f"low-passed Maxwell-slip elements of joint {j} from {values['reach']}"
-        columns = motion.for_all_fits(name, low_passed).copy()
+        key = ("low-passed elements", j, *_reach(model))
+        columns = motion.for_all_fits(key, low_passed).copy()
         columns[:, :ELEMENTS] -= motion.lowpass(motion.sign(j)[:, None])
         sticks = np.abs(_elements(motion, model)) < 1.0
         damped = motion.lowpass((motion.samples.dq[:, j] * (sticks @ damping(values)))[:, None])

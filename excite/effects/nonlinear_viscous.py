@@ -19,7 +19,7 @@ class _NonlinearViscous(JointTorque):
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         j = model.joint_index
         curves = motion.for_all_fits(
-            f"viscous curves of joint {j} with {model.values}",
+            ("viscous curves", model.form),
             lambda: motion.lowpass(self._at_samples(motion, model)),
         )
         return single_joint_rows(motion, j, curves)

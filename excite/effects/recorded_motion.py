@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, TypeVar, cast
@@ -100,7 +100,7 @@ class RecordedMotion:
     kept: slice
     time: FloatArray
     grid: Grid = Grid.KEPT
-    motion_cache: dict[str, object] = field(
+    motion_cache: dict[Hashable, object] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -112,11 +112,11 @@ class RecordedMotion:
         """Number of joints."""
         return int(self.torque.shape[1])
 
-    def for_all_fits(self, name: str, compute: Callable[[], T]) -> T:
+    def for_all_fits(self, key: Hashable, compute: Callable[[], T]) -> T:
         """Return a value that depends on neither the torque nor the base model, computed once."""
-        if name not in self.motion_cache:
-            self.motion_cache[name] = compute()
-        return cast(T, self.motion_cache[name])
+        if key not in self.motion_cache:
+            self.motion_cache[key] = compute()
+        return cast(T, self.motion_cache[key])
 
     def _of_same_motion(self, **changes: Any) -> RecordedMotion:
         """Return another fit to the same motion, which shares all that depends on it alone."""

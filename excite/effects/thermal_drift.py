@@ -111,7 +111,7 @@ class _ThermalDrift(Effect):
         else:
             warming = np.concatenate([_warming(motion, model) for motion in model.motions])
             largest, mean = float(warming.max()), float(warming.mean())
-            lower = max(-1.0 / (largest - mean), -MAX_COLD_EXCESS / mean)
+            lower = max(-1.0 / max(largest - mean, 1e-12), -MAX_COLD_EXCESS / mean)
             upper = MAX_WARM_EXCESS / largest
         return bool(lower < c[0] < upper)
 

@@ -66,8 +66,8 @@ EFFECTS = (
     effect("hysteresis", reach=0.02),
     effect("thermal_drift", time_constant=8.0, coulomb=4.0, viscous=5.0),
     effect("coupling", other=2, ratio=0.5),
-    effect("delay", measured=0.0),
-    effect("delay", None, measured=0.0),
+    effect("delay", measured=1.0),
+    effect("delay", None, measured=1.0),
     effect("elasticity", stiffness=3e4, damping=0.07, rests=0.0),
     effect("encoder_error", order=2.0),
     effect("gravity_tilt", None, large=0.0),
@@ -119,7 +119,7 @@ def recorded() -> RecordedMotion:
         recording_start=0.0,
     )
     rows = np.zeros((0, n))
-    return RecordedMotion(
+    out = RecordedMotion(
         segment,
         segment.band(BAND),
         fitted_robot(c.robot, c.parameters, c.psi),
@@ -131,6 +131,8 @@ def recorded() -> RecordedMotion:
         slice(0, None),
         np.zeros(0),
     )
+    out.replace_torques(out.motor_torque)
+    return out
 
 
 def dahl(q: FloatArray, reach: float) -> FloatArray:

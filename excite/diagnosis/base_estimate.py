@@ -17,8 +17,7 @@ from .._types import FloatArray
 from ..identification.estimators import ZERO_COLUMN_RATIO, Estimate, Method
 from ..identification.lowpass import Grid
 from ..identification.noise_spectrum import noise_spectrum
-from ..identification.regression import TorqueEquations
-from ..robot.samples import Samples
+from ..identification.regression import RowLayout
 from .joint_model import JointModel
 from .regression import JointRegression
 
@@ -48,7 +47,7 @@ def base_estimate(joint: JointModel) -> Estimate:
     residual = np.where(regression.moving, regression.residual(), 0.0)
     leverage, scores = _rows(regression, along)
     spectrum, spread = noise_spectrum(
-        _equations(joint), residual * white, leverage, np.diag(1.0 / white), scores
+        _layout(joint), residual * white, leverage, np.diag(1.0 / white), scores
     )
     prior = regression.prior_matrix[np.ix_(others, others)]
     spread += along[others].T @ prior @ along[others]
@@ -82,22 +81,13 @@ def _rows(regression: JointRegression, along: FloatArray) -> tuple[FloatArray, F
     return leverage, scores * np.sqrt(regression.weights)[:, None]
 
 
-def _equations(joint: JointModel) -> TorqueEquations:
-    """Rows of the regression for the spectrum of its residual."""
-    motions, regression = joint.motions, joint.regression
-    counts = [len(motion) for motion in motions]
-    still = np.zeros_like(regression.torque)
-    return TorqueEquations(
-        regression.torque,
-        np.zeros((*regression.torque.shape, 0)),
-        still,
-        regression.moving,
-        Samples(still, still, still),
-        np.concatenate([motion.time for motion in motions]),
-        tuple(np.cumsum([0, *counts[:-1]]).tolist()),
-        tuple(motion.segment.source for motion in motions),
-        (0,) * len(motions),
-        (None,) * len(motions),
-        motions[0].band.hertz,
-        motions[0].band.rate_of(Grid.KEPT),
+def _layout(joint: JointModel) -> RowLayout:
+    """Segments of the regression's rows."""
+    counts = [len(motion) for motion in joint.motions]
+    return RowLayout(
+        moving=joint.regression.moving,
+        starts=tuple(np.cumsum([0, *counts[:-1]]).tolist()),
+        periods=(0,) * len(counts),
+        repeats=(None,) * len(counts),
+        rate=joint.motions[0].band.rate_of(Grid.KEPT),
     )

@@ -124,7 +124,7 @@ def _effect_torque(
     effects = [restored(stated, fitted.robot) for stated in fitted.effects]
     robot = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
     of_motion, of_measured_torque = (
-        [part for part in effects if (part.shape.values.get("measured", 0.0) > 0.0) is measured]
+        [part for part in effects if ("measured" in part.shape.values) is measured]
         for measured in (False, True)
     )
     # an actuator's loss before a clock's delay, as in the catalogue

@@ -7,7 +7,7 @@ measured torque, so it is the residual, measured minus predicted, whose repetiti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,8 +23,6 @@ from ..recordings.missing_values import true_runs
 from ..recordings.padding import with_response
 from . import position_errors
 
-Draw = Callable[[np.random.Generator], FloatArray]
-"""Draws the residual that quantisation alone would leave, shape (N, n)."""
 Period = tuple[float, tuple[float, float]]
 """Period of a motion [s], and start and end of the window in which it repeats [s]."""
 DRAWS = 3
@@ -220,10 +218,25 @@ def quantization_residuals(
     quantised again, with random origins.
     """
     rng = np.random.default_rng(0)
-    errors = [(_position_error(model, motion), _torque_error(motion)) for motion in motions]
-    return tuple(
-        np.concatenate([draw(rng) + of_torque for draw, of_torque in errors]) for _ in range(DRAWS)
-    )
+    smooth = [position_errors.smooth_positions(motion) for motion in motions]
+    exact = [
+        filtered_regressor(model, positions, motion.band)[0]
+        for motion, positions in zip(motions, smooth, strict=True)
+    ]
+    torque_errors = [_torque_error(motion) for motion in motions]
+
+    def draw() -> Iterator[FloatArray]:
+        for motion, positions, gamma, error in zip(
+            motions, smooth, exact, torque_errors, strict=True
+        ):
+            if not motion.steps.any():
+                yield error
+                continue
+            quantized = position_errors.quantized_positions(motion, positions, rng)
+            change = gamma - filtered_regressor(model, quantized, motion.band)[0]
+            yield change[motion.kept] @ motion.theta + error
+
+    return tuple(np.concatenate(list(draw())) for _ in range(DRAWS))
 
 
 def _torque_error(motion: RecordedMotion) -> FloatArray:
@@ -243,18 +256,3 @@ def _torque_error(motion: RecordedMotion) -> FloatArray:
     noise = np.sqrt(np.maximum(usual - step**2 / 12.0, 0.0))
     rounded = np.mean([np.round((model + z * noise) / unit) for z in NORMAL_QUANTILES], axis=0)
     return motion.lowpass(np.where(coarse, rounded * unit - model, 0.0))
-
-
-def _position_error(model: IdentificationModel, motion: RecordedMotion) -> Draw:
-    """Function that draws the residual of a motion by quantised positions."""
-    if not motion.steps.any():
-        return lambda rng: np.zeros((len(motion), motion.n))
-    smooth = position_errors.smooth_positions(motion)
-    exact = filtered_regressor(model, smooth, motion.band)[0]
-
-    def draw(rng: np.random.Generator) -> FloatArray:
-        positions = position_errors.quantized_positions(motion, smooth, rng)
-        quantized = filtered_regressor(model, positions, motion.band)[0]
-        return np.asarray((exact - quantized)[motion.kept] @ motion.theta)
-
-    return draw

@@ -217,7 +217,6 @@ def _spectrum_peak(
     length = int(2 ** np.ceil(np.log2(ORDER_STEPS * (int(place.max()) + 1))))
     orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN * unit)
     wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER / unit))
-    twice = np.minimum(2 * wanted, length // 2)
     highest = 2.0 * np.pi * fitted.motions[0].band.hertz / np.maximum(np.abs(speed), 1e-9)
     edges = np.append(np.quantile(highest, np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[:-1]), np.inf)
     wave, square, count = (np.zeros(len(wanted), t) for t in (complex, complex, float))
@@ -229,7 +228,7 @@ def _spectrum_peak(
         sums = np.bincount(place[members], (residual * size)[members], length)
         numbers = np.bincount(place[members], size[members] ** 2, length)
         wave += np.where(below, np.fft.rfft(sums)[wanted], 0.0)
-        square += np.where(below, np.fft.rfft(numbers)[twice], 0.0)
+        square += np.where(below, np.fft.rfft(numbers)[2 * wanted], 0.0)
         count += below * float(np.sum(size[members] ** 2))
     cc, ss, cs = 0.5 * (count + square.real), 0.5 * (count - square.real), -0.5 * square.imag
     yc, ys = wave.real, -wave.imag

@@ -278,7 +278,7 @@ class _Search:
         if not self._may_be_needed(shape):
             return None
         extended = self._fit((*self._shapes, shape))
-        if shape.values.get("measured"):
+        if "measured" in shape.values:
             shape, extended = self._chosen_again(shape, extended, ranking)
         elif shape.nonlinear is not None and shape.interval is None:
             shape, extended = self._optimised_again(shape, extended)

@@ -56,9 +56,6 @@ class _Backlash(Effect):
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"width": float(model.values["width"] * c[0])}
 
-    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
-        return bool(SCALES[0] < c[0] < SCALES[1])
-
     def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
         frequencies = (model.values["hold"] * f for f in (1.0 / VARIANT_FACTOR, VARIANT_FACTOR))
         return [
@@ -76,5 +73,6 @@ BACKLASH = _Backlash(
     "a kick where the load changes sign",
     "slow reversals through zero load",
     form_std={"width": 0.47},
+    bounds=SCALES,
 )
 """Backlash; users call it gear play or lost motion."""

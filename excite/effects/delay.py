@@ -86,8 +86,7 @@ class _Delay(Effect):
             torque = motion.motor_torque
             change = _filter_of(model.values).passed(motion, torque) - torque
             return motion.lowpass(change)[:, :, None]
-        torque = motion.measured_torque if model.values["measured"] else motion.motor_torque
-        torque = torque[:, _joints(model)]
+        torque = motion.measured_torque[:, _joints(model)]
         if seconds := model.values.get("seconds", 0.0):
             change = motion.lowpass((torque - _delayed(motion, torque, -seconds)) / seconds)
         else:

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from .._types import FloatArray
-from .effect import CandidateModel
+import numpy as np
+
 from .joint_torque import JointTorque
 
-
-class _Drag(JointTorque):
-    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
-        return bool((c > 0.0).all())
-
-
-DRAG = _Drag(
+DRAG = JointTorque(
     "drag",
     "c q̇ |q̇|",
     {"coefficient": "N m s²/rad²"},
     "resistance grows with the square of speed",
     "very fast motion",
+    bounds=(0.0, np.inf),
 )
 """Air or fluid drag, churning losses of a gear's oil."""

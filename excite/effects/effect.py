@@ -33,6 +33,7 @@ class Effect:
             so that it can be found only with a trusted prior.
         form_std: Relative standard deviation of the parameters where the robot's effect has not
             exactly the form of the model.
+        bounds: Physically possible coefficients, both ends included.
         of_link: Whether it acts on the link of its joint, so that all joints before it show it, and
             its place is less certain than its name.
     """
@@ -48,6 +49,7 @@ class Effect:
     prior_only: bool = False
     form_std: Mapping[str, float] = field(default_factory=dict)
     of_link: bool = False
+    bounds: tuple[float, float] = (-np.inf, np.inf)
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         """Return the torque per unit of each coefficient at the motion's rows [N m], (N, n, k).
@@ -64,13 +66,17 @@ class Effect:
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the reported parameters by name: the coefficients, in the order of the units.
 
-        `c` has no coefficients of the discrepancy of its form, shape (k,).
+        Of waves, these are the order, and the amplitude of the first cosine and sine. `c` has no
+        coefficients of the discrepancy of its form, shape (k,).
         """
+        if "order" in self.units:
+            return {"amplitude": float(np.hypot(c[0], c[1])), "order": model.values["order"]}
         return dict(zip(self.units, c.tolist(), strict=False))
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
         """Return whether coefficients (k,) are physically possible: sign, range, dissipation."""
-        return bool(np.isfinite(c).all())
+        low, high = self.bounds
+        return bool(np.isfinite(c).all() and (c >= low).all() and (c <= high).all())
 
     def variants(self, model: CandidateModel) -> list[NonlinearParameter]:
         """Return nonlinear parameters of neighbouring models that no grid contains."""
@@ -299,8 +305,3 @@ def single_joint_rows(motion: RecordedMotion, joint: int, low: FloatArray) -> Fl
     out = np.zeros((motion.n, *low.shape))
     out[joint] = low
     return out.swapaxes(0, 1)
-
-
-def pair_parameters(model: CandidateModel, c: FloatArray) -> Values:
-    """Return the amplitude of a cosine and sine pair, the first coefficients, and its order."""
-    return {"amplitude": float(np.hypot(c[0], c[1])), "order": model.values["order"]}

@@ -12,12 +12,10 @@ from .effect import (
     CandidateModel,
     Effect,
     NonlinearParameter,
-    Values,
     grid_candidates,
-    pair_parameters,
     within,
 )
-from .recorded_motion import FittedRobot, RecordedMotion, radian
+from .recorded_motion import RecordedMotion, radian
 
 MAX_AMPLITUDE = 0.1
 """Largest plausible error of an encoder [rad], see `recorded_motion.radian`."""
@@ -71,9 +69,6 @@ class _EncoderError(Effect):
                 values = {"order": orders[0], **dict.fromkeys(multiples, 1.0)}
                 model = CandidateModel(self, j, values, facts={"unit": unit})
                 yield from grid_candidates(model, "order", orders)
-
-    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
-        return pair_parameters(model, c)
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
         amplitudes = np.hypot(c[::2], c[1::2])

@@ -17,11 +17,11 @@ MEASURED_CHANGES = (CHANGES[0] / (1.0 + CHANGES[0]), CHANGES[1] / (1.0 + CHANGES
 
 
 class _TorqueGain(Effect):
-    """Measured torque, or that of the base model."""
+    """The measured torque."""
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-        torque = motion.measured_torque if model.values.get("measured") else motion.motor_torque
-        return single_joint_columns(motion, model.joint_index, torque[:, model.joint_index])
+        j = model.joint_index
+        return single_joint_columns(motion, j, motion.measured_torque[:, j])
 
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         return (CandidateModel(self, j, {"measured": 1.0}) for j in range(motions[0].n))
@@ -29,9 +29,6 @@ class _TorqueGain(Effect):
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         # the recorded torque is the true one over the gain
         return {"gain": 1.0 - float(c[0])}
-
-    def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
-        return bool(MEASURED_CHANGES[0] < c[0] < MEASURED_CHANGES[1])
 
     def predicted_torque(
         self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
@@ -50,5 +47,6 @@ TORQUE_GAIN = _TorqueGain(
     "two known loads",
     prior_only=True,
     form_std={"gain": 0.035},
+    bounds=MEASURED_CHANGES,
 )
 """Wrong torque constant, true over stated."""

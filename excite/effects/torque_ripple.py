@@ -6,20 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._types import FloatArray
-from .effect import CandidateModel, Values, pair_parameters
+from .effect import CandidateModel
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import RecordedMotion
 
-
-class _TorqueRipple(JointTorque):
-    """A wave of one order, and one that grows with the load."""
-
-    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
-        return pair_parameters(model, c)
-
-
-TORQUE_RIPPLE = _TorqueRipple(
+TORQUE_RIPPLE = JointTorque(
     "torque_ripple",
     "A cos kq + B sin kq",
     {"order": "1/turn", "amplitude": "N m"},

@@ -31,10 +31,10 @@ class _TorqueSaturation(Effect):
     """
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-        """Return the lost torque, of the measured one, or of the base model's in older files."""
-        torque = motion.measured_torque if model.values.get("measured") else motion.motor_torque
-        lost = lost_torque(model.values, torque[:, model.joint_index])
-        return single_joint_columns(motion, model.joint_index, lost)
+        j = model.joint_index
+        return single_joint_columns(
+            motion, j, lost_torque(model.values, motion.measured_torque[:, j])
+        )
 
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         for joint in range(motions[0].n):

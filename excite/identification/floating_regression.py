@@ -423,20 +423,20 @@ def _segment_equations(
         kept_motion = filtered_motion(chunk, model.robot, part, Grid.KEPT, 1.0).rows(kept)
         yield (
             TorqueEquations(
-                values,
-                gamma,
-                np.zeros(values.shape),
-                np.ones(values.shape, bool),
-                Samples(
+                torque=values,
+                regressor=gamma,
+                slopes=np.zeros(values.shape),
+                moving=np.ones(values.shape, bool),
+                motion=Samples(
                     kept_motion.q, kept_motion.velocity[:, 6:], kept_motion.acceleration[:, 6:]
                 ),
-                time,
-                (0,),
-                (segment.source,),
-                (0,),
-                (None,),
-                part.hertz,
-                part.rate_of(Grid.KEPT),
+                time=time,
+                starts=(0,),
+                sources=(segment.source,),
+                periods=(0,),
+                repeats=(None,),
+                hertz=part.hertz,
+                rate=part.rate_of(Grid.KEPT),
             ),
             offsets,
         )

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._types import BoolArray, FloatArray, IntArray
-from .regression import TorqueEquations
+from .regression import RowLayout
 
 MIN_BIN_WIDTH_HZ = 0.1
 """Smallest width of a bin of the spectrum [Hz]."""
@@ -74,7 +74,7 @@ def covariance_root(residual: FloatArray, leverage: FloatArray, rows: IntArray) 
 
 
 def noise_spectrum(
-    equations: TorqueEquations,
+    equations: RowLayout,
     residual: FloatArray,
     rows: FloatArray,
     noise_root: FloatArray,
@@ -85,7 +85,7 @@ def noise_spectrum(
     The covariance follows from the densities by Parseval's theorem.
 
     Args:
-        equations: The equations.
+        equations: Layout of the rows, as of torque equations.
         residual: Weighted residual u. Shape (N, n).
         rows: Weighted regressor in coordinates where the information is 1. Shape (N, n, r).
         noise_root: C with Σ = C Cᵀ. Shape (n, n) [N m].
@@ -124,7 +124,7 @@ def noise_spectrum(
 
 
 def _group_spectrum(
-    equations: TorqueEquations,
+    equations: RowLayout,
     residual: FloatArray,
     rows: FloatArray,
     noise_root: FloatArray,
@@ -135,7 +135,7 @@ def _group_spectrum(
     """Densities of some joints, agreement with periods, and scores' products in each bin.
 
     Args:
-        equations: The equations.
+        equations: Layout of the rows, as of torque equations.
         residual: Weighted residual. Shape (N, n).
         rows: Weighted regressor. Shape (N, n, r).
         noise_root: C with Σ = C Cᵀ. Shape (n, n) [N m].
@@ -183,7 +183,7 @@ def _group_spectrum(
 
 
 def _windows(
-    equations: TorqueEquations,
+    equations: RowLayout,
 ) -> Iterator[tuple[slice, int, tuple[int, NDArray[np.complex128] | None]]]:
     """Yield segments, long ones in windows treated as independent.
 

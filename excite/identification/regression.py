@@ -52,8 +52,42 @@ class IdentificationModel:
         }
 
 
-@dataclass(frozen=True)
-class TorqueEquations:
+@dataclass(frozen=True, kw_only=True)
+class RowLayout:
+    """Rows of segments that follow each other.
+
+    Attributes:
+        moving: Rows of each joint that count: False where a joint with Coulomb friction stands
+            still. Shape (N, n).
+        starts: Row at which each segment begins, the first being 0.
+        periods: Number of periods that each segment is the mean of; 0 if it is not periodic.
+        repeats: For each segment, Fourier coefficients of each period's torque minus the mean, at
+            the frequencies of the rows above 0. Shape (periods, (N − 1)/2, n), or None.
+        rate: Rate of the rows [Hz].
+    """
+
+    moving: BoolArray
+    starts: tuple[int, ...]
+    periods: tuple[int, ...]
+    repeats: tuple[NDArray[np.complex128] | None, ...]
+    rate: float
+
+    def __len__(self) -> int:
+        return len(self.moving)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.moving.shape[1])
+
+    def stretches(self) -> Iterator[slice]:
+        """Yield the rows of each segment."""
+        for start, stop in zip(self.starts, (*self.starts[1:], len(self)), strict=True):
+            yield slice(start, stop)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueEquations(RowLayout):
     """Rows of τ = Γ θ at twice the cutoff frequency.
 
     Attributes:
@@ -61,44 +95,19 @@ class TorqueEquations:
         regressor: Filtered Γ. Shape (N, n, p).
         slopes: Derivative of torque with respect to the logarithm of the Coulomb width, over the
             Coulomb friction. Shape (N, n).
-        moving: Rows of each joint that count: False where a joint with Coulomb friction stands
-            still. Shape (N, n).
         motion: Motion at the rows.
         time: Time of each row. Shape (N,) [s].
-        starts: Row at which each segment begins, the first being 0.
         sources: Name of each segment's recording.
-        periods: Number of periods that each segment is the mean of; 0 if it is not periodic.
-        repeats: For each segment, Fourier coefficients of each period's torque minus the mean, at
-            the frequencies of the rows above 0. Shape (periods, (N − 1)/2, n), or None.
         hertz: Cutoff frequency [Hz].
-        rate: Rate of the rows [Hz].
     """
 
     torque: FloatArray
     regressor: FloatArray
     slopes: FloatArray
-    moving: BoolArray
     motion: Samples
     time: FloatArray
-    starts: tuple[int, ...]
     sources: tuple[str, ...]
-    periods: tuple[int, ...]
-    repeats: tuple[NDArray[np.complex128] | None, ...]
     hertz: float
-    rate: float
-
-    def __len__(self) -> int:
-        return len(self.torque)
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return int(self.torque.shape[1])
-
-    def stretches(self) -> Iterator[slice]:
-        """Yield the rows of each segment."""
-        for start, stop in zip(self.starts, (*self.starts[1:], len(self)), strict=True):
-            yield slice(start, stop)
 
     def rows(self, which: slice) -> TorqueEquations:
         """Return a range of rows as one aperiodic segment."""
@@ -226,18 +235,18 @@ def _chunk_equations(
         )
         gamma, slopes, motion = filtered_regressor(model, segment.q[samples], part)
         yield TorqueEquations(
-            torque,
-            gamma[kept],
-            slopes[kept],
-            np.ones(slopes[kept].shape, bool),
-            motion.rows(kept),
-            time,
-            (0,),
-            (segment.source,),
-            (segment.periods,),
-            (None,),
-            band.hertz,
-            band.rate_of(Grid.KEPT),
+            torque=torque,
+            regressor=gamma[kept],
+            slopes=slopes[kept],
+            moving=np.ones(slopes[kept].shape, bool),
+            motion=motion.rows(kept),
+            time=time,
+            starts=(0,),
+            sources=(segment.source,),
+            periods=(segment.periods,),
+            repeats=(None,),
+            hertz=band.hertz,
+            rate=band.rate_of(Grid.KEPT),
         )
 
 

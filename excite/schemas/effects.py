@@ -86,10 +86,10 @@ BUILD_UP = {"reach": REACH, "last_reach": REACH} | {
 """How a dry friction builds up after a reversal: shares of Maxwell-slip elements."""
 FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "torque_offset": (EffectForm(),),
-    "torque_gain": (EffectForm({}, {"measured": SWITCH}),),
+    "torque_gain": (EffectForm({"measured": FLAG}),),
     "torque_saturation": (
-        EffectForm({"power": EXPONENT, "largest": TORQUE}, {"measured": SWITCH}),
-        EffectForm({"level": TORQUE, "bend": EXPONENT, "largest": TORQUE}, {"measured": SWITCH}),
+        EffectForm({"power": EXPONENT, "largest": TORQUE, "measured": FLAG}),
+        EffectForm({"level": TORQUE, "bend": EXPONENT, "largest": TORQUE, "measured": FLAG}),
     ),
     "asymmetric_viscous": (EffectForm(),),
     "stribeck": (
@@ -166,18 +166,18 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     ),
     "encoder_error": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
     "delay": (
-        EffectForm({"measured": SWITCH}, joint=None),
+        EffectForm({"measured": FLAG}, joint=None),
         EffectForm(
             {
-                "measured": SWITCH,
+                "measured": FLAG,
                 "hertz": FREQUENCY,
                 "poles": Range(1.0, 4.0, "1"),
                 "passes": Range(1.0, 2.0, "1"),
             },
             joint=False,
         ),
-        EffectForm({"measured": SWITCH, "seconds": Range(1e-9, 10.0, "s")}),
-        EffectForm({"measured": SWITCH, "lagging": FLAG}),
+        EffectForm({"measured": FLAG, "seconds": Range(1e-9, 10.0, "s")}),
+        EffectForm({"measured": FLAG, "lagging": FLAG}),
     ),
     "payload": (
         EffectForm(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from excite.diagnosis.columns import Columns
+from excite.diagnosis.regression import Columns
 
 
 def columns_on_all_joints(

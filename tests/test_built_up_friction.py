@@ -18,9 +18,8 @@ from diagnosis_cases import (
 )
 
 from excite._types import FloatArray
-from excite.diagnosis.columns import Columns
 from excite.diagnosis.diagnosis import Diagnosis
-from excite.diagnosis.regression import JointRegression
+from excite.diagnosis.regression import Columns, JointRegression
 from excite.effects import hysteresis, stribeck
 
 HEIGHT, VELOCITY = 1.5, 0.3

@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from regression_columns import columns_on_all_joints
 
-from excite.diagnosis.candidate_fits import CandidateBatch
-from excite.diagnosis.columns import Columns
-from excite.diagnosis.regression import JointRegression, independent_share
+from excite.diagnosis.regression import CandidateBatch, Columns, JointRegression, independent_share
 
 
 def random_regression(seed: int, nonnegative: bool) -> tuple[JointRegression, np.ndarray]:

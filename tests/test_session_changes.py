@@ -27,9 +27,9 @@ from synthetic_recordings import random_fourier, synthetic_recording
 
 from excite._types import FloatArray
 from excite.diagnosis import session_changes
-from excite.diagnosis.blocks import sandwiched
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
+from excite.diagnosis.session_changes import sandwiched
 from excite.recordings import Recording
 from excite.report import diagnosis_page
 

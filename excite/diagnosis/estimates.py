@@ -20,13 +20,12 @@ from ..effects.recorded_motion import FittedRobot, position_range
 from ..effects.spring import CURVE_WAVES
 from ..schemas.effects import MIN_SEVERITY
 from . import joint_model, posterior, probability, recording_chain
-from .columns import Columns
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .normal_equations import Solution
 from .posterior import DENSE_NAMES, EffectEvidence
 from .probability import Probability
-from .regression import rms
+from .regression import Columns, rms
 from .selection import RareEffect
 from .unmodelled import UnmodelledTorque
 

@@ -19,7 +19,7 @@ from .._types import FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion
 from ..recordings import Recording
 from ..robot.samples import MIN_TRAVEL
-from .blocks import BLOCK_SECONDS, sandwiched
+from .session_changes import BLOCK_SECONDS, sandwiched
 
 SIGN_WIDTH_RATIO = 0.03
 """Width of the smooth sign of torque and speed over their largest value: manufacturers state a

@@ -36,12 +36,11 @@ from ..identification.identification import Identification
 from ..identification.segments import RecordingSegment
 from ..schemas.effects import FORM_ERROR_STD
 from . import recording_chain, ripple_search, session_changes
-from .columns import Columns
 from .flexible_models import UNMODELLED
 from .motion_rows import MotionRows, motion_rows
 from .normal_equations import Solution
 from .recording_chain import RecordingChain
-from .regression import JointRegression, independent_share, rms
+from .regression import Columns, JointRegression, independent_share, rms
 
 ROUNDS = 4
 """Fits, with the first one: delay and weights change by less than 1 % after three."""

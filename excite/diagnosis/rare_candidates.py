@@ -13,10 +13,10 @@ from scipy import special
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel, Key
 from . import contact_search, probability, ripple_search
-from .candidate_fits import CandidateBatch, CandidateFit
 from .flexible_models import flexible_models
 from .joint_model import FRICTIONS, JointModel
 from .posterior import DENSE_NAMES
+from .regression import CandidateBatch, CandidateFit
 
 MIN_CANDIDATE_EVIDENCE = 5.0
 """Log Bayes factor before the weights are renewed from which a candidate is tried."""

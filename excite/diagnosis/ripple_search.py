@@ -19,8 +19,7 @@ from .._types import FloatArray
 from ..effects import encoder_error, recorded_motion, torque_ripple
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
-from .candidate_fits import CandidateBatch
-from .columns import Columns
+from .regression import CandidateBatch, Columns
 
 if TYPE_CHECKING:
     from .joint_model import JointModel

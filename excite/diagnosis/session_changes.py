@@ -24,7 +24,6 @@ from scipy import linalg, special
 
 from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import RecordedMotion
-from .blocks import BLOCK_SECONDS, sandwiched
 
 KINDS = ("coulomb", "viscous", "offset")
 """Actuator parameters that may change, in the order of `SessionChange.change`."""
@@ -45,6 +44,8 @@ WALD_THRESHOLD = 20.0
 it twice in ten thousand times."""
 MIN_SHARE = 0.1
 """Share of the residual's mean square that a change must explain to be reported."""
+BLOCK_SECONDS = 1.0
+"""Length of a block [s], longer than the correlation time of a servo's noise."""
 
 
 @dataclass(frozen=True)
@@ -226,3 +227,23 @@ def changes(
             share = 1.0 - after / max(power, 1e-300)
             out.append(SessionChange(source, j, solution, covariance, share))
     return out
+
+
+def sandwiched(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Return least-squares coefficients (k,) and their sandwich covariance A⁻¹ Σ s sᵀ A⁻¹, (k, k).
+
+    It is valid for noise of any colour that decorrelates within a block (Liang & Zeger 1986).
+
+    The blocks have columns (m, k) and a right side (m,); s is the share of a block in the score
+    Aᵀ(y − Ax).
+    """
+    A, y = (
+        np.concatenate([columns for columns, _ in blocks]),
+        np.concatenate([right for _, right in blocks]),
+    )
+    size = np.linalg.norm(A, axis=0)
+    size[size == 0.0] = np.inf  # a column of zeros: coefficient 0, variance 0
+    inverse = np.linalg.pinv((A / size).T @ (A / size), rcond=1e-10) / np.outer(size, size)
+    estimate = inverse @ (A.T @ y)
+    scores = np.array([columns.T @ (right - columns @ estimate) for columns, right in blocks])
+    return estimate, inverse @ (scores.T @ scores) @ inverse

@@ -165,14 +165,10 @@ def test_only_excluded_equivalents_leave_a_finding():
     evidence = {"stribeck": 0.0, "hysteresis": -100.0, "delay": -2.0}
     pair = Decision("elbow", "stribeck", "hysteresis", 0.5, None, 20.0)
     decisions = Decisions((pair,), (("elbow", evidence),))
-    finding = {"effect": "stribeck", "joint": "elbow", "equivalents": ["hysteresis", "delay"]}
-    other = {**finding, "joint": "wrist"}
-    document = decisions.applied_to({"findings": [finding, other]})
-    assert [f["equivalents"] for f in document["findings"]] == [
-        ["delay"],
-        ["hysteresis", "delay"],
-    ]
-    assert document["decisions"][0]["decided_for"] == "stribeck"
+    equivalents = ["hysteresis", "delay", "drag"]
+    assert decisions.excluded("elbow", "stribeck", equivalents) == {"hysteresis"}
+    assert not decisions.excluded("wrist", "stribeck", equivalents)
+    assert pair.document()["decided_for"] == "stribeck"
 
 
 def test_a_decision_for_what_is_not_found_says_so():

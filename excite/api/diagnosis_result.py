@@ -69,9 +69,7 @@ class DiagnosisResult(SavedResult):
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        document = diagnosis_document(self.diagnosis)
-        if self.decisions is not None:
-            document = self.decisions.applied_to(document)
+        document = diagnosis_document(self.diagnosis, self.decisions)
         return withhold_findings(document, self.doubts) if self.doubts else document
 
     def document(self) -> dict[str, Any]:

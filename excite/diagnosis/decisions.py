@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,33 +110,15 @@ class Decisions:
     pairs: tuple[Decision, ...]
     classes: tuple[tuple[str | None, Mapping[str, float]], ...]
 
-    def excludes(self, joint: str | None, effect: str, rival: str) -> bool:
-        """Tell whether a rival is excluded in favour of an effect."""
-        return any(
-            place == joint
-            and {effect, rival} <= set(evidence)
-            and rival_evidence.log_odds(evidence[effect] - evidence[rival]) >= DECIDED_LOG_ODDS
-            for place, evidence in self.classes
-        )
-
-    def applied_to(self, document: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a diagnosis whose findings have no equivalents that are excluded."""
-        findings = []
-        for finding in document["findings"]:
-            excluded = {
-                name
-                for name in finding["equivalents"]
-                if self.excludes(finding["joint"], finding["effect"], name)
-            }
-            changed = dict(finding)
-            changed["equivalents"] = [n for n in finding["equivalents"] if n not in excluded]
-            if "rivals" in finding:
-                changed["rivals"] = [r for r in finding["rivals"] if r["effect"] not in excluded]
-            findings.append(changed)
+    def excluded(self, joint: str | None, effect: str, names: Iterable[str]) -> set[str]:
+        """Return those names that are excluded in favour of an effect."""
         return {
-            **document,
-            "findings": findings,
-            "decisions": [decision.document() for decision in self.pairs],
+            name
+            for name in names
+            for place, evidence in self.classes
+            if place == joint
+            and {effect, name} <= set(evidence)
+            and rival_evidence.log_odds(evidence[effect] - evidence[name]) >= DECIDED_LOG_ODDS
         }
 
 

@@ -12,12 +12,8 @@ from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
 from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from ..robot.parameter_names import percent
-from . import (
-    effect_curves,
-    rival_evidence,
-    session_changes,
-    unmodelled,
-)
+from . import effect_curves, rival_evidence, session_changes, unmodelled
+from .decisions import Decisions
 from .diagnosis import Diagnosis
 from .estimates import QUANTILE, EffectEstimate, Rejection
 from .gear_encoders import GearEstimate
@@ -59,8 +55,8 @@ WITHHELD = "withheld: a recording is in doubt"
 """Why an effect is no finding if a recording may not hold what its columns say."""
 
 
-def document(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the content of `diagnosis.json`."""
+def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[str, Any]:
+    """Return the content of `diagnosis.json`, after the decisions of discriminating recordings."""
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
     torque_rms = rms(held_out.torque, held_out.moving)
@@ -81,7 +77,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
-        "findings": [_entry(diagnosis, effect) for effect in diagnosis.findings],
+        "findings": [_entry(diagnosis, effect, decisions) for effect in diagnosis.findings],
         "joints": rows,
         "unknown": [_unknown(diagnosis, entry) for entry in diagnosis.unmodelled],
         "considered": [_entry(diagnosis, effect) for effect in diagnosis.considered[:CONSIDERED]],
@@ -96,6 +92,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "between_recordings": _changes(diagnosis),
         "encoders": {joints[gear.joint]: _gear(diagnosis, gear) for gear in diagnosis.gears},
         "parameters": _parameters(diagnosis),
+        **({"decisions": [pair.document() for pair in decisions.pairs]} if decisions else {}),
     }
 
 
@@ -168,8 +165,10 @@ def _joint(diagnosis: Diagnosis, joint: int | None) -> str | None:
     return None if joint is None else diagnosis.identified.model.robot.joints[joint]
 
 
-def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
-    """Element of "findings" or "considered"."""
+def _entry(
+    diagnosis: Diagnosis, estimate: EffectEstimate, decisions: Decisions | None = None
+) -> dict[str, Any]:
+    """Element of "findings" or "considered", without equivalents that are excluded."""
     effect, shape = EFFECTS_BY_NAME[estimate.effect], estimate.models[0]
     place = "all joints" if estimate.joint is None else f"joint '{_joint(diagnosis, shape.joint)}'"
     regime = "temperature" if "reference" in shape.values else REGIMES.get(estimate.effect, "all")
@@ -185,12 +184,13 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
         # the course of a force may begin before its recording, and end after it
         where["time"] = np.clip(shape.interval, np.min(times), np.max(times)).tolist()
         where["recording"] = shape.source
-    shown = _determined(estimate.parameters)
+    shown, joint = _determined(estimate.parameters), _joint(diagnosis, estimate.joint)
+    excluded = decisions.excluded(joint, estimate.effect, estimate.equivalents) if decisions else ()
     out: dict[str, Any] = {
         "effect": estimate.effect,
-        "joint": _joint(diagnosis, estimate.joint),
+        "joint": joint,
         "probability": estimate.probability,
-        "equivalents": list(estimate.equivalents),
+        "equivalents": [name for name in estimate.equivalents if name not in excluded],
         "where": where,
         "parameters": _stated(diagnosis, estimate, shown),
         "evidence": {
@@ -217,6 +217,7 @@ def _entry(diagnosis: Diagnosis, estimate: EffectEstimate) -> dict[str, Any]:
         out["rivals"] = [
             {"effect": name, "log_bayes_factor": x, "log_odds": rival_evidence.log_odds(x)}
             for name, x in rivals.items()
+            if name not in excluded
         ]
     return out
 

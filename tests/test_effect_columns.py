@@ -131,8 +131,7 @@ def recorded() -> RecordedMotion:
         slice(0, None),
         np.zeros(0),
     )
-    out.replace_torques(out.motor_torque)
-    return out
+    return out.with_modelled_torque(out.motor_torque)
 
 
 def dahl(q: FloatArray, reach: float) -> FloatArray:

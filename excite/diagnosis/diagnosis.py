@@ -310,11 +310,13 @@ def _held_out_errors(
     moving = np.concatenate([motion.moving for motion in motions])
     saved = fitted_effects.read_back(document)
     residual = fitted_effects.residuals(saved, validate, measured)
-    present = final_model.renewed(final.identified, motions)
+    plain = final_model.renewed(final.identified, motions)
     beyond_known = np.concatenate([motion.torque for motion in motions])
-    predicted = recorded_motion.split_by_motion(beyond_known - residual, present)
-    for motion, part in zip(present, predicted, strict=True):
-        motion.replace_torques(motion.at_samples(part))
+    predicted = recorded_motion.split_by_motion(beyond_known - residual, plain)
+    present = (
+        motion.with_modelled_torque(motion.at_samples(part))
+        for motion, part in zip(plain, predicted, strict=True)
+    )
     residual, base = np.where(moving, residual, 0.0), np.where(moving, base, 0.0)
     return HeldOutErrors(
         tuple(present),

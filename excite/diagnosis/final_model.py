@@ -146,9 +146,10 @@ def fit(
         )
     # errors are those of the recordings with all of their torque
     refitted = dataclasses.replace(refitted, fits=identified.fits)
-    motions = renewed(refitted, model.motions)
-    for new, old in zip(motions, model.motions, strict=True):
-        new.share_torques(old)
+    motions = [
+        new.with_modelled_torque(old.measured_torque, old.motor_torque)
+        for new, old in zip(renewed(refitted, model.motions), model.motions, strict=True)
+    ]
     torque = np.concatenate([m.torque - model.chain.passed(m, m.gamma @ m.theta) for m in motions])
     changes = session_changes.prior_std(motions, model.change_scale)
     changed = session_changes.columns(motions, model.weights_in_mean)

@@ -46,7 +46,6 @@ def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArra
         kept=slice(0, len(segment)),
         time=segment.start + np.arange(len(segment)) / segment.rate,
     )
-    at_samples.share_torques(motion)
     out = np.zeros(segment.q.shape)
     for part in effects:
         out += part.shape.columns(at_samples) @ part.coefficients

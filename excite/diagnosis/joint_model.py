@@ -312,9 +312,12 @@ def fit(
         if step in RIPPLE_ROUNDS:
             waves = [*ripple_search.refined_waves(fitted), *ripple_search.find_waves(fitted)]
         moved = [chain.without_delay(motion) for motion in motions]
-        present = renewed(identified, moved, psi, widths)
-        for motion, torque in zip(present, modelled_torque(fitted), strict=True):
-            motion.replace_torques(torque)
+        present = [
+            motion.with_modelled_torque(torque)
+            for motion, torque in zip(
+                renewed(identified, moved, psi, widths), modelled_torque(fitted), strict=True
+            )
+        ]
         fitted = base_model(identified, present, psi, chain, fitted)
         fitted = fitted.with_effects([*dense_models(present, build_ups, shares), *rare, *waves])
     kept = _build_ups(identified, fitted, build_ups)
@@ -322,9 +325,10 @@ def fit(
     if dropped:
         fitted = fitted.keeping([i for i in range(len(fitted.models)) if i not in dropped])
     reweight(fitted.regression)
-    for motion, torque in zip(fitted.motions, modelled_torque(fitted), strict=True):
-        motion.replace_torques(torque, torque)
-    return fitted
+    torques = zip(fitted.motions, modelled_torque(fitted), strict=True)
+    return replace(
+        fitted, motions=tuple(motion.with_modelled_torque(x, x) for motion, x in torques)
+    )
 
 
 def _build_ups(

@@ -86,6 +86,9 @@ class RecordedMotion:
         kept: Rows of the regression's grid that are far enough from the segment's ends.
         time: Times of the kept rows [s], shape (N,).
         grid: Grid to which `lowpass` reduces.
+        modelled_torque: Torque of a fitted joint model, which takes the place of the measured
+            torque; None without one, shape (M, n) [N m].
+        modelled_motor_torque: The same in the place of the base model's torque.
         motion_cache: What depends on neither the torque nor the base model; shared by all fits.
     """
 
@@ -100,6 +103,8 @@ class RecordedMotion:
     kept: slice
     time: FloatArray
     grid: Grid = Grid.KEPT
+    modelled_torque: FloatArray | None = None
+    modelled_motor_torque: FloatArray | None = None
     motion_cache: dict[Hashable, object] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -120,7 +125,7 @@ class RecordedMotion:
 
     def _of_same_motion(self, **changes: Any) -> RecordedMotion:
         """Return another fit to the same motion, which shares all that depends on it alone."""
-        out = replace(self, **changes)
+        out = replace(self, **{"modelled_torque": None, "modelled_motor_torque": None, **changes})
         object.__setattr__(out, "motion_cache", self.motion_cache)
         return out
 
@@ -154,16 +159,11 @@ class RecordedMotion:
             torque=self.band.filter(torque, Grid.KEPT)[self.kept],
         )
 
-    def replace_torques(self, measured: FloatArray, motor: FloatArray | None = None) -> None:
-        """Put a joint model's torques (M, n) [N m] in the place of measured and motor torque."""
-        self.__dict__["measured_torque"] = measured
-        if motor is not None:
-            self.__dict__["motor_torque"] = motor
-
-    def share_torques(self, motion: RecordedMotion) -> None:
-        """Take the torques that are known of another fit to the same motion."""
-        for name in {"measured_torque", "motor_torque"} & set(motion.__dict__):
-            self.__dict__[name] = motion.__dict__[name]
+    def with_modelled_torque(
+        self, torque: FloatArray, motor_torque: FloatArray | None = None
+    ) -> RecordedMotion:
+        """Return the motion with a joint model's torques (M, n) [N m]: measured, and of motors."""
+        return self._of_same_motion(modelled_torque=torque, modelled_motor_torque=motor_torque)
 
     @cached_property
     def residual(self) -> FloatArray:
@@ -308,6 +308,8 @@ class RecordedMotion:
     @cached_property
     def motor_torque(self) -> FloatArray:
         """Torque of the base model with actuators, or of a fitted joint model [N m], (M, n)."""
+        if self.modelled_motor_torque is not None:
+            return self.modelled_motor_torque
         s, parameter = self.samples, self.fitted_robot.actuator_parameter
         friction = parameter("viscous") * s.dq + parameter("coulomb") * np.tanh(s.dq / self.widths)
         return (
@@ -320,6 +322,8 @@ class RecordedMotion:
     @cached_property
     def measured_torque(self) -> FloatArray:
         """Measured torque, low-passed, or that of a fitted joint model [N m], shape (M, n)."""
+        if self.modelled_torque is not None:
+            return self.modelled_torque
         return self.band.filter(self.segment.torque, Grid.RECORDED)
 
     @cached_property

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,11 +25,8 @@ from ..identification.identification import Identification
 from ..schemas.effects import is_recording_filter
 from . import joint_model
 from .estimates import EffectEstimate
-from .final_model import FinalModel
+from .final_model import FinalModel, HeldOutErrors
 from .regression import independent_share, rms
-
-if TYPE_CHECKING:
-    from .diagnosis import HeldOutErrors
 
 RECORDING_FILTER = "recording_filter"
 """Name of the filter of the recording chain, which is no effect of the catalogue."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .._types import BoolArray, FloatArray
+from .._types import FloatArray
 from ..effects import recorded_motion
 from ..effects.effect import Key
 from ..effects.recorded_motion import RecordedMotion
@@ -45,7 +45,7 @@ from . import (
 )
 from .budget import TorqueBudget
 from .estimates import EffectEstimate
-from .final_model import FinalModel
+from .final_model import FinalModel, HeldOutErrors
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .gear_encoders import GearEstimate
@@ -74,32 +74,6 @@ class DiagnosisOptions:
 
     band: float | None = None
     prior: TrustedPrior = field(default_factory=TrustedPrior)
-
-
-@dataclass(frozen=True)
-class HeldOutErrors:
-    """Errors of the base model and of the saved model on held-out recordings.
-
-    Attributes:
-        motions: The held-out motions, with the saved base model.
-        torque: Measured torque, shape (N, n) [N m].
-        base: Residual of the base model, shape (N, n) [N m].
-        final: Residual of the saved model, shape (N, n) [N m].
-        moving: Rows that count, shape (N, n).
-        rmse_before: RMSE of the base model, shape (n,) [N m].
-        rmse_after: RMSE of the saved model, shape (n,) [N m].
-        rmse_refit: RMSE of the base model identified without the trusted prior, shape (n,) [N m];
-            None without one.
-    """
-
-    motions: tuple[RecordedMotion, ...]
-    torque: FloatArray
-    base: FloatArray
-    final: FloatArray
-    moving: BoolArray
-    rmse_before: FloatArray
-    rmse_after: FloatArray
-    rmse_refit: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -319,13 +293,13 @@ def _held_out_errors(
     )
     residual, base = np.where(moving, residual, 0.0), np.where(moving, base, 0.0)
     return HeldOutErrors(
-        tuple(present),
-        torque,
-        base,
-        residual,
-        moving,
-        rms(base, moving),
-        rms(residual, moving),
+        motions=tuple(present),
+        torque=torque,
+        base=base,
+        final=residual,
+        moving=moving,
+        rmse_before=rms(base, moving),
+        rmse_after=rms(residual, moving),
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from ..effects import delay, nonlinear_viscous
 from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
@@ -93,6 +93,32 @@ class FinalModel:
             ):
                 joint |= {"rmse": error, "relative": error / max(size, 1e-300)}
         return out
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """Errors of the base model and of the saved model on held-out recordings.
+
+    Attributes:
+        motions: The held-out motions, with the saved base model.
+        torque: Measured torque, shape (N, n) [N m].
+        base: Residual of the base model, shape (N, n) [N m].
+        final: Residual of the saved model, shape (N, n) [N m].
+        moving: Rows that count, shape (N, n).
+        rmse_before: RMSE of the base model, shape (n,) [N m].
+        rmse_after: RMSE of the saved model, shape (n,) [N m].
+        rmse_refit: RMSE of the base model identified without the trusted prior, shape (n,) [N m];
+            None without one.
+    """
+
+    motions: tuple[RecordedMotion, ...]
+    torque: FloatArray
+    base: FloatArray
+    final: FloatArray
+    moving: BoolArray
+    rmse_before: FloatArray
+    rmse_after: FloatArray
+    rmse_refit: FloatArray | None = None
 
 
 def fit(

@@ -177,19 +177,12 @@ def _next_to_form_errors(
     for larger, smaller in itertools.pairwise(frictions):
         larger_only = regression.without({*omitted, *smaller.members})
         for number in larger.members:
-            if not larger_only.coefficients[regression.slices[number]].any():
+            c = larger_only.coefficients[regression.slices[number]]
+            if not c.any():
                 continue  # a form that is not used here
-            columns = model.columns(
-                with_form_error(
-                    model.models[number],
-                    model.motions,
-                    larger_only.coefficients[regression.slices[number]],
-                )
-            )
+            columns = model.columns(with_form_error(model.models[number], model.motions, c))
             if columns is not None:
-                regression.add(
-                    columns.after(len(larger_only.coefficients[regression.slices[number]]))
-                )
+                regression.add(columns.after(len(c)))
         judged = evidence_of(extended, smaller.members, omitted)
         if judged.size < MIN_SEVERITY:  # too small to be evidence; the robot's other joints decide
             judged = replace(judged, log_bayes_factor=min(judged.log_bayes_factor, 0.0))

@@ -110,12 +110,7 @@ class CandidateBatch:
 
     @classmethod
     def of(cls, candidates: Sequence[Columns], moving: BoolArray) -> CandidateBatch:
-        """Return the batch of some candidates.
-
-        Args:
-            candidates: Their columns.
-            moving: Rows that count for each joint, shape (N, n).
-        """
+        """Return the batch of columns of some candidates; `moving` rows (N, n) count."""
         ends = np.cumsum([0, *(c.count for c in candidates)]).tolist()
         parts = tuple(slice(first, last) for first, last in itertools.pairwise(ends))
         squares = tuple(np.zeros((moving.shape[1], c.count, c.count)) for c in candidates)
@@ -267,11 +262,7 @@ class JointRegression:
         )
 
     def keeping(self, effects: Sequence[int]) -> JointRegression:
-        """Return a regression with some of the effects, and the same rows and weights.
-
-        Args:
-            effects: Numbers of the effects, in rising order.
-        """
+        """Return a regression with some of the effects, in rising order, and the same rows."""
         kept = np.concatenate(
             [np.arange(self.base_count)]
             + [np.arange(self.slices[e].start, self.slices[e].stop) for e in effects]
@@ -301,9 +292,6 @@ class JointRegression:
 
         A coefficient that is zero with probability 1 − P, and normally distributed about zero with
         variance v otherwise, has the variance P v.
-
-        Args:
-            probabilities: P of each effect.
         """
         for part, probability in zip(self.slices, probabilities, strict=True):
             self.prior_matrix[part, part] /= probability
@@ -346,11 +334,9 @@ class JointRegression:
         return self.without(())
 
     def without(self, effects: Iterable[int], unused: Sequence[int] = ()) -> Solution:
-        """Return the minimum of the objective without some effects, all others refitted.
+        """Return the minimum of the objective without effects of some numbers, the others refitted.
 
-        Args:
-            effects: Numbers of the effects.
-            unused: Further coefficients that are left out.
+        `unused` are further coefficients that are left out.
         """
         used = self._used(effects)
         used[list(unused)] = False
@@ -474,13 +460,10 @@ class JointRegression:
         return Elimination.of(system, np.flatnonzero(used & free), ~free, self.nonnegative)
 
     def data_information(self, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what the data say of the first coefficients after elimination of all others.
+        """Return what the data say of the first `count` coefficients, all others eliminated.
 
         Their own prior is left out from the start: a difference of information matrices would leave
         the rounding errors of a strong prior.
-
-        Args:
-            count: Number of these coefficients, p.
 
         Returns:
             Their information, shape (p, p); their score, shape (p,); and how the other active
@@ -548,21 +531,13 @@ class JointRegression:
         return self.torque - self.torque_along((solution or self.solution).coefficients)
 
     def residual_of(self, joint: int) -> FloatArray:
-        """Return the torque residual of one joint, shape (N,) [N m].
-
-        Args:
-            joint: Index of the joint.
-        """
+        """Return the torque residual of one joint, shape (N,) [N m]."""
         gram = self._grams[joint]
         fitted = gram.columns @ self.solution.coefficients[gram.places]
         return np.asarray(self.torque[:, joint] - fitted)
 
     def residual_rms(self, solution: Solution) -> FloatArray:
-        """Return the RMS residual of each joint over its rows in motion, shape (n,) [N m].
-
-        Args:
-            solution: A solution of the regression.
-        """
+        """Return the RMS residual of each joint over its rows in motion, shape (n,) [N m]."""
         x = solution.coefficients
         square = [
             g.power - x[g.places] @ (2.0 * g.score - g.matrix @ x[g.places]) for g in self._grams
@@ -571,13 +546,9 @@ class JointRegression:
         return np.asarray(np.sqrt(np.maximum(square, 0.0) / rows))
 
     def active_columns(self, joint: int) -> tuple[FloatArray, IntArray]:
-        """Return the columns of the active coefficients that act on a joint.
+        """Return the columns (N, k) of the active coefficients that act on a joint.
 
-        Args:
-            joint: Index of the joint.
-
-        Returns:
-            Columns, shape (N, k), and their positions among the active coefficients, shape (k,).
+        And their positions among the active coefficients, shape (k,).
         """
         acting, positions = self._acting(self._grams[joint], self.solution)
         return self._grams[joint].columns[:, acting], positions
@@ -604,13 +575,8 @@ class JointRegression:
     def sensitivity(self, column: Columns, solution: Solution) -> tuple[FloatArray, float]:
         """Return how the active coefficients follow one more column, and its information.
 
-        Args:
-            column: The column.
-            solution: A solution of the regression.
-
-        Returns:
-            Change of the active coefficients per unit of the column's coefficient, shape (a,), and
-            the information of that coefficient after their elimination.
+        That is their change per unit of the column's coefficient, shape (a,), and the information
+        of that coefficient after their elimination.
         """
         batch = CandidateBatch.of([column], self.moving)
         cross, _, _ = self._coupling(batch, solution)
@@ -727,14 +693,10 @@ def rms(residual: FloatArray, moving: BoolArray) -> FloatArray:
 
 
 def log_error_ratio(new: FloatArray, old: FloatArray, rows: BoolArray) -> FloatArray:
-    """Return N ln(r_old/r_new) of each joint, r the RMS of its N rows, shape (n,).
+    """Return N ln(r_old/r_new) of each joint, r the RMS of its N `rows`, shape (n,).
 
-    It is the log likelihood ratio of two models if all rows are independent.
-
-    Args:
-        new: Torque residual of one model, shape (N, n).
-        old: That of the other.
-        rows: Rows that count, shape (N, n).
+    It is the log likelihood ratio of two models, by their torque residuals (N, n), if all rows are
+    independent.
     """
     after, before = (np.maximum(rms(residual, rows), 1e-300) for residual in (new, old))
     return np.asarray(rows.sum(axis=0) * np.log(before / after))

@@ -102,7 +102,6 @@ def weights_in_mean(
     recording had the same error, since that of a model is not independent from row to row.
 
     Args:
-        motions: The fitted motions.
         scale: Scale of the changes of each joint, shape (n,).
         error: RMS residual of each joint, shape (n,) [N m].
     """
@@ -124,13 +123,9 @@ def weights_in_mean(
 def columns(motions: Sequence[RecordedMotion], weights: FloatArray) -> list[FloatArray]:
     """Return the columns of the changes, shapes (N, n, 3n × (recordings − 1)).
 
-    A change of recording r acts by the columns there, less its weight in the mean times those of
-    all recordings. Equal changes of all recordings are none: the coefficients are orthonormal
-    contrasts, which have the prior of the changes.
-
-    Args:
-        motions: The fitted motions.
-        weights: The weights, as of `weights_in_mean`.
+    A change of recording r acts by the columns there, less its weight (of `weights_in_mean`) times
+    those of all recordings. Equal changes of all recordings are none: the coefficients are
+    orthonormal contrasts, which have the prior of the changes.
     """
     names, n = sources(motions), motions[0].n
     if len(names) == 1:
@@ -146,12 +141,7 @@ def columns(motions: Sequence[RecordedMotion], weights: FloatArray) -> list[Floa
 
 
 def prior_std(motions: Sequence[RecordedMotion], scale: FloatArray) -> FloatArray:
-    """Return the prior standard deviation of the coefficients of `columns`.
-
-    Args:
-        motions: All fitted motions.
-        scale: Scale of the changes of each joint, shape (n,).
-    """
+    """Return the prior standard deviation of the coefficients of `columns`; `scale` is (n,)."""
     of_joint = scale[:, None] * parameter_std(motions)
     return np.tile(of_joint.ravel(), len(sources(motions)) - 1)
 
@@ -159,8 +149,7 @@ def prior_std(motions: Sequence[RecordedMotion], scale: FloatArray) -> FloatArra
 def scale_of_joints(log_evidence: FloatArray) -> FloatArray:
     """Return the scale of every joint, shape (n,): the root of its mean square given the data.
 
-    Args:
-        log_evidence: Logarithm of the evidence of each of `SCALES` at each joint, shape (n, S).
+    `log_evidence` is that of each of `SCALES` at each joint, shape (n, S).
     """
     logs = np.log(SCALES)
     of_joint = special.log_softmax(-0.5 * ((logs[:, None] - logs) / SPREAD) ** 2, axis=1)

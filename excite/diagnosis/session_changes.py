@@ -23,7 +23,7 @@ import numpy as np
 from scipy import linalg, special
 
 from .._types import BoolArray, FloatArray
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import RecordedMotion, for_all_fits
 
 KINDS = ("coulomb", "viscous", "offset")
 """Actuator parameters that may change, in the order of `SessionChange.change`."""
@@ -83,12 +83,15 @@ def sources(motions: Sequence[RecordedMotion]) -> list[str]:
     return list(dict.fromkeys(motion.segment.source for motion in motions))
 
 
+@for_all_fits
+def _speed_and_unit(motion: RecordedMotion) -> tuple[FloatArray, FloatArray]:
+    """Low-passed q̇ and 1 at the rows of a motion, shapes (N, n) and (N, 1)."""
+    return motion.lowpass(motion.samples.dq), motion.lowpass(np.ones((len(motion.segment), 1)))
+
+
 def actuator_columns(motion: RecordedMotion) -> FloatArray:
     """Return tanh(q̇/w), q̇ and 1 of every joint at the rows of a motion, shape (N, n, 3)."""
-    speed = motion.for_all_fits("low-passed speed", lambda: motion.lowpass(motion.samples.dq))
-    unit = motion.for_all_fits(
-        "low-passed one", lambda: motion.lowpass(np.ones((len(motion.segment), 1)))
-    )
+    speed, unit = _speed_and_unit(motion)
     return np.stack([motion.coulomb_columns, speed, np.broadcast_to(unit, speed.shape)], axis=2)
 
 

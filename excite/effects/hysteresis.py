@@ -16,7 +16,7 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from .effect import CandidateModel, Effect, Values, single_joint_rows
 from .friction_runtime import ELEMENTS, LAST_REACH, UNEQUAL_ELEMENTS, damping, reaches, shares
-from .recorded_motion import FittedRobot, RecordedMotion, radian
+from .recorded_motion import FittedRobot, RecordedMotion, for_all_fits, radian
 
 FIRST_REACH = 2.5e-4
 """Deflection at which the first of the elements slips [rad], see `recorded_motion.radian`; it does
@@ -51,20 +51,23 @@ def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     return stroke, np.diff(corners, append=q[-1]), q - corners[stroke]
 
 
-def _reach(model: CandidateModel) -> tuple[float, float]:
-    """Reaches of the first and of the last element [rad or m]."""
-    return model.values["reach"], model.values["last_reach"]
+def _bank(model: CandidateModel) -> tuple[int, float, float]:
+    """Joint of a model, and reaches of the first and of the last element [rad or m]."""
+    return model.joint_index, model.values["reach"], model.values["last_reach"]
 
 
-def _elements(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Forces of the elements of a model's joint, shape (M, ELEMENTS)."""
-    j = model.joint_index
+@for_all_fits
+def _elements(motion: RecordedMotion, joint: int, first: float, last: float) -> FloatArray:
+    """Forces of the elements of a joint, shape (M, ELEMENTS)."""
+    q, bank = motion.samples.q[:, joint], reaches({"reach": first, "last_reach": last})
+    return np.column_stack([maxwell_slip(q, reach) for reach in bank.tolist()])
 
-    def compute() -> FloatArray:
-        q = motion.samples.q[:, j]
-        return np.column_stack([maxwell_slip(q, d) for d in reaches(model.values).tolist()])
 
-    return motion.for_all_fits(("elements", j, *_reach(model)), compute)
+@for_all_fits
+def _low_passed(motion: RecordedMotion, joint: int, first: float, last: float) -> FloatArray:
+    """Low-passed forces of the elements, and by which unequal ones differ, shape (N, k)."""
+    elements = _elements(motion, joint, first, last)
+    return motion.lowpass(np.hstack([elements, np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0]))
 
 
 def build_up(model: CandidateModel, c: FloatArray, coulomb: float) -> dict[str, float]:
@@ -94,7 +97,7 @@ def direction(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
     if "share_0" not in model.values:
         return sign
     share = shares(model.values)
-    return np.asarray(_elements(motion, model) @ share + (1.0 - share.sum()) * sign)
+    return np.asarray(_elements(motion, *_bank(model)) @ share + (1.0 - share.sum()) * sign)
 
 
 class _Hysteresis(Effect):
@@ -102,16 +105,9 @@ class _Hysteresis(Effect):
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         j, values = model.joint_index, model.values
-
-        def low_passed() -> FloatArray:
-            elements = _elements(motion, model)
-            unequal = np.abs(elements[:, UNEQUAL_ELEMENTS]) - 1.0
-            return motion.lowpass(np.hstack([elements, unequal]))
-
-        key = ("low-passed elements", j, *_reach(model))
-        columns = motion.for_all_fits(key, low_passed).copy()
+        columns = _low_passed(motion, *_bank(model)).copy()
         columns[:, :ELEMENTS] -= motion.lowpass(motion.sign(j)[:, None])
-        sticks = np.abs(_elements(motion, model)) < 1.0
+        sticks = np.abs(_elements(motion, *_bank(model))) < 1.0
         damped = motion.lowpass((motion.samples.dq[:, j] * (sticks @ damping(values)))[:, None])
         return single_joint_rows(motion, j, np.hstack([columns, damped]))
 

@@ -10,7 +10,14 @@ from .._types import FloatArray
 from .effect import CandidateModel, Values, single_joint_rows
 from .friction_runtime import CONCAVE_CURVES, JointMotion, columns
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion, max_speed
+from .recorded_motion import FittedRobot, RecordedMotion, for_all_fits, max_speed
+
+
+@for_all_fits
+def _curves(motion: RecordedMotion, joint: int, *values: tuple[str, float]) -> FloatArray:
+    """Low-passed curves of a joint with the values of a model, shape (N, k)."""
+    x = JointMotion(dq=motion.samples.dq[:, joint])
+    return motion.lowpass(np.array(columns("nonlinear_viscous", dict(values), x)[1]).T)
 
 
 class _NonlinearViscous(JointTorque):
@@ -18,11 +25,7 @@ class _NonlinearViscous(JointTorque):
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         j = model.joint_index
-        curves = motion.for_all_fits(
-            ("viscous curves", model.form),
-            lambda: motion.lowpass(self._at_samples(motion, model)),
-        )
-        return single_joint_rows(motion, j, curves)
+        return single_joint_rows(motion, j, _curves(motion, j, *model.values.items()))
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the power whose deviation from a line fits best; friction opposes motion."""

@@ -15,7 +15,7 @@ from ..identification.lowpass import Grid
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import pseudo_inertia
 from .effect import CandidateModel, Effect, Values
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion, for_all_fits
 
 MAX_CENTRE_DISTANCE = 1.5
 """Largest distance of a payload's centre of mass from its link's frame [m]."""
@@ -38,21 +38,22 @@ def _is_physically_consistent(c: FloatArray) -> bool:
     return bool(values[0] > -MAX_INDEFINITENESS * values[-1])
 
 
+@for_all_fits
+def _link_regressor(motion: RecordedMotion) -> FloatArray:
+    """Low-passed regressor of the links' inertial parameters, shape (N, n, 10 bodies)."""
+    robot = motion.fitted_robot
+    Y = regressor(robot.robot, robot.parameters, motion.coarse_samples)
+    return motion.lowpass(Y[:, :, : 10 * robot.parameters.bodies], Grid.COARSE)
+
+
 class _Payload(Effect):
     """Regressor columns of a link's first inertial parameters."""
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         link, count = int(model.values["link"]), int(model.values["count"])
-        robot = motion.fitted_robot
-
-        def low_passed() -> FloatArray:
-            Y = regressor(robot.robot, robot.parameters, motion.coarse_samples)
-            return motion.lowpass(Y[:, :, : 10 * robot.parameters.bodies], Grid.COARSE)
-
         if model.source not in ("", motion.segment.source):
             return np.zeros((len(motion), motion.n, count))
-        Y = motion.for_all_fits("regressor of the links", low_passed)
-        return Y[:, :, 10 * link : 10 * link + count]
+        return _link_regressor(motion)[:, :, 10 * link : 10 * link + count]
 
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         """Yield a point mass, and a body with inertia, on every link.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, Generic, TypeVar, cast
+from functools import cached_property, wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +22,7 @@ from ..robot.robot import Robot
 from ..robot.samples import MIN_TRAVEL, Samples
 from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetric
 
-T = TypeVar("T")
+Function = TypeVar("Function", bound=Callable[..., Any])
 MIN_MOVING_SHARE = 0.3
 """Share of the time that a joint must move. A joint that moves less is judged near its stops as
 well, as little would remain."""
@@ -58,14 +58,17 @@ def fitted_robot(robot: Robot, parameters: Parameters, psi: FloatArray) -> Fitte
     return FittedRobot(robot, parameters, model, psi)
 
 
-class memoized_for_all_fits(Generic[T]):
-    """A property that is computed once, as it depends on neither the torque nor the base model."""
+def for_all_fits(compute: Function) -> Function:
+    """Compute a function of a motion once, as it depends on neither torque nor base model."""
 
-    def __init__(self, compute: Callable[[RecordedMotion], T]) -> None:
-        self.compute, self.__doc__ = compute, compute.__doc__
+    @wraps(compute)
+    def computed_once(motion: RecordedMotion, *args: Hashable) -> Any:
+        key = compute, *args
+        if key not in motion.motion_cache:
+            motion.motion_cache[key] = compute(motion, *args)
+        return motion.motion_cache[key]
 
-    def __get__(self, motion: RecordedMotion, owner: type[RecordedMotion]) -> T:
-        return motion.for_all_fits(self.compute.__name__, lambda: self.compute(motion))
+    return cast(Function, computed_once)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +92,7 @@ class RecordedMotion:
         modelled_torque: Torque of a fitted joint model, which takes the place of the measured
             torque; None without one, shape (M, n) [N m].
         modelled_motor_torque: The same in the place of the base model's torque.
-        motion_cache: What depends on neither the torque nor the base model; shared by all fits.
+        motion_cache: Values of functions `for_all_fits`, which all fits to the motion share.
     """
 
     segment: RecordingSegment
@@ -116,12 +119,6 @@ class RecordedMotion:
     def n(self) -> int:
         """Number of joints."""
         return int(self.torque.shape[1])
-
-    def for_all_fits(self, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return a value that depends on neither the torque nor the base model, computed once."""
-        if key not in self.motion_cache:
-            self.motion_cache[key] = compute()
-        return cast(T, self.motion_cache[key])
 
     def _of_same_motion(self, **changes: Any) -> RecordedMotion:
         """Return another fit to the same motion, which shares all that depends on it alone."""
@@ -180,7 +177,8 @@ class RecordedMotion:
         """Time derivative of the measured torque [N m/s], shape (N, n)."""
         return self.band.filter(self.segment.torque, Grid.KEPT, 1)[self.kept]
 
-    @memoized_for_all_fits
+    @property
+    @for_all_fits
     def samples(self) -> Samples:
         """Low-passed motion at every sample of the recording, shapes (M, n).
 
@@ -205,7 +203,8 @@ class RecordedMotion:
         recorded = self.segment.temperature
         return np.full((len(self.segment), self.n), np.nan) if recorded is None else recorded
 
-    @memoized_for_all_fits
+    @property
+    @for_all_fits
     def moving(self) -> BoolArray:
         """Rows at which a joint moves, shape (N, n); static friction is not modelled."""
         out, q, dq = np.zeros((len(self), self.n), bool), self.samples.q, self.samples.dq
@@ -216,7 +215,8 @@ class RecordedMotion:
                 out[:, few] = moving[:, few]
         return out | (out.mean(axis=0) <= HELD_SHARE)
 
-    @memoized_for_all_fits
+    @property
+    @for_all_fits
     def far_from_rest(self) -> BoolArray:
         """Rows that no friction at rest reaches through the low-pass filter, shape (N, n)."""
         reach = int(FILTER_REACH / self.band.hertz * self.segment.rate)
@@ -227,7 +227,8 @@ class RecordedMotion:
         """Sample of each row, shape (N,)."""
         return np.rint((self.time - self.segment.start) * self.segment.rate).astype(int)
 
-    @memoized_for_all_fits
+    @property
+    @for_all_fits
     def reversal_dwell(self) -> FloatArray:
         """Time √(2 Δ/|q̈|) of each joint in an encoder step Δ at reversals, or ∞; (n,) [s]."""
         out = np.full(self.n, np.inf)
@@ -244,7 +245,8 @@ class RecordedMotion:
         """Step Δ of each encoder, √12 times its quantisation error [rad or m], shape (n,)."""
         return np.asarray(np.sqrt(12.0) * self.segment.encoder)
 
-    @memoized_for_all_fits
+    @property
+    @for_all_fits
     def coarse_samples(self) -> Samples:
         """Low-passed motion on the grid of the rigid-body dynamics, shapes (C, n)."""
         position = self.band.transform(self.segment.q)
@@ -252,7 +254,8 @@ class RecordedMotion:
             *(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3))
         )
 
-    @memoized_for_all_fits
+    @property
+    @for_all_fits
     def times(self) -> FloatArray:
         """Times of all samples of the recording [s], shape (M,)."""
         return self.segment.start + np.arange(len(self.segment)) / self.segment.rate
@@ -391,7 +394,8 @@ class RecordedMotion:
         )
         return np.maximum(np.diag(dynamics.mass[0, :6]), 1e-9)
 
-    @memoized_for_all_fits
+    @property
+    @for_all_fits
     def _link_placements(self) -> tuple[FloatArray, FloatArray]:
         """Jacobians of a point of the robot at the origin of the base frame, shape (C, 6, nv), and
         placements [R | p] of the links' joints, shape (C, n links, 3, 4)."""

@@ -27,9 +27,6 @@ MIN_AUTOCORRELATION = 0.02
 """Autocorrelation at which the sum ends, about two standard errors of 10,000 rows."""
 MIN_REMAINING = 1e-6
 """Share of a squared error that is not told from rounding."""
-MIN_EIGENVALUE = 1e-9
-"""Information of a combination of a candidate's coefficients after elimination of all others, over
-the largest before, below which it is not determined."""
 FIXED_STD = 1e-12
 """Prior standard deviation of a coefficient that is held at zero."""
 _Products = tuple[FloatArray, FloatArray, float]
@@ -70,23 +67,40 @@ class CandidateFit:
     Attributes:
         coefficients: Shape (k,).
         gain: Decrease of the objective, a log-likelihood by the weights of the regression.
+        log_occam_factor: Logarithm of the prior volume over what the data leave of it.
         log_gain: Gain of log-likelihood with the variance that remains at each joint, less the cost
             of the prior.
-        information: Their information after elimination of all other coefficients, shape (k, k).
-        prior: Prior precision of each, shape (k,).
     """
 
     coefficients: FloatArray
     gain: float
-    log_gain: float
-    information: FloatArray
-    prior: FloatArray
+    log_occam_factor: float
+    log_gain: float = 0.0
 
-    @property
-    def log_occam_factor(self) -> float:
-        """Logarithm of the prior volume over what the data leave of it."""
-        std = self.prior**-0.5
-        return 0.5 * float(np.linalg.slogdet(self.information * np.outer(std, std))[1])
+    @classmethod
+    def of(cls, score: FloatArray, information: FloatArray, prior: FloatArray) -> CandidateFit:
+        """Return the minimum of ½ cᵀ A c − sᵀ c.
+
+        With coefficients in units of their prior standard deviations the information has no
+        eigenvalue below 1, whatever the units of the columns; one that is lower has rounding errors
+        of the elimination.
+
+        Args:
+            score: Score s, shape (k,).
+            information: Information A after elimination of all other coefficients, that of the
+                prior included, shape (k, k).
+            prior: Prior precision of each, shape (k,).
+        """
+        std = prior**-0.5
+        scaled = std[:, None] * information * std
+        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        values = np.maximum(values, 1.0)
+        along = np.einsum("kv,k->v", vectors, std * score)
+        return cls(
+            coefficients=std * np.einsum("kv,v->k", vectors, along / values),
+            gain=0.5 * float(np.sum(along**2 / values)),
+            log_occam_factor=0.5 * float(np.sum(np.log(values))),
+        )
 
 
 @dataclass(frozen=True)
@@ -615,14 +629,7 @@ class JointRegression:
         for part, squares in zip(batch.parts, batch.squares, strict=True):
             square = np.einsum("j,jkl->kl", self.weights, squares) + np.diag(batch.prior[part])
             schur = square - cross[:, part].T @ change[:, part]
-            schur = 0.5 * (schur + schur.T)
-            values, vectors = np.linalg.eigh(schur)
-            kept = values > MIN_EIGENVALUE * max(float(np.diag(square).max()), 1e-300)
-            along = np.einsum("kv,k->v", vectors, score[part])
-            along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
-            c = np.einsum("kv,v->k", vectors, along)
-            gain = 0.5 * float(np.sum(score[part] * c))
-            fits.append(CandidateFit(c, gain, 0.0, schur, batch.prior[part]))
+            fits.append(CandidateFit.of(score[part], schur, batch.prior[part]))
         log_gains = self._log_gains(batch, shared, change, [fit.coefficients for fit in fits])
         return [
             replace(fit, log_gain=gain) for fit, gain in zip(fits, log_gains.tolist(), strict=True)

@@ -30,6 +30,9 @@ MIN_RIPPLE_ORDER, MAX_RIPPLE_ORDER = 3.0, 300.0
 """Spatial frequencies that are searched [1/rad], see `recorded_motion.radian`."""
 ORDER_STEPS = 4.0
 """Length of the Fourier transform over the range of the angle."""
+FREE_TORQUE_RATIO = 1e3
+"""RMS torque of the prior of a free coefficient, over the friction of its joint: wide enough not to
+matter where the data determine it."""
 NEAR_ORDERS = 9
 """Orders around a peak of the spectrum from the best of which the refinement starts."""
 GAUSS_NEWTON_STEPS = 6
@@ -146,7 +149,7 @@ def refined_waves(fitted: JointModel) -> list[CandidateModel]:
         if not waves:
             continue
         slopes = np.hstack([_Wave.of(fitted.motions, j, k).slope(c) for k, c in waves])
-        steps = fitted.regression.candidate(_free_columns(j, slopes)).coefficients
+        steps = fitted.regression.candidate(_free_columns(fitted, j, slopes)).coefficients
         width = _peak_width(fitted.motions, j)
         limit = MAX_ORDER_STEP * width
         known: list[float] = []
@@ -157,10 +160,11 @@ def refined_waves(fitted: JointModel) -> list[CandidateModel]:
     return out
 
 
-def _free_columns(joint: int, torque: FloatArray) -> Columns:
-    """Columns of one joint, shape (N, k), with coefficients of either sign and no prior."""
-    k = torque.shape[1]
-    return Columns((joint,), (torque,), np.zeros(k, bool), np.full(k, np.inf))
+def _free_columns(fitted: JointModel, joint: int, torque: FloatArray) -> Columns:
+    """Columns of one joint, shape (N, k), with coefficients of either sign and a wide prior."""
+    size = np.sqrt(np.mean(torque**2, axis=0))
+    std = FREE_TORQUE_RATIO * fitted.level[joint] / np.where(size > 0.0, size, 1.0)
+    return Columns((joint,), (torque,), np.zeros(len(std), bool), std)
 
 
 def _angle_and_speed(
@@ -265,7 +269,7 @@ def _refined(
     pairs = np.split(_filtered(fitted.motions, joint, near), NEAR_ORDERS, axis=1)
     others = [wave.pair for wave in known]
     batch = CandidateBatch.of(
-        [_free_columns(joint, np.hstack([*others, pair])) for pair in pairs],
+        [_free_columns(fitted, joint, np.hstack([*others, pair])) for pair in pairs],
         fitted.regression.moving,
     )
     gains = [fit.gain for fit in fitted.regression.candidates(batch)]
@@ -274,9 +278,11 @@ def _refined(
     count, limit = 2 * len(waves), MAX_ORDER_STEP * width
     for _ in range(GAUSS_NEWTON_STEPS):
         columns = np.hstack([wave.pair for wave in waves])
-        c = fitted.regression.candidate(_free_columns(joint, columns)).coefficients
+        c = fitted.regression.candidate(_free_columns(fitted, joint, columns)).coefficients
         slopes = [wave.slope(part) for wave, part in zip(waves, c.reshape(-1, 2), strict=True)]
-        fit = fitted.regression.candidate(_free_columns(joint, np.hstack([columns, *slopes])))
+        fit = fitted.regression.candidate(
+            _free_columns(fitted, joint, np.hstack([columns, *slopes]))
+        )
         steps = np.clip(fit.coefficients[count:], -limit, limit).tolist()
         moved = [abs(step) >= ORDER_TOLERANCE * width for step in steps]
         if not any(moved):

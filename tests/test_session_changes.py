@@ -29,7 +29,7 @@ from excite._types import FloatArray
 from excite.diagnosis import session_changes
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
-from excite.diagnosis.session_changes import sandwiched
+from excite.diagnosis.session_changes import block_numbers, sandwiched
 from excite.recordings import Recording
 from excite.report import diagnosis_page
 
@@ -204,3 +204,31 @@ def test_a_zero_column_has_a_zero_coefficient():
     np.testing.assert_allclose(solution, [expected[0], 0.0, expected[1]])
     np.testing.assert_allclose(covariance[np.ix_([0, 2], [0, 2])], spread)
     assert not covariance[1].any()
+
+
+@pytest.mark.parametrize("error", [0.05, 1.0, 20.0])
+def test_standard_errors_hold_with_a_prior_that_matters_or_not(error):
+    """Coefficients drawn from the prior, coloured noise: errors over standard errors."""
+    rng = np.random.default_rng(3)
+    time, std = np.arange(0.0, 60.0, 0.02), np.array([2.0, 0.3, 1.0])
+    x = np.column_stack([np.sign(np.sin(2.0 * time)), np.sin(2.0 * time), np.ones(len(time))])
+    block, ratios = block_numbers(time), []
+    for _ in range(150):
+        truth, noise = std * rng.normal(size=3), rng.normal(size=len(time))
+        noise = np.convolve(noise, np.ones(10), "same") / np.sqrt(10.0)
+        y = x @ truth + error * noise
+        parts = [(x[block == k], y[block == k]) for k in np.unique(block)]
+        # rows are correlated over ten samples: each counts a tenth
+        solution, covariance = sandwiched(parts, std, error * np.sqrt(10.0))
+        ratios.append((solution - truth) / np.sqrt(np.diag(covariance)))
+    assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.25
+
+
+def test_a_block_lasts_a_second_by_the_clock():
+    """Also of a joint that moves for a tenth of the time: few rows are few blocks."""
+    time = 100.0 + np.arange(0.0, 20.3, 0.01)
+    block = block_numbers(time)
+    assert block[0] == 0
+    assert block[-1] == 19
+    assert min(np.ptp(time[block == k]) for k in range(20)) > 0.98
+    assert len(np.unique(block[(time - 100.0) % 10.0 < 1.0])) == 3

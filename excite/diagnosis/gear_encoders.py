@@ -19,7 +19,7 @@ from .._types import FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion
 from ..recordings import Recording
 from ..robot.samples import MIN_TRAVEL
-from .session_changes import BLOCK_SECONDS, sandwiched
+from .session_changes import block_numbers, sandwiched
 
 SIGN_WIDTH_RATIO = 0.03
 """Width of the smooth sign of torque and speed over their largest value: manufacturers state a
@@ -132,8 +132,7 @@ def _rows(motion: RecordedMotion, recording: Recording, joint: int) -> _GearRows
     ).T
     rotor_inertia = motion.fitted_robot.actuator_parameter("rotor_inertia")[joint]
     load = motion.torque[:, joint] - rotor_inertia * acceleration
-    clock = (motion.time - motion.time[0]) / BLOCK_SECONDS
-    block = np.minimum(clock.astype(int), max(round(clock[-1]), 1) - 1)  # the last with a remainder
+    block = block_numbers(motion.time)
     return _GearRows(lag[moving], load[moving], speed[moving], position[moving], block[moving])
 
 

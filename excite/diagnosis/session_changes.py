@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, special
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion, for_all_fits
 
 KINDS = ("coulomb", "viscous", "offset")
@@ -204,16 +204,13 @@ def changes(
                     continue
                 rows = moving[start : start + len(motion), j]
                 x, y = actuator[rows, j], residual[start : start + len(motion), j][rows]
-                count = max(1, int((motion.time[-1] - motion.time[0]) / BLOCK_SECONDS))
-                parts = np.array_split(np.arange(len(y)), count)
-                blocks += [(x[part], y[part]) for part in parts if len(part)]
+                block = block_numbers(motion.time)[rows]
+                blocks += [(x[block == k], y[block == k]) for k in np.unique(block)]
                 power += float(y @ y)
             if len(blocks) <= 2 * len(KINDS):
                 continue
-            weight = np.sqrt(power / max(sum(len(y) for _, y in blocks), 1))
-            solution, covariance = sandwiched(
-                [*blocks, (np.diag(weight / prior[j]), np.zeros(len(KINDS)))]
-            )
+            error = float(np.sqrt(power / max(sum(len(y) for _, y in blocks), 1)))
+            solution, covariance = sandwiched(blocks, prior[j], error)
             after = float(sum(np.sum((y - x @ solution) ** 2) for x, y in blocks))
             covariance = covariance * len(blocks) / (len(blocks) - len(KINDS))
             share = 1.0 - after / max(power, 1e-300)
@@ -221,21 +218,45 @@ def changes(
     return out
 
 
-def sandwiched(blocks: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Return least-squares coefficients (k,) and their sandwich covariance A⁻¹ Σ s sᵀ A⁻¹, (k, k).
+def block_numbers(time: FloatArray) -> IntArray:
+    """Return the block of each row of a motion by its clock [s], shape (N,).
 
-    It is valid for noise of any colour that decorrelates within a block (Liang & Zeger 1986).
-
-    The blocks have columns (m, k) and a right side (m,); s is the share of a block in the score
-    Aᵀ(y − Ax).
+    The last block is the longest: a remainder of less than half a block belongs to it.
     """
-    A, y = (
+    clock = (time - time[0]) / BLOCK_SECONDS
+    return np.minimum(clock.astype(int), max(round(clock[-1]), 1) - 1)
+
+
+def sandwiched(
+    blocks: Sequence[tuple[FloatArray, FloatArray]],
+    prior_std: FloatArray | None = None,
+    error: float = 1.0,
+) -> tuple[FloatArray, FloatArray]:
+    """Return least-squares coefficients and their sandwich covariance A⁻¹ (Σ s sᵀ + e² P) A⁻¹.
+
+    The blocks have columns X (m, k) and a right side y (m,); s is the share of a block in the score
+    Xᵀ(y − Xc), so that the covariance is valid for noise of any colour that decorrelates within a
+    block (Liang & Zeger 1986). The prior information P = (e/σ)² of the coefficients is no block of
+    its own, since its error is known. A = Σ XᵀX + P.
+
+    Args:
+        blocks: Columns and right side of each block.
+        prior_std: Prior standard deviations σ, shape (k,); no prior if None.
+        error: RMS error e of a row, in units of the right side.
+
+    Returns:
+        Coefficients, shape (k,), and covariance, shape (k, k).
+    """
+    X, y = (
         np.concatenate([columns for columns, _ in blocks]),
         np.concatenate([right for _, right in blocks]),
     )
-    size = np.linalg.norm(A, axis=0)
+    prior = np.zeros((X.shape[1],) * 2) if prior_std is None else np.diag((error / prior_std) ** 2)
+    information = X.T @ X + prior
+    size = np.sqrt(np.diag(information))
     size[size == 0.0] = np.inf  # a column of zeros: coefficient 0, variance 0
-    inverse = np.linalg.pinv((A / size).T @ (A / size), rcond=1e-10) / np.outer(size, size)
-    estimate = inverse @ (A.T @ y)
+    inverse = np.linalg.pinv(information / np.outer(size, size), rcond=1e-10)
+    inverse /= np.outer(size, size)
+    estimate = inverse @ (X.T @ y)
     scores = np.array([columns.T @ (right - columns @ estimate) for columns, right in blocks])
-    return estimate, inverse @ (scores.T @ scores) @ inverse
+    return estimate, inverse @ (scores.T @ scores + error**2 * prior) @ inverse

@@ -67,7 +67,7 @@ class FilterFits:
         frictions = [_computed_once(model) for model in plain.models]
 
         def with_filter(low_pass: LowPass) -> JointModel:
-            chain = RecordingChain(plain.chain.delay, low_pass)
+            chain = replace(plain.chain, filter=low_pass)
             model = joint_model.base_model(self.identified, plain.motions, plain.psi, chain)
             return model.with_effects(frictions)
 
@@ -108,6 +108,14 @@ class FilterFits:
                 return filtered
         return self.start
 
+    def on_one_clock(self, model: JointModel) -> JointModel:
+        """Return the frictions at the widths and with the filter of a joint model, and no delay."""
+        return self._fitted(model.chain.without_clock(), model.motions[0].widths)
+
+    def started_from(self, model: JointModel) -> JointModel:
+        """Return the frictions at the widths and with the next recording chain of a joint model."""
+        return self._fitted(renewed_chain(model), model.motions[0].widths)
+
     def _fitted(self, chain: RecordingChain, widths: FloatArray) -> JointModel:
         """Return the frictions with a recording chain and widths of Coulomb friction."""
         psi = joint_model.initial_parameters(self.identified)
@@ -128,6 +136,18 @@ class FilterFits:
             model = self._fitted(chain, widths)
             chain = renewed_chain(model)
         return model
+
+
+def evidence_for_chain(model: JointModel, simpler: JointModel) -> FloatArray:
+    """Return the evidence at each joint for a recording chain over a simpler one, shape (n,) [nat].
+
+    Both fits have all frictions and their waves of ripple, whose numbers may differ: the log
+    likelihood ratio pays for its coefficients by the Bayesian information criterion (Schwarz 1978).
+    """
+    regression = simpler.regression
+    rows = regression.independent_share * regression.moving.sum(axis=0)
+    fitted = model.regression.fitted_per_joint() - regression.fitted_per_joint()
+    return _gain(model, simpler) - 0.5 * fitted * np.log(np.maximum(rows, 1.0))
 
 
 def _computed_once(model: CandidateModel) -> CandidateModel:

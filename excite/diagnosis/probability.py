@@ -84,6 +84,13 @@ def rare_probability(log_bayes_factor: float, size: float) -> Probability:
     return Probability(float(by_evidence(log_bayes_factor)), float(by_size(size)))
 
 
+def tempered(log_bayes_factors: FloatArray) -> FloatArray:
+    """Return evidence at several joints, tempered where it is for an effect, as for a rare one."""
+    return np.where(
+        log_bayes_factors > 0.0, log_bayes_factors / RARE_TEMPERATURE, log_bayes_factors
+    )
+
+
 def beyond_errors(log_bayes_factor: float, by_errors: float) -> float:
     """Return the evidence ln B for an effect beyond that which errors of the positions give it.
 

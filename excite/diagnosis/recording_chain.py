@@ -10,7 +10,7 @@ the noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -40,17 +40,23 @@ class RecordingChain:
 
     Attributes:
         delay: Time by which all torque is recorded late, at low frequencies [s].
+        has_delay: False if torque and positions are known to have the same clock.
     """
 
     delay: float = 0.0
     filter: LowPass | None = None
+    has_delay: bool = True
 
     def stepped(self, seconds: float, log_corner: float) -> RecordingChain:
         """Return the chain with another delay [s] and a step of the log corner frequency."""
         if self.filter is None:
-            return RecordingChain(seconds)
+            return replace(self, delay=seconds)
         corner = max(self.filter.hertz * float(np.exp(log_corner)), MIN_CORNER)
-        return RecordingChain(seconds, self.filter.with_corner(corner))
+        return replace(self, delay=seconds, filter=self.filter.with_corner(corner))
+
+    def without_clock(self) -> RecordingChain:
+        """Return the chain of a recording whose torque and positions have the same clock."""
+        return replace(self, delay=0.0, has_delay=False)
 
     def without_delay(self, motion: RecordedMotion) -> RecordedMotion:
         """Return a motion with torque from which the delay was removed."""
@@ -100,7 +106,7 @@ def columns(motion: RecordedMotion, modelled: FloatArray, chain: RecordingChain)
     uncorrelated with its own slope; the filter's is that of the modelled torque of a fit, shape
     (M, n) [N m], by the logarithm of the corner frequency.
     """
-    slope = -motion.torque_slope
+    slope = -motion.torque_slope if chain.has_delay else np.zeros((len(motion), motion.n))
     if chain.filter is None:
         return np.stack([slope, np.zeros_like(slope)], axis=2)
     passed = _passed(motion, motion.lowpass(modelled), chain.filter, slope=True)

@@ -18,7 +18,7 @@ from ..effects.effect import CandidateModel, Key
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from ..schemas.effects import FORM_ERROR_STD
-from . import cross_validation, joint_model, posterior, probability
+from . import cross_validation, filter_search, joint_model, posterior, probability
 from .filter_search import FilterFits
 from .flexible_models import UNMODELLED, flexible_models
 from .joint_model import FRICTIONS, JointModel
@@ -38,6 +38,9 @@ from .rare_candidates import (
 )
 from .regression import log_error_ratio
 
+MAX_RESTARTS = 5
+"""Fits of the frictions, each from the recording chain of the one before, until its delay settles:
+presliding hysteresis and widths of Coulomb friction follow a delay slowly."""
 MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
 OPTIMISED_CANDIDATES = 4
@@ -147,9 +150,8 @@ class _Search:
     ) -> None:
         self._identified, self._motions, self._progress = identified, motions, progress
         self._position_errors = position_errors
-        self._start = FilterFits(identified, motions).chosen(position_errors.filter_evidence)
         self._error_evidence: dict[Key, float] = {}
-        self.model = self._fit(())
+        self._start, self.model = self._frictions()
         self._error_evidence |= self._position_errors.evidence((), self.model)
         self.model = replace(self.model, error_evidence=dict(self._error_evidence))
         self.effects: list[RareEffect] = []
@@ -157,6 +159,36 @@ class _Search:
         self._rejected: dict[Key, float] = {}  # with the evidence by which they were tried
         self._in_vain: Counter[Key] = Counter()
         self._small: dict[Key, EffectEvidence] = {}
+
+    def _frictions(self) -> tuple[JointModel, JointModel]:
+        """Return the start of every fit and the fit of all frictions, whose delay has settled.
+
+        The recording chain is that of all joints. A filter has the form of its model as little as
+        the friction has that it smooths, so that evidence for it at a joint is tempered; a delay
+        is exactly one.
+        """
+        filter_fits = FilterFits(self._identified, self._motions)
+        start = filter_fits.chosen(self._position_errors.filter_evidence)
+        model = self._fit((), start)
+        if start.chain.filter is not None:
+            plain = self._fit((), filter_fits.start)
+            support = filter_search.evidence_for_chain(model, plain)
+            if probability.tempered(support).sum() <= 0.0:
+                start, model = filter_fits.start, plain
+        for _ in range(MAX_RESTARTS):
+            delay, (_, std) = model.chain.delay, joint_model.delay_evidence(model, 0.0)
+            if abs(joint_model.renewed_chain(model).delay - delay) <= std:
+                break
+            start = filter_fits.started_from(model)
+            model = self._fit((), start)
+            if abs(model.chain.delay - delay) <= std:
+                break
+        if model.chain.delay:
+            punctual_start = filter_fits.on_one_clock(model)
+            punctual = self._fit((), punctual_start)
+            if filter_search.evidence_for_chain(model, punctual).sum() <= 0.0:
+                start, model = punctual_start, punctual
+        return start, model
 
     def add_effects(self, candidates: CandidateColumns) -> None:
         """Add effects, the best one first, while there is evidence for one."""
@@ -209,8 +241,8 @@ class _Search:
                 unnamed = RareEffect(flexible.model.key, flexible.evidence, {}, {}, factor)
                 self.effects = [*(self.effects[i] for i in kept), unnamed]
 
-    def _fit(self, shapes: Sequence[CandidateModel]) -> JointModel:
-        model = joint_model.fit(self._identified, self._motions, shapes, self._start)
+    def _fit(self, shapes: Sequence[CandidateModel], start: JointModel | None = None) -> JointModel:
+        model = joint_model.fit(self._identified, self._motions, shapes, start or self._start)
         return replace(model, error_evidence=dict(self._error_evidence))
 
     def _promising(

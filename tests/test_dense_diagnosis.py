@@ -107,3 +107,30 @@ def test_rigid_body_parameters_are_within_their_intervals_next_to_the_effects(ca
     half = interval_half_widths(data, np.eye(model.base.count))
     error = data.theta - model.base.matrix @ case.true_parameters
     assert sum(rigid) >= 5 and np.mean(np.abs(error) <= half, where=rigid) >= 0.8
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_delay_next_to_all_frictions_is_no_filter(seed, tmp_path):
+    """Torque recorded 9 ms late at 125 Hz: smoothed steps of friction look like a filter's."""
+
+    def draw(robot, motion, rng):
+        load = dense_robot.static_load(robot, motion)
+        settings = replace(dense_robot.DenseSettings(), friction_probability=1.0)
+        return list(dense_robot.draw_dense_effects(robot, load, rng, settings))
+
+    settings = ExperimentSettings(seed=seed, rate=125.0, noise=0.003)
+    robot = record_robot("two_link", draw, tmp_path, seed, settings)
+    shift = 0.009
+    recordings = []
+    for file in robot.files:
+        recording = excite.read_recording(file, "two_link")
+        torque = [
+            np.interp(recording.t - shift, recording.t, column) for column in recording.torque.T
+        ]
+        recordings.append(replace(recording, tau=np.column_stack(torque)))
+    result = excite.diagnose("two_link", recordings[:2], recordings[2:], with_report=False)
+    hidden = sum(e.values["seconds"] for e in robot.effects if e.name == "delay")
+    chain = result.diagnosis.final.chain
+    assert result.document()["recording_filter"] is None
+    assert chain.delay == pytest.approx(hidden + shift, abs=1e-3)
+    assert (noise_ratios(result.diagnosis)[1] < 1.4).all()

@@ -160,6 +160,10 @@ def test_small_contributions_are_summed() -> None:
     assert useless.endswith("worse than predicting no torque (200 % of the torque)")
     absent = dataclasses.replace(half, absent=("hysteresis",)).causes
     assert absent.endswith(f"presliding hysteresis hardly matters here{remains}")
+    vain = dataclasses.replace(half, after=0.99, absent=("hysteresis",))
+    assert vain.causes.startswith("presliding hysteresis and Stribeck friction do not reduce it")
+    nothing = dataclasses.replace(vain, parts=(), absent=())
+    assert nothing.causes.startswith("no effect found reduces it")
 
 
 def test_base_parameters_that_were_fitted_jointly_are_a_part_of_the_budget() -> None:

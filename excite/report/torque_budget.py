@@ -269,7 +269,14 @@ class JointBudget:
             if self.is_explained:
                 return ["nothing notable is missing"]
             is_caused = self.unknown or self.is_changed or self.is_misled
-            return [] if is_caused else ["no effect found reduces it"]
+            if is_caused:
+                return []
+            certain = [
+                p.effect for p in self.parts if p.is_certain and p.effect != "base_parameters"
+            ]
+            if named := [effect_words(name) for name in (*self.absent, *certain)]:
+                return [f"{listed(named)} {'do' if named[1:] else 'does'} not reduce it"]
+            return ["no effect found reduces it"]
         texts = [
             f"{part.words} {self.change_words(part.share)}"
             for part in self.parts

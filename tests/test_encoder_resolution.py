@@ -10,7 +10,6 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite._types import FloatArray
 from excite.effects import EFFECTS_BY_NAME
 from excite.effects.effect import CandidateModel
 from excite.effects.recorded_motion import RecordedMotion
@@ -19,6 +18,8 @@ from excite.effects.recorded_motion import RecordedMotion
 class ReversingMotion:
     """Three joints with encoders of one resolution: with reversals at `turns` rad/s², at a quarter
     of it, and without reversals."""
+
+    reversal_dwell = RecordedMotion.reversal_dwell
 
     def __init__(self, step: float, turns: float) -> None:
         t = np.arange(0.0, 20.0, 0.004)
@@ -35,7 +36,7 @@ class ReversingMotion:
         )
         self.samples = types.SimpleNamespace(dq=turns * speed, ddq=most * accelerations)
         self.fitted_robot = types.SimpleNamespace(actuator_parameter=lambda kind: np.ones(3))
-        self.reversal_dwell: FloatArray = vars(RecordedMotion)["reversal_dwell"].compute(self)
+        self.motion_cache: dict[object, object] = {}
 
 
 def shapes(effect: str, tracks: Sequence[Any]) -> list[CandidateModel]:

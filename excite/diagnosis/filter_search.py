@@ -110,7 +110,7 @@ class FilterFits:
 
     def on_one_clock(self, model: JointModel) -> JointModel:
         """Return the frictions at the widths and with the filter of a joint model, and no delay."""
-        return self._fitted(model.chain.without_clock(), model.motions[0].widths)
+        return self._fitted(model.chain.on_one_clock(), model.motions[0].widths)
 
     def started_from(self, model: JointModel) -> JointModel:
         """Return the frictions at the widths and with the next recording chain of a joint model."""

@@ -54,7 +54,7 @@ class RecordingChain:
         corner = max(self.filter.hertz * float(np.exp(log_corner)), MIN_CORNER)
         return replace(self, delay=seconds, filter=self.filter.with_corner(corner))
 
-    def without_clock(self) -> RecordingChain:
+    def on_one_clock(self) -> RecordingChain:
         """Return the chain of a recording whose torque and positions have the same clock."""
         return replace(self, delay=0.0, has_delay=False)
 

@@ -163,9 +163,8 @@ class _Search:
     def _frictions(self) -> tuple[JointModel, JointModel]:
         """Return the start of every fit and the fit of all frictions, whose delay has settled.
 
-        The recording chain is that of all joints. A filter has the form of its model as little as
-        the friction has that it smooths, so that evidence for it at a joint is tempered; a delay
-        is exactly one.
+        The recording chain is that of all joints. A filter never has exactly the form of its model,
+        so that evidence for it at a joint is tempered; a delay has.
         """
         filter_fits = FilterFits(self._identified, self._motions)
         start = filter_fits.chosen(self._position_errors.filter_evidence)

@@ -27,8 +27,10 @@ def doubt_line(doubts: Sequence[Mapping[str, Any]], subject: str) -> str:
         doubts: Doubts about the recordings, at least one.
         subject: The result: "model".
     """
+    from ..report.formatting import plural  # slow to import
+
     kinds = ", ".join(sorted({str(doubt["kind"]) for doubt in doubts}))
     return (
-        f"do not use this {subject}: the recordings are doubted ({len(doubts)} warnings: {kinds}); "
-        "correct them and identify again"
+        f"do not use this {subject}: the recordings are doubted "
+        f"({plural(len(doubts), 'warning')}: {kinds}); correct them and identify again"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from excite.diagnosis.diagnosis import Diagnosis
 
 pytest.importorskip("mujoco")
 
-from simulated_robots import record_robot
+from simulated_robots import RecordedRobot, record_robot
 from synthetic_recordings import true_parameters
 
 from excite.identification.estimators import interval_half_widths
@@ -48,18 +49,23 @@ class DenseCase:
         }
 
 
+def recorded(probability: float, settings: ExperimentSettings, folder: Path) -> RecordedRobot:
+    """Record a two-link robot each of whose joints has each friction with a probability."""
+
+    def draw(robot, motion, rng):
+        dense = replace(dense_robot.DenseSettings(), friction_probability=probability)
+        load = dense_robot.static_load(robot, motion)
+        return list(dense_robot.draw_dense_effects(robot, load, rng, dense))
+
+    return record_robot("two_link", draw, folder, settings.seed, settings)
+
+
 @pytest.fixture(scope="module", params=[(1.0, 1), (0.5, 2)], ids=["dense", "half-dense"])
 def case(request, tmp_path_factory) -> DenseCase:
     """Diagnose a two-link robot; each joint has each friction with a probability."""
     probability, seed = request.param
-
-    def draw(robot, motion, rng):
-        settings = replace(dense_robot.DenseSettings(), friction_probability=probability)
-        load = dense_robot.static_load(robot, motion)
-        return list(dense_robot.draw_dense_effects(robot, load, rng, settings))
-
     settings = ExperimentSettings(seed=seed, rate=200.0, noise=0.002)
-    robot = record_robot("two_link", draw, tmp_path_factory.mktemp("dense"), seed, settings)
+    robot = recorded(probability, settings, tmp_path_factory.mktemp("dense"))
     result = excite.diagnose("two_link", robot.files[:2], robot.files[2:], with_report=False)
     joints = robot.robot.joints
     truth = {
@@ -112,14 +118,7 @@ def test_rigid_body_parameters_are_within_their_intervals_next_to_the_effects(ca
 @pytest.mark.parametrize("seed", [1, 3])
 def test_delay_next_to_all_frictions_is_no_filter(seed, tmp_path):
     """Torque recorded 9 ms late at 125 Hz: smoothed steps of friction look like a filter's."""
-
-    def draw(robot, motion, rng):
-        load = dense_robot.static_load(robot, motion)
-        settings = replace(dense_robot.DenseSettings(), friction_probability=1.0)
-        return list(dense_robot.draw_dense_effects(robot, load, rng, settings))
-
-    settings = ExperimentSettings(seed=seed, rate=125.0, noise=0.003)
-    robot = record_robot("two_link", draw, tmp_path, seed, settings)
+    robot = recorded(1.0, ExperimentSettings(seed=seed, rate=125.0, noise=0.003), tmp_path)
     shift = 0.009
     recordings = []
     for file in robot.files:

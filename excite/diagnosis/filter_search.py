@@ -108,13 +108,9 @@ class FilterFits:
                 return filtered
         return self.start
 
-    def on_one_clock(self, model: JointModel) -> JointModel:
-        """Return the frictions at the widths and with the filter of a joint model, and no delay."""
-        return self._fitted(model.chain.on_one_clock(), model.motions[0].widths)
-
-    def started_from(self, model: JointModel) -> JointModel:
-        """Return the frictions at the widths and with the next recording chain of a joint model."""
-        return self._fitted(renewed_chain(model), model.motions[0].widths)
+    def started_from(self, model: JointModel, chain: RecordingChain) -> JointModel:
+        """Return the frictions at the widths of a joint model, with a recording chain."""
+        return self._fitted(chain, model.motions[0].widths)
 
     def _fitted(self, chain: RecordingChain, widths: FloatArray) -> JointModel:
         """Return the frictions with a recording chain and widths of Coulomb friction."""
@@ -144,10 +140,9 @@ def evidence_for_chain(model: JointModel, simpler: JointModel) -> FloatArray:
     Both fits have all frictions and their waves of ripple, whose numbers may differ: the log
     likelihood ratio pays for its coefficients by the Bayesian information criterion (Schwarz 1978).
     """
-    regression = simpler.regression
-    rows = regression.independent_share * regression.moving.sum(axis=0)
-    fitted = model.regression.fitted_per_joint() - regression.fitted_per_joint()
-    return _gain(model, simpler) - 0.5 * fitted * np.log(np.maximum(rows, 1.0))
+    further = model.regression.fitted_per_joint() - simpler.regression.fitted_per_joint()
+    cost = 0.5 * further * np.log(np.maximum(_independent_rows(simpler), 1.0))
+    return _gain(model, simpler) - cost
 
 
 def _computed_once(model: CandidateModel) -> CandidateModel:
@@ -158,8 +153,12 @@ def _computed_once(model: CandidateModel) -> CandidateModel:
 def _gain(model: JointModel, plain: JointModel) -> FloatArray:
     """Log likelihood ratio of two models at each joint, shape (n,)."""
     new, old = (np.maximum(m.regression.residual_rms(m.solution), 1e-300) for m in (model, plain))
-    rows = plain.regression.independent_share * plain.regression.moving.sum(axis=0)
-    return np.asarray(rows * np.log(old / new))
+    return np.asarray(_independent_rows(plain) * np.log(old / new))
+
+
+def _independent_rows(model: JointModel) -> FloatArray:
+    """Number of independent rows of each joint, shape (n,)."""
+    return model.regression.independent_share * model.regression.moving.sum(axis=0)
 
 
 def _evidence(model: JointModel, plain: JointModel) -> float:

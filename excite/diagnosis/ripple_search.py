@@ -31,8 +31,8 @@ MIN_RIPPLE_ORDER, MAX_RIPPLE_ORDER = 3.0, 300.0
 ORDER_STEPS = 4.0
 """Length of the Fourier transform over the range of the angle."""
 FREE_TORQUE_RATIO = 1e3
-"""RMS torque of the prior of a free coefficient, over the friction of its joint: wide enough not to
-matter where the data determine it."""
+"""RMS torque of the prior of a free coefficient, over the friction of its joint [1]: too wide to
+matter where the data determine it. A term of the model, not a threshold."""
 NEAR_ORDERS = 9
 """Orders around a peak of the spectrum from the best of which the refinement starts."""
 GAUSS_NEWTON_STEPS = 6

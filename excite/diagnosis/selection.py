@@ -40,7 +40,8 @@ from .regression import log_error_ratio
 
 MAX_RESTARTS = 5
 """Fits of the frictions, each from the recording chain of the one before, until its delay settles:
-presliding hysteresis and widths of Coulomb friction follow a delay slowly."""
+presliding hysteresis and widths of Coulomb friction follow a delay slowly [1]. One or two were
+needed where a delay was recorded; the limit is for motions in which it does not settle."""
 MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
 OPTIMISED_CANDIDATES = 4
@@ -176,14 +177,15 @@ class _Search:
                 start, model = filter_fits.start, plain
         for _ in range(MAX_RESTARTS):
             delay, (_, std) = model.chain.delay, joint_model.delay_evidence(model, 0.0)
-            if abs(joint_model.renewed_chain(model).delay - delay) <= std:
+            chain = joint_model.renewed_chain(model)
+            if abs(chain.delay - delay) <= std:
                 break
-            start = filter_fits.started_from(model)
+            start = filter_fits.started_from(model, chain)
             model = self._fit((), start)
             if abs(model.chain.delay - delay) <= std:
                 break
         if model.chain.delay:
-            punctual_start = filter_fits.on_one_clock(model)
+            punctual_start = filter_fits.started_from(model, model.chain.on_one_clock())
             punctual = self._fit((), punctual_start)
             if filter_search.evidence_for_chain(model, punctual).sum() <= 0.0:
                 start, model = punctual_start, punctual

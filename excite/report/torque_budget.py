@@ -271,9 +271,7 @@ class JointBudget:
             is_caused = self.unknown or self.is_changed or self.is_misled
             if is_caused:
                 return []
-            certain = [
-                p.effect for p in self.parts if p.is_certain and p.effect != "base_parameters"
-            ]
+            certain = [p.effect for p in self.parts if p.is_certain and p.effect != BASE_PARAMETERS]
             if named := [effect_words(name) for name in (*self.absent, *certain)]:
                 return [f"{listed(named)} {'do' if named[1:] else 'does'} not reduce it"]
             return ["no effect found reduces it"]

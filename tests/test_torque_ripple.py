@@ -54,6 +54,13 @@ def test_two_waves_of_few_periods_have_the_right_orders(diagnosis):
     assert diagnosis.held_out.rmse_after < 1.1 * diagnosis.noise.floor
 
 
+def test_order_is_as_exact_as_the_recording_tells(diagnosis):
+    ripple = next(e for e in diagnosis.effects if e.effect == "torque_ripple")
+    order, std = ripple.parameters["order"]
+    assert abs(order - 16.7) < 3.0 * std
+    assert std < 0.1, "16 and 17 teeth cannot be told apart"
+
+
 def test_a_joint_that_carries_little_says_nothing_about_loads(diagnosis):
     waves = [e for e in diagnosis.final.effects if e.shape.effect == "torque_ripple"]
     assert waves

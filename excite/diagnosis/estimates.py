@@ -37,7 +37,8 @@ by the form of the effect."""
 EXCHANGEABLE = ("stribeck", "nonlinear_viscous")
 """Frictions that are one curve with two names: each may take a part of the other."""
 LOG_STEP = 0.02
-"""Step of the derivative by the logarithm of a nonlinear parameter."""
+"""Step of the derivative by the logarithm of a nonlinear parameter, over its prior standard
+deviation."""
 MAX_LOG_CHANGE = 1.0
 """Largest change of the logarithm of a nonlinear parameter in a draw; about its prior."""
 ALIKE_CORRELATION = -0.6
@@ -440,9 +441,11 @@ class _Posterior:
         none = np.zeros(len(places)), 0.0
         if shape.nonlinear is None:
             return none
-        parts = []
-        for step in (LOG_STEP, -LOG_STEP):
-            moved = shape.nonlinear.at(shape.nonlinear.value * float(np.exp(step)))
+        parts, parameter = [], shape.nonlinear
+        prior_std = min(float(np.log(parameter.high / parameter.low)), 1.0)
+        size = LOG_STEP * prior_std
+        for step in (size, -size):
+            moved = parameter.at(parameter.value * float(np.exp(step)))
             columns = self.model.columns(moved)
             if columns is None or columns.count > len(c):
                 return none
@@ -451,13 +454,13 @@ class _Posterior:
         if up.joints != down.joints:
             return none
         values = tuple(
-            ((a - b) @ cu / (2.0 * LOG_STEP))[:, None]
+            ((a - b) @ cu / (2.0 * size))[:, None]
             for a, b in zip(up.values, down.values, strict=True)
         )
         change = Columns(up.joints, values, np.zeros(1, bool), np.ones(1))
         slope, information = self.model.regression.sensitivity(change, self.solution)
         slope = slope[np.searchsorted(np.flatnonzero(self.solution.active), places)]
-        return slope, float(1.0 / np.sqrt(1.0 + max(information, 0.0)))
+        return slope, float(1.0 / np.sqrt(prior_std**-2.0 + max(information, 0.0)))
 
 
 def _likeness(posterior_of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:

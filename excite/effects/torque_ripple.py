@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .effect import CandidateModel
+from .effect import CandidateModel, NonlinearParameter
 from .joint_torque import JointTorque
-from .recorded_motion import RecordedMotion
+from .recorded_motion import RecordedMotion, position_range
 
 TORQUE_RIPPLE = JointTorque(
     "torque_ripple",
@@ -17,7 +17,7 @@ TORQUE_RIPPLE = JointTorque(
     "periodic in the angle, whatever the speed",
     "slow constant speed over a turn",
     has_candidates=False,
-    form_std={"order": 0.02, "amplitude": 0.1},
+    form_std={"order": 0.0, "amplitude": 0.1},  # teeth and poles are whole numbers
 )
 """Torque ripple; users call it cogging, gear meshing or motor pole ripple."""
 
@@ -25,6 +25,8 @@ TORQUE_RIPPLE = JointTorque(
 def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> CandidateModel:
     """Return the wave of one order [1/rad] at a joint, whose amplitude may grow with the load.
 
+    The order is known to half a period over the range of the joint, the width of its peak in a
+    spectrum over the angle.
     At a load as large as the largest torque of the joint, the growth has the prior of the wave
     itself: a joint that carried next to nothing says nothing about loads.
     """
@@ -33,4 +35,7 @@ def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> C
     scale = max(torque, float(np.abs(load).max()), 1e-9)
     share = float(np.sqrt(np.mean(load**2))) / scale
     values = {"order": order, "load": scale}
-    return CandidateModel(TORQUE_RIPPLE, joint, values, prior_shares=(1.0, 1.0, share, share))
+    model = CandidateModel(TORQUE_RIPPLE, joint, values, prior_shares=(1.0, 1.0, share, share))
+    low, high = position_range(motions, joint)
+    width = np.pi / (high - low)
+    return NonlinearParameter(model, "order", order, order - width, order + width).current

@@ -173,4 +173,7 @@ def test_a_screw_that_two_joints_turn_is_a_coupling(tmp_path):
     result = excite.diagnose(robot, [train], [held_out]).diagnosis
     couplings = [f for f in result.findings if f.effect == "coupling"]
     assert {f.joint for f in couplings} == {0, 1}
+    for entry in couplings:
+        ratio, std = entry.parameters["ratio"]
+        assert abs(ratio - (SCREW_RATIO if entry.joint == 0 else 1.0 / SCREW_RATIO)) < 2.0 * std
     assert (result.held_out.rmse_after < 0.2 * result.held_out.rmse_before).all()

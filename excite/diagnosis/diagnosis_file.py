@@ -243,8 +243,12 @@ def _stated(
     """Parameters in the units of the joint, N and m if prismatic; an angle is always in rad."""
     units = dict(EFFECTS_BY_NAME[estimate.effect].units)
     if estimate.joint is not None:
-        entry = diagnosis.identified.model.robot.entries[estimate.joint]
+        entries, other = diagnosis.identified.model.robot.entries, estimate.models[0].other
+        entry = entries[estimate.joint]
         units |= {key: entry.unit(unit) for key, unit in units.items() if key != "angle"}
+        if "ratio" in units and other is not None:
+            of_ratio = entry.unit("rad"), entries[other].unit("rad")
+            units["ratio"] = "1" if len(set(of_ratio)) == 1 else "/".join(of_ratio)
     return {
         key: {"value": value, "std": std, "unit": units.get(key, "")}
         for key, (value, std) in shown.items()

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 
 from .._types import FloatArray
-from .effect import CandidateModel, grid_candidates
+from .effect import CandidateModel, Values, grid_candidates
 from .joint_torque import JointTorque
-from .recorded_motion import RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion
 
 RATIOS = (0.5, 1.0, 2.0)
 """Turns of the shaft by the other joint over those by its own, tried with either sign."""
@@ -37,6 +37,10 @@ class _Coupling(JointTorque):
                 for sign, light in product((1.0, -1.0), ({}, {"light": 1.0})) if i != j else ():
                     model = CandidateModel(self, i, {"ratio": sign, **light}, j, motions=motions)
                     yield from grid_candidates(model, "ratio", _ratios(motions, i, j))
+
+    def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
+        """Return the coefficients and the ratio r."""
+        return super().parameters(model, c, base) | {"ratio": model.values["ratio"]}
 
     def varied(self, model: CandidateModel, key: str, value: float) -> CandidateModel:
         """Return the model with another size of the ratio, whose sign stays."""
@@ -75,9 +79,9 @@ COUPLING = _Coupling(
     "coupling",
     "friction and inertia of a shaft that turns with q̇ᵢ + r q̇ⱼ, as in an actuator that another "
     "joint turns too",
-    {"viscous": "N m s/rad", "coulomb": "N m", "inertia": "kg m²"},
+    {"viscous": "N m s/rad", "coulomb": "N m", "inertia": "kg m²", "ratio": "1"},
     "torque where only the other joint moves",
     "each joint singly, then together",
-    form_std={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1},
+    form_std={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1, "ratio": 0.1},
 )
 """Transmission coupling of wrist joints; users call it gear coupling or a differential wrist."""

@@ -185,7 +185,10 @@ def test_base_parameters_that_were_fitted_jointly_are_a_part_of_the_budget() -> 
     assert against.causes.startswith("Stribeck friction −27 %, base parameters fitted jointly +7 %")
     stated["verdict"] = "no-mismatch"
     page = diagnosis_page(result, stated)
-    assert "more than 1.2 times the noise at joint_2" in page[: page.index('<section id="budget"')]
+    banners = page[: page.index('<section id="budget"')]
+    assert "no effect is found" in banners and "lacks nothing" not in banners
+    assert "more than 1.2 times the noise at joint_2" in banners
+    assert "each joint alone" in banners and "nothing is needed" not in banners
     assert "base parameters fitted jointly" in draw_budget([mostly])
     assert "base parameters fitted jointly" not in draw_budget([against])
 

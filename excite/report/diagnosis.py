@@ -65,6 +65,7 @@ _ONE_SESSION = (
     "warm up alike, or record temp.<joint>, and record training and validation again in one session"
 )
 _WITHOUT_PRIOR = "diagnose without --prior, or with a prior that states only what is known"
+_ALONE = "record twice, each joint alone at several speeds in both directions"
 _AS_FAST = "record training motion as fast as the motion that is to be predicted"
 _NOISE_FLOORS = {
     "periods": "the difference between repeated periods",
@@ -124,7 +125,9 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
     unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
     changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
     extrapolated = [b.joint for b in budgets if b.is_extrapolated]
-    above = [b.joint for b in budgets if b.is_unforeseen]
+    above = _unforeseen(budgets)
+    if above and verdict == "no-mismatch":
+        text, tone = "no effect is found that the base model lacks", "warn"
     if unknown:
         places = joint_words(unknown, len(budgets))
         remains = f"torque at {places} repeats with the motion and no known effect explains it"
@@ -149,6 +152,11 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
         Banner(f"{capitalized(verdict.replace('-', ' '))}: {text}.", tone),
         Banner(f"Use: {_use(budgets)}. Next: {_next_action(document, budgets)}.", ""),
     ]
+
+
+def _unforeseen(budgets: Sequence[JointBudget]) -> list[str]:
+    """Joints with an error whose cause is not known."""
+    return [b.joint for b in budgets if b.is_unforeseen]
 
 
 def _use(budgets: Sequence[JointBudget]) -> str:
@@ -198,6 +206,8 @@ def _next_action(document: Document, budgets: Sequence[JointBudget]) -> str:
             "excite design ROBOT --discriminate diagnosis.json designs the motion that decides "
             "between the effects that resemble each other"
         ]
+    if not actions and (places := _unforeseen(budgets)):
+        actions = [f"{_ALONE} ({joint_words(places, len(budgets))})"]
     return "; ".join(actions) or "nothing is needed"
 
 
@@ -354,6 +364,7 @@ def _next_section(
     causes = {
         f"{_ONE_SESSION}: friction or offset changed": changed,
         f"{_AS_FAST}: friction is extrapolated": fast,
+        f"{_ALONE}: the cause of what remains is not known": _unforeseen(budgets),
     }
     lines = [
         f"{capitalized(cause)} at {joint_words(joints, count)}."

@@ -18,7 +18,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray
 from . import posterior, session_changes
-from .joint_model import JointModel
+from .joint_model import JointModel, transient_rows
 from .posterior import EffectEvidence
 
 PARTS = 3
@@ -43,12 +43,14 @@ def gain(
 ) -> float:
     """Return the log-likelihood that a model gains over another on rows that are not fitted.
 
-    Each is taken without the effects of the numbers `left_out`; both have the same motions. The
-    fold in which a transient effect acts says nothing of it, but the other folds are predicted
-    better by a fit that has its torque.
+    Each is taken without the effects of the numbers `left_out`; both have the same motions. Rows in
+    which a transient effect of either acts say nothing of it, and their large errors would hide all
+    others; but other rows are predicted better by a fit that has its torque.
     """
-    rows = model.regression.independent_share * model.regression.moving.sum(axis=0)
-    errors = _log_errors(other, [other_left_out]) - _log_errors(model, [left_out])
+    judged = ~transient_rows([*model.models, *other.models], model.motions)
+    rows = model.regression.independent_share * model.regression.moving[judged].sum(axis=0)
+    errors = _log_errors(other, [other_left_out], judged)
+    errors -= _log_errors(model, [left_out], judged)
     return 0.5 * float(rows @ errors[0])
 
 
@@ -60,14 +62,15 @@ def select(model: JointModel) -> list[EffectEvidence]:
     """
     evidence = posterior.select(model)
     everything = set(range(len(model.models)))
+    judged = ~transient_rows(model.models, model.motions)
     while True:
         left_out = posterior.left_out(evidence)
-        base, present = _log_errors(model, [everything, left_out])
+        base, present = _log_errors(model, [everything, left_out], judged)
         joint = int(np.argmax(present - base))
         if present[joint] <= base[joint]:
             return evidence
         # a joint without effects is predicted worse where the folds do not determine the base model
-        group = _spoiling_group(model, joint, left_out, present, evidence)
+        group = _spoiling_group(model, joint, left_out, present, evidence, judged)
         if not group:
             return evidence
         spoiling = {e.key for e in evidence if group & set(e.members)}
@@ -83,6 +86,7 @@ def _spoiling_group(
     left_out: Collection[int],
     present: FloatArray,
     evidence: Sequence[EffectEvidence],
+    judged: BoolArray,
 ) -> frozenset[int]:
     """Return the effect without which a joint and the whole robot are predicted better, or none.
 
@@ -97,14 +101,19 @@ def _spoiling_group(
     if not groups:
         return frozenset()
     groups.append(frozenset().union(*groups))
-    errors = _log_errors(model, [{*left_out, *group} for group in groups])
+    errors = _log_errors(model, [{*left_out, *group} for group in groups], judged)
     total = np.where(errors[:, joint] < present[joint], errors.sum(axis=1), np.inf)
     best = int(np.argmin(total))
     return groups[best] if total[best] < present.sum() else frozenset()
 
 
-def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> FloatArray:
-    """Mean log squared errors on rows to which variants are not fitted, shape (variants, n)."""
+def _log_errors(
+    model: JointModel, variants: Sequence[Collection[int]], judged: BoolArray
+) -> FloatArray:
+    """Mean log squared errors on rows to which variants are not fitted, shape (variants, n).
+
+    `judged` rows count, shape (N,).
+    """
     regression, parts = model.regression, _folds(model)
     unused = np.zeros(len(regression.nonnegative), bool)
     unused[model.session_places] = True
@@ -112,8 +121,10 @@ def _log_errors(model: JointModel, variants: Sequence[Collection[int]]) -> Float
     # a change from the mean of the others, not from the mean of all, as its column is
     change = ((1.0 - model.weights_in_mean) ** 2).reshape(len(model.weights_in_mean), -1)
     change = np.tile(change, len(change) - 1)
-    errors = regression.cross_validated(parts, variants, unused, model.session_places, change)
-    rows = np.array([regression.moving[part].sum(axis=0) for part in parts], float)
+    errors = regression.cross_validated(
+        parts, variants, unused, model.session_places, change, judged
+    )
+    rows = np.array([regression.moving[part & judged].sum(axis=0) for part in parts], float)
     if len(session_changes.sources(model.motions)) == 1:
         errors, rows = (x.sum(axis=0, keepdims=True) for x in (errors, rows))
     weights = rows / np.maximum(rows.sum(axis=0), 1.0)

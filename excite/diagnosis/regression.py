@@ -505,6 +505,7 @@ class JointRegression:
         unused: BoolArray,
         per_fold: slice,
         change: FloatArray | None = None,
+        judged: BoolArray | None = None,
     ) -> FloatArray:
         """Return squared errors on rows that the coefficients were not fitted to.
 
@@ -516,6 +517,7 @@ class JointRegression:
                 of each, with their prior.
             change: Factor on the information of this prior in each fold, shape (folds, k); 1 if
                 None.
+            judged: Rows whose errors count, shape (N,); all if None.
 
         Returns:
             Sum over the rows of each fold [(N m)²], shape (folds, variants, n).
@@ -523,14 +525,15 @@ class JointRegression:
         used = [self._used(left_out) & ~unused for left_out in variants]
         out = np.zeros((len(folds), len(variants), self.n))
         parts = [self._products(fold) for fold in folds]
+        held_out = parts if judged is None else [self._products(fold & judged) for fold in folds]
         information = np.diag(self.prior_matrix)[per_fold] * np.ones((len(folds), 1))
         if change is not None:
             information = information * change
-        for errors, held_out, prior in zip(out, parts, information, strict=True):
+        for k, (errors, products, prior) in enumerate(zip(out, held_out, information, strict=True)):
             # a sum over the other folds: a difference would leave the rounding errors of the whole
-            system = self._system_of([part for part in parts if part is not held_out])
+            system = self._system_of([*parts[:k], *parts[k + 1 :]])
             elimination = self._elimination_of(system, ~unused)
-            reduced = [self._with_fitted(j, p, per_fold, prior) for j, p in enumerate(held_out)]
+            reduced = [self._with_fitted(j, p, per_fold, prior) for j, p in enumerate(products)]
             for v, mask in enumerate(used):
                 c = elimination.minimum(system, mask, self.solution.active).coefficients
                 for j, (gram, (matrix, score, power)) in enumerate(

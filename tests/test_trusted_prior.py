@@ -130,11 +130,14 @@ def test_a_model_as_prior_keeps_its_widths_of_coulomb_friction():
     assert list(stated.values()) == model.widths.tolist()
 
 
-def test_a_payload_is_found_and_trusted_parameters_are_kept():
-    load = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])  # mass and first moments of the last link
+@pytest.mark.parametrize("mass", [0.4, 4.0])
+def test_a_payload_is_found_and_trusted_parameters_are_kept(mass):
+    load = mass * np.array([1.0, 0.05, 0.02, 0.1])  # mass and first moments of the last link
     result = diagnose(changed(dict(zip(range(10, 14), load, strict=True))), prior=TRUSTED)
     assert findings_of(result) == [("payload", 1)]
-    assert parameters(result, "payload", 1)["mass"][0] == pytest.approx(0.4, rel=0.1)
+    assert parameters(result, "payload", 1)["mass"][0] == pytest.approx(mass, rel=0.1)
+    (saved,) = (e for e in result.final.effects if e.shape.effect == "payload")
+    assert saved.coefficients[0] == pytest.approx(mass, rel=0.1)
     # no base parameter is refit that could have a part of it
     for shares in document(result)["budget"].values():
         assert shares["payload"]["share"] > 0.9 and abs(shares["base_parameters"]["share"]) < 0.01

@@ -208,12 +208,13 @@ class JointModel:
         if model.prior_std is not None:
             prior = np.full(k, model.prior_std)
         else:
-            level = self.level.max() if model.joint is None else self.level[model.joint]
-            prior = np.full(k, float(level))
+            level = self.level[list(joints)]
+            prior = np.full(k, float(level.max()))
             if not any(model.nonnegative):
-                # coefficients in units of their own: a column of unit RMS has the friction level
-                size = np.sqrt(np.sum(values**2, axis=(0, 1)) / values.shape[1])
-                prior /= np.maximum(size, 1e-3 * size.max())
+                # coefficients in units of their own: the RMS torque of a column is the friction
+                # level of the joints on which it acts; one that is not visible stays near zero
+                size = np.sqrt(np.mean((values / level[:, None, None]) ** 2, axis=(0, 1)))
+                prior = 1.0 / np.where(size > 1e-3 * size.max(), size, size.max())
         prior[: len(model.prior_shares)] *= model.prior_shares
         if model.form_columns:
             prior[-model.form_columns :] = FORM_ERROR_STD

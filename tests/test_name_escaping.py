@@ -6,6 +6,7 @@ designed for, exported, simulated, identified and reported.
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import csv
 import io
@@ -18,14 +19,19 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 from conftest import text_of
+from diagnosis_cases import effect_entry
+from identified_models import write_model
 from test_export import JOINTS, complete_motion
 
+import excite
 from excite import exporters
 from excite.cli.main import main
 from excite.errors import UnusableInput, toml_key
+from excite.payload.snippets import snippets
 from excite.robot import urdf
 from excite.schemas.quantities import Name, converted
 from excite.trajectory.rest_to_rest import Motion, MotionSegment
@@ -192,6 +198,60 @@ def test_names_do_not_enter_programs(name, tmp_path):
         assert programs[0] == programs[1]
         assert all(letter.isprintable() or letter == "\n" for text in texts for letter in text)
         assert all(text.isascii() for text in texts)
+
+
+CODE = {
+    "joint_1": "a*/ int injected_1; /*/ b \\",
+    "joint_2": '--> <injected/> """ --- </robot> -->',
+    "link_1": "**/ int injected_2; /* ---",
+    "link_2": "\"\"\"; injected = 3; ''' --> <injected/>",
+}
+"""Names that end the comments and strings of some language."""
+
+
+def statements(text: str, format: str) -> object:
+    """Return what a program does apart from its names: C without comments, statements of Python,
+    elements of XML."""
+    if format == "c":
+        return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    if format in ("isaaclab", "python-friction"):
+        return [type(node) for node in ast.walk(ast.parse(text))]
+    return [element.tag for element in ElementTree.fromstring(text).iter()]
+
+
+@pytest.mark.parametrize("format", exporters.MODEL_FORMATS)
+def test_names_do_not_enter_the_files_of_an_identified_robot(format, tmp_path):
+    plain, hostile = text_of("two_link"), ElementTree.fromstring(text_of("two_link"))
+    hostile.set("name", CODE["link_2"])
+    for element in hostile.iter():
+        for key in ("name", "link", "joint"):
+            element.set(key, CODE.get(str(element.get(key)), str(element.get(key))))
+    texts = []
+    for i, text in enumerate((plain, ElementTree.tostring(hostile, encoding="unicode"))):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        (folder / "robot.urdf").write_text(text, encoding="utf-8")
+        joint = CODE["joint_2"] if i else "joint_2"
+        # a parabola without a zero: MJCF states in a comment that the offset has no place
+        parabola = effect_entry("spring", joint, {"form": 2.0}, 0.0, 500.0)
+        path = write_model(folder, str(folder / "robot.urdf"), (parabola,))
+        texts.append(excite.export_model(path, format).text)
+    assert statements(texts[0], format) == statements(texts[1], format)
+
+
+def test_names_do_not_enter_the_snippets_of_a_payload():
+    body = pin.Inertia.Random()
+    for name in CODE.values():
+        for words, text in snippets(body, name).items():
+            plain = snippets(body, "link")[words]
+            if words in ("URDF", "MJCF"):
+                tags = [
+                    [e.tag for e in ElementTree.fromstring(f"<robot>{t}</robot>").iter()]
+                    for t in (plain, text)
+                ]
+                assert tags[0] == tags[1]
+            else:
+                assert text.splitlines()[1:] == plain.splitlines()[1:]
 
 
 def test_the_kind_of_a_segment_stays_in_its_comment(tmp_path):

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from .._system.comments import c_comment
 from ..designer import casadi_model
 from ..effects import friction_runtime
 from ..effects.friction_runtime import JointMotion, MaxwellSlipBank, Term
@@ -138,8 +139,7 @@ def c_text(model: SimulatorModel) -> str:
     if banks:
         lines += ["torque = excite_inverse_dynamics + excite_hysteresis, which has a state"]
         wrappers.append(_hysteresis(banks, widths))
-    comment = "\n".join(f" * {line}" for line in lines)
-    return f"/*\n{comment}\n */\n{generator.dump()}\n" + "\n\n".join(wrappers) + "\n"
+    return f"{c_comment(lines)}\n{generator.dump()}\n" + "\n\n".join(wrappers) + "\n"
 
 
 def _work_sizes(function: ca.Function) -> tuple[int, int, int, int]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .._system.comments import ascii_line
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.samples import Samples
@@ -205,17 +206,7 @@ def notes(job: ExportJob, details: Sequence[str], tried: bool) -> list[str]:
         lines.append(UNTRIED)
     if job.trajectory.forced:
         lines.append(FORCED)
-    return [comment(line) for line in lines]
-
-
-def comment(text: str) -> str:
-    """Return a text as one line of printable ASCII, which is valid in the comments of any format.
-
-    Every text of a trajectory file that is written into a controller's file passes through here, so
-    that no name can become a statement of a program.
-    """
-    line = " ".join(text.split()).encode("ascii", "replace").decode()
-    return "".join(letter if letter.isprintable() else "?" for letter in line)
+    return [ascii_line(line) for line in lines]
 
 
 def fixed(value: float, decimals: int | None = DECIMALS) -> str:

@@ -12,6 +12,7 @@ import math
 import pprint
 import re
 
+from .._system.comments import python_docstring
 from .._types import FloatArray
 from .simulator_model import Held, SimulatorModel
 
@@ -49,10 +50,9 @@ def isaaclab_text(model: SimulatorModel) -> str:
     """
     tables = _tables(model)
     names = [re.escape(name) for name in model.joints]
-    header = "\n".join(line.replace("\\", "/").replace('"', "'") for line in _header(model))
     fields = "\n".join(f"    {name}={_shown(value)}," for name, value in tables.items())
     return (
-        f'"""{header}\n"""\n\n'
+        f"{python_docstring(_header(model))}\n\n"
         "try:\n"
         "    from isaaclab.actuators import ImplicitActuatorCfg\n"
         "except ImportError:  # readable without Isaac Lab\n"

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from .._system.comments import xml_comment
 from .._types import FloatArray
 from ..robot.mjcf import OFFSET_STIFFNESS
 from .simulator_model import Held, SimulatorModel
@@ -118,12 +119,12 @@ def with_comment(root: ElementTree.Element, lines: Sequence[str]) -> str:
 
     Args:
         root: Root element.
-        lines: Lines of the comment, without "--".
+        lines: Lines of the comment.
     """
     ElementTree.indent(root)
-    text = "\n".join(f"  {line}" for line in lines)
+    comment = xml_comment(f"  {line}" for line in lines)
     body = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0"?>\n<!--\n{text}\n-->\n{body}\n'
+    return f'<?xml version="1.0"?>\n{comment}\n{body}\n'
 
 
 def _notes(timestep: float, lost: Sequence[str]) -> list[str]:

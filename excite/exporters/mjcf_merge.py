@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from .._system.comments import xml_comment
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot import xml_file
@@ -228,10 +229,10 @@ class _Merge:
         edits = [*self._joint_edits(text), *self._inertia_edits(text)]
         for start, end, new in sorted(edits, key=lambda edit: -edit[0]):
             text = text[:start] + new + text[end:]
-        header = "\n".join(f"  {line}" for line in self._model.header("MJCF", HOLDS))
+        header = xml_comment(f"  {line}" for line in self._model.header("MJCF", HOLDS))
         match = ROOT.search(xml_file.COMMENT.sub(lambda m: " " * len(m[0]), text))
         assert match is not None  # it has been compiled
-        return f"{text[: match.start()]}<!--\n{header}\n-->\n{text[match.start() :]}"
+        return f"{text[: match.start()]}{header}\n{text[match.start() :]}"
 
     def _joint_edits(self, text: str) -> Iterator[tuple[int, int, str]]:
         """Yield the edits of joint tags: start, end, new text."""

@@ -10,6 +10,7 @@ import inspect
 import pprint
 from typing import Any
 
+from .._system.comments import line_comment
 from ..effects import friction_runtime
 from ..schemas.effects import EffectDocument
 from . import isaaclab_file, mjcf_file
@@ -109,10 +110,9 @@ def python_text(model: SimulatorModel) -> str:
     """
     source = inspect.getsource(friction_runtime)
     header = [*model.header("python-friction", HOLDS, is_term), *_left_out(model)]
-    comments = "\n".join(f"# {line}" for line in header)
     table = pprint.pformat(friction_table(model), width=96, sort_dicts=False)
     return (
-        f"{comments}\n{source}\n\nTABLE = {table}\n"
+        f"{line_comment(header)}\n{source}\n\nTABLE = {table}\n"
         '"""Terms of this robot."""\n\nFRICTION = Friction(TABLE)\n'
         '"""Friction of this robot, with its own state; make another one for another robot."""\n'
     )

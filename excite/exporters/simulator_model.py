@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from .. import __version__
+from .._system.comments import ascii_line
 from .._types import FloatArray
 from ..diagnosis import fitted_effects
 from ..errors import UnusableInput
@@ -26,7 +27,6 @@ from ..recordings import Recording
 from ..robot.inertial_parameters import body_inertia
 from ..robot.limits import Limits
 from ..schemas.effects import EffectDocument, is_recording_filter
-from .file_format import comment
 
 RMS_SECONDS = 20.0
 """Length of a recording, from its start, over which the torque of effects is evaluated [s]."""
@@ -233,7 +233,7 @@ class SimulatorModel:
             lines.append("  the format python-friction of 'excite export' writes it as code")
         else:
             lines.append("everything that was identified is in this file")
-        return [_comment(line) for line in lines]
+        return [ascii_line(line) for line in lines]
 
     def _errors(self) -> list[str]:
         """Torque errors of the first validation recording, else of the first fitted one."""
@@ -312,12 +312,6 @@ def _position_limit(
 def _kind(name: str) -> str:
     """Symbol of a standard parameter without its number: "Fc3" -> "Fc"."""
     return "tau0" if name.startswith("tau0") else name.rstrip("0123456789")
-
-
-def _comment(text: str) -> str:
-    """A line that is valid inside the comments of XML, Python, C and YAML."""
-    indent = len(text) - len(text.lstrip(" "))
-    return " " * indent + comment(text).replace("--", "- -").replace("*/", "* /")
 
 
 def simulator_model(

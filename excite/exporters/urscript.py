@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .._system.comments import ascii_line
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..trajectory.fourier import FourierSeries
@@ -27,7 +28,6 @@ from .file_format import (
     Columns,
     ExportedText,
     ExportJob,
-    comment,
     fixed,
     notes,
     require_joints,
@@ -146,7 +146,7 @@ def _warped(profile: PhaseProfile, start: float, duration: float) -> Iterator[st
 
 def _run(motion: Motion) -> Iterator[str]:
     for segment in motion.segments:
-        yield f"  # {comment(segment.kind)}"
+        yield f"  # {ascii_line(segment.kind)}"
         if segment.profile is None:
             yield f"  series({fixed(segment.start, None)}, {fixed(segment.end, None)})"
             continue

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from .._system.comments import xml_comment
 from .._types import FloatArray
 from ..robot import source_text, xml_file
 from ..robot.inertial_parameters import TENSOR_ELEMENTS, Parameters, body_inertia
@@ -76,8 +77,7 @@ def identified_urdf(
     ElementTree.indent(root)
     comments = "" if prolog is None else prolog[2].strip()
     if provenance:
-        lines = "\n".join(line.replace("--", "- -") for line in provenance)
-        comments = f"<!--\n{lines}\n-->" + ("\n" + comments if comments else "")
+        comments = xml_comment(provenance) + ("\n" + comments if comments else "")
     return (
         '<?xml version="1.0"?>\n'
         + (comments + "\n" if comments else "")

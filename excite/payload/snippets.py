@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
 
+from .._system.comments import line_comment, xml_comment_text
 from ..robot.inertial_parameters import TENSOR_ELEMENTS
 
 UNVERIFIED = "never tried on hardware; check units and frame before use"
@@ -31,11 +33,17 @@ def snippets(body: pin.Inertia, link: str) -> dict[str, str]:
     }
 
 
+def _frame_comment(mark: str, link: str, flange: str) -> str:
+    """The line of a controller's program that says in which frame the payload is."""
+    place = f"centre and axes in the frame {link}, which should be the {flange}"
+    return line_comment([f"{place}; {UNVERIFIED}"], mark)
+
+
 def _ur(mass: float, centre: np.ndarray, tensor: np.ndarray, link: str) -> str:
     """URScript: mass [kg], centre [m], inertia about the centre Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
     moments = [tensor[k] for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return (
-        f"# centre and axes in the frame {link}, which should be the tool flange; {UNVERIFIED}\n"
+        f"{_frame_comment('#', link, 'tool flange')}\n"
         f"set_target_payload({mass:.6g}, {_list(centre)}, {_list(moments)})"
     )
 
@@ -52,7 +60,7 @@ def _franka(mass: float, centre: np.ndarray, tensor: np.ndarray, link: str) -> s
         ],
     }
     return (
-        f"// centre and axes in the frame {link}, which should be the flange; {UNVERIFIED}\n"
+        f"{_frame_comment('//', link, 'flange')}\n"
         f"robot.setLoad({mass:.6g}, {{{middle}}}, {{{numbers}}});\n"
         f"// Desk, inertia as xx, yy, zz, xy, xz, yz:\n{json.dumps(desk)}"
     )
@@ -66,7 +74,7 @@ def _kuka(mass: float, centre: np.ndarray, tensor: np.ndarray, link: str) -> str
     x, y, z = 1000.0 * centre
     jx, jy, jz = moments
     return (
-        f"; centre and axes in the frame {link}, which should be the flange; {UNVERIFIED}\n"
+        f"{_frame_comment(';', link, 'flange')}\n"
         f"LOAD_DATA[1]={{M {mass:.6g},CM {{X {x:.6g},Y {y:.6g},Z {z:.6g},"
         f"A {a:.6g},B {b:.6g},C {c:.6g}}},J {{X {jx:.6g},Y {jy:.6g},Z {jz:.6g}}}}}"
     )
@@ -84,7 +92,7 @@ def _urdf(mass: float, centre: np.ndarray, tensor: np.ndarray, link: str) -> str
     return (
         f'<link name="payload"><inertial><origin xyz="{_words(centre)}"/>'
         f'<mass value="{mass:.9g}"/><inertia {moments}/></inertial></link>\n'
-        f'<joint name="payload_joint" type="fixed"><parent link="{link}"/>'
+        f'<joint name="payload_joint" type="fixed"><parent link={quoteattr(link)}/>'
         '<child link="payload"/></joint>'
     )
 
@@ -93,7 +101,7 @@ def _mjcf(mass: float, centre: np.ndarray, tensor: np.ndarray, link: str) -> str
     """A body inside the carrying one."""
     moments = [tensor[k] for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return (
-        f"<!-- inside the body {link.replace('--', '- -')} -->\n"
+        f"<!-- inside the body {xml_comment_text(link)} -->\n"
         f'<body name="payload"><inertial pos="{_words(centre)}" mass="{mass:.9g}" '
         f'fullinertia="{_words(moments)}"/></body>'
     )

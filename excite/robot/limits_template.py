@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from .._system.comments import plain_line
 from ..errors import LimitFault, toml_key
 from .limits import QUANTITIES, REQUIRED, LimitTable
 from .robot import Robot
@@ -28,7 +29,7 @@ def limits_template(robot: Robot, table: LimitTable, missing: Sequence[LimitFaul
         missing: The limits that have to be filled in.
     """
     lines = [
-        f"# Limits of {robot.name} for --limits FILE.toml; see 'excite check'.",
+        f"# Limits of {plain_line(robot.name)} for --limits FILE.toml; see 'excite check'.",
         "# Fill in the lines with …, and remove their first #.",
     ]
     for entry in robot.entries:
@@ -38,10 +39,10 @@ def limits_template(robot: Robot, table: LimitTable, missing: Sequence[LimitFaul
             unit = entry.unit(UNITS[quantity])
             if quantity in table[entry.name]:
                 value, source = table[entry.name][quantity]
-                lines.append(f"{quantity} = {_toml(value)}  # {unit}, {source}")
+                lines.append(f"{quantity} = {_toml(value)}  # {unit}, {plain_line(source)}")
             elif quantity in reasons:
                 blank = "[…, …]" if quantity == "position" else "…"
-                reason = reasons[quantity].reason
+                reason = plain_line(reasons[quantity].reason)
                 lines.append(
                     f"# {quantity} = {blank}  # {unit}, needed{f': {reason}' if reason else ''}"
                 )

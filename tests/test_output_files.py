@@ -11,11 +11,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import text_of
 
 import excite
 from excite._system.output_files import OutputFiles, output_files, output_folder
 from excite.cli.main import main
 from excite.errors import UnusableInput
+from excite.robot.robot import locate
 
 NAMES = ("main.json", "table.csv", "sub/main.json", "page.html")
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
@@ -577,6 +579,71 @@ def test_simulate_does_not_replace_its_trajectory(capsys, tmp_path) -> None:
     )
     assert "is an input of this command" in line
     assert (tmp_path / "trajectory.json").read_bytes() == TRAJECTORY.read_bytes()
+
+
+INPUTS_AS_OUTPUTS = [
+    "check robot.urdf --limits-template robot.urdf",
+    "check robot.urdf --limits limits.toml --limits-template limits.toml",
+    "identify out/identified.urdf run.csv -o out",
+    "identify robot.urdf run.csv --prior out/model.json -o out",
+    "identify robot.urdf run.csv --bounds out/report.html -o out",
+    "identify robot.urdf run.csv --validate link.csv -o out",
+    "identify --floating robot.urdf run.csv --limits out/model.json -o out",
+    "diagnose robot.urdf run.csv --validate run.csv --before out/diagnosis.json -o out",
+    "diagnose robot.urdf run.csv --validate run.csv --prior out/model.json -o out",
+    "design robot.urdf --given out/trajectory.csv -o out",
+    "design robot.urdf --discriminate out/validation/trajectory.json --validation -o out",
+    "identifiability robot.urdf run.csv --limits out/identifiability.json -o out",
+    "payload robot.urdf --with run.csv --model out/payload.json -o out",
+    "replay out/replay.json run.csv -o out",
+    "predict out/model.json run.csv -o out/model.json",
+    "predict out/model.json run.csv -o run.json",
+    "simulate robot.urdf two_link.json -o two_link.csv",
+    "export two_link.json --robot robot.urdf --format csv -o robot.urdf",
+    "export two_link.json --robot robot.urdf --format urscript -o two_link.json",
+    "export out/model.json --recording run.csv --format mjcf -o run.json",
+]
+"""Commands that would replace one of their inputs or the sidecar of a recording."""
+
+
+@pytest.mark.parametrize("command", INPUTS_AS_OUTPUTS)
+def test_commands_do_not_replace_their_inputs(capsys, tmp_path, monkeypatch, command) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in (
+        *("limits.toml", "run.csv", "run.json"),
+        *(f"out/{name}" for name in ("trajectory.csv", "validation/trajectory.json")),
+        *(f"out/{name}.json" for name in ("model", "diagnosis", "identifiability", "payload")),
+        *("out/identified.urdf", "out/report.html", "out/replay.json"),
+    ):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text('{"schema": "excite.model/1"}')
+    robot = text_of("two_link")
+    (tmp_path / "robot.urdf").write_text(robot)
+    (tmp_path / "two_link.json").write_bytes(TRAJECTORY.read_bytes())
+    (tmp_path / "link.csv").symlink_to(tmp_path / "out" / "report.html")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    line = refused(capsys, *command.split())
+    assert "cannot be written (is an input of this command); give another -" in line
+    after = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert after == before
+
+
+@pytest.mark.parametrize("name", ["robot.urdf", "two_link.toml"])
+def test_export_does_not_replace_the_robot_of_its_trajectory(capsys, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    table = locate("two_link").with_suffix(".toml").read_text(encoding="utf-8")
+    for file, text in (("robot.urdf", text_of("two_link")), ("two_link.toml", table)):
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    document = json.loads(TRAJECTORY.read_text(encoding="utf-8"))
+    document["robot"]["source"] = str(tmp_path / "robot.urdf")
+    (tmp_path / "trajectory.json").write_text(json.dumps(document), encoding="utf-8")
+    before = (tmp_path / name).read_bytes()
+    line = refused(
+        capsys, "export", "trajectory.json", "--force", "--format", "csv", "-o", f"./{name}"
+    )
+    assert f"{name}: cannot be written (is an input of this command)" in line
+    assert (tmp_path / name).read_bytes() == before
 
 
 def test_a_design_without_validation_removes_an_earlier_validation(

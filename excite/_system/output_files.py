@@ -72,11 +72,13 @@ class OutputFiles:
         names: All names that the command may write, the main file first. A name may have a
             subfolder: `validation/trajectory.json`.
         owns_folder: True if the folder belongs to the command, so that it may be exchanged.
+        option: Option that names the files, for messages.
     """
 
     folder: Path
     names: tuple[str, ...]
     owns_folder: bool
+    option: str = "-o"
 
     def check(self, inputs: Sequence[Path] = ()) -> None:
         """Check that the files can be written, without writing anything.
@@ -93,7 +95,9 @@ class OutputFiles:
         targets = self._targets()
         for name, target in targets.items():
             if any(_is_same_file(path, target) for path in inputs):
-                raise _refusal(self.folder / name, "is an input of this command", "give another -o")
+                raise _refusal(
+                    self.folder / name, "is an input of this command", f"give another {self.option}"
+                )
         for target in targets.values():
             parent = next(parent for parent in target.parents if os.path.exists(parent))
             if not os.path.isdir(parent):
@@ -193,17 +197,21 @@ class OutputFiles:
                 kind = _special_file(os.stat(path))
             except OSError as error:
                 if error.errno == errno.ENAMETOOLONG:
-                    raise _refusal(path, "its name is too long", "give another -o") from error
+                    raise _refusal(
+                        path, "its name is too long", f"give another {self.option}"
+                    ) from error
                 kind = "a loop of symbolic links" if error.errno == errno.ELOOP else None
             if kind is not None:
                 raise _refusal(
-                    path, f"is {kind}, not a regular file", "give the name of a file with -o"
+                    path,
+                    f"is {kind}, not a regular file",
+                    f"give the name of a file with {self.option}",
                 )
             if _is_standard_stream(target):
                 raise _refusal(
                     path,
                     "is where standard output or standard error go",
-                    "give the name of another file with -o",
+                    f"give the name of another file with {self.option}",
                 )
             if target in targets.values():
                 raise _refusal(
@@ -213,26 +221,30 @@ class OutputFiles:
         return targets
 
     def _refusal(self, reason: str) -> UnusableInput:
-        return _refusal(self.folder, reason, "give another -o")
+        return _refusal(self.folder, reason, f"give another {self.option}")
 
 
-def output_folder(folder: Path, names: Sequence[str]) -> OutputFiles:
+def output_folder(folder: Path, names: Sequence[str], inputs: Sequence[Path] = ()) -> OutputFiles:
     """Return the output files of a command that has a folder of its own.
 
     Args:
         folder: The folder, which need not exist.
         names: All names that the command may write in it, the main file first.
+        inputs: Files that the command reads and that must not be replaced.
 
     Raises:
         UnusableInput: The files cannot be written, as far as can be checked without writing.
     """
     files = OutputFiles(folder, tuple(names), owns_folder=True)
-    files.check()
+    files.check(inputs)
     return files
 
 
 def output_files(
-    path: Path, siblings: Sequence[str] = (), inputs: Sequence[Path] = ()
+    path: Path,
+    siblings: Sequence[str] = (),
+    inputs: Sequence[Path] = (),
+    option: str = "-o",
 ) -> OutputFiles:
     """Return an output file, and others next to it, in a folder of the user.
 
@@ -240,13 +252,16 @@ def output_files(
         path: The main file.
         siblings: Names of the other files.
         inputs: Files that the command reads and that must not be replaced.
+        option: Option that names the file, for messages.
 
     Raises:
         UnusableInput: The files cannot be written, as far as can be checked without writing.
     """
     if path.name in ("", ".."):
-        raise _refusal(path, "is a folder, not a regular file", "give the name of a file with -o")
-    files = OutputFiles(path.parent, (path.name, *siblings), owns_folder=False)
+        raise _refusal(
+            path, "is a folder, not a regular file", f"give the name of a file with {option}"
+        )
+    files = OutputFiles(path.parent, (path.name, *siblings), owns_folder=False, option=option)
     files.check(inputs)
     return files
 

@@ -20,7 +20,7 @@ from ..exporters.goal_options import GoalOptions
 from ..exporters.next_steps import next_steps
 from ..robot import inertial_parameters
 from ..robot.floating_base import FloatingRobot
-from ..robot.limits import Limits, from_sources
+from ..robot.limits import Limits, from_sources, limits_files
 from ..robot.robot import Robot
 from ..schemas.support_trajectory import SCHEMA as SUPPORT_SCHEMA
 from ..trajectory.trajectory_file import (
@@ -217,7 +217,8 @@ def export(
     file_format.check_options(speed, rate)
     goal.require_format(format)
     # checked before the certificate is computed, which takes time
-    output_files(Path(path), inputs=[Path(trajectory)])
+    inputs = [Path(name) for name in (trajectory, robot, limits) if name is not None]
+    output_files(Path(path), inputs=inputs)
     path_of_motion = Path(trajectory)
     document = read_document(path_of_motion)
     if stated_schema(document) == SUPPORT_SCHEMA:
@@ -228,6 +229,7 @@ def export(
     certificate, motion, loaded, truth = _verify_arm(
         document, path_of_motion, robot, limits, packages
     )
+    inputs += map(Path, (loaded.source, *limits_files(loaded, truth)))
     verdict, broken = list(certificate.verdict_lines()), None
     if speed != 1.0:
         broken = certificates.broken_when_slowed(motion, loaded, truth, speed)
@@ -249,7 +251,15 @@ def export(
     torque = nominal_torque(loaded, standard)
     sliding = [entry.name for entry in loaded.entries if entry.kind == "prismatic"]
     written = exporters.write(
-        content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal, sliding=sliding
+        content,
+        format,
+        Path(path),
+        speed=speed,
+        rate=rate,
+        tau=torque,
+        goal=goal,
+        sliding=sliding,
+        inputs=inputs,
     )
     steps = next_steps(content, loaded, truth, str(trajectory), format, written, goal, speed)
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced, tuple(steps))

@@ -34,7 +34,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         return static_design.run(arguments)
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
-    output = output_folder(Path(arguments.out), DESIGN_FILES)
+    output = output_folder(Path(arguments.out), DESIGN_FILES, shared.input_files(arguments))
     result = api.design(
         robot,
         limits=limits,

@@ -32,7 +32,7 @@ from .outcome import Outcome, with_files, written_lines
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite diagnose`."""
-    output = output_folder(Path(arguments.out), DIAGNOSIS_FILES)
+    output = output_folder(Path(arguments.out), DIAGNOSIS_FILES, shared.input_files(arguments))
     robot = shared.robot(arguments)
     result = api.diagnose(
         robot,

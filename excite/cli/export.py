@@ -60,8 +60,8 @@ def _require_kind(arguments: argparse.Namespace, options: Mapping[str, str], doc
 def _export_model(arguments: argparse.Namespace) -> Outcome:
     """Export an identified robot."""
     path = Path(arguments.out)
-    inputs = [arguments.source, arguments.into, arguments.recording, arguments.limits]
-    output = output_files(path, inputs=[Path(name) for name in inputs if name is not None])
+    inputs = [Path(arguments.source), *shared.input_files(arguments)]
+    output = output_files(path, inputs=inputs)
     result = api.export_model(
         arguments.source,
         arguments.format,

@@ -36,7 +36,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     from .. import report
 
     shared.refuse_with_floating(arguments, UNSUPPORTED)
-    output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
+    output = output_folder(
+        Path(arguments.out), ("identifiability.json", "report.html"), shared.input_files(arguments)
+    )
     robot = load(arguments)
     rows = Rows(arguments.rows or "base")
     limits = floating_base.limits(robot, None if not arguments.limits else Path(arguments.limits))

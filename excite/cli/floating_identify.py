@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     shared.refuse_with_floating(arguments, UNSUPPORTED)
     if arguments.estimator != "wls":
         raise UnusableInput(f"--estimator {arguments.estimator}: --floating has wls only")
-    output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)
+    output = output_folder(Path(arguments.out), IDENTIFICATION_FILES, shared.input_files(arguments))
     result = floating_result.identify_floating(
         load(arguments),
         arguments.recordings,

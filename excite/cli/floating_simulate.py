@@ -44,8 +44,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     shared.refuse_with_floating(arguments, UNSUPPORTED)
     path = checked_path(arguments.out)
     motion = Path(arguments.trajectory)
-    inputs = [Path(arguments.robot), motion]
-    output = output_files(path, [f"{path.stem}.truth.json"], inputs)
+    output = output_files(path, [f"{path.stem}.truth.json"], shared.input_files(arguments))
     choices = {
         "wrench_noise": arguments.wrench_noise,
         "torque_noise": arguments.torque_noise,

@@ -25,7 +25,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if arguments.floating:
         return floating_identifiability.run(arguments)
     shared.require_floating(arguments, floating_identifiability.FLOATING_ONLY)
-    output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
+    output = output_folder(
+        Path(arguments.out), ("identifiability.json", "report.html"), shared.input_files(arguments)
+    )
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
     samples, robot, trajectory = motion_samples(

@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if arguments.floating:
         return floating_identify.run(arguments)
     shared.require_floating(arguments, floating_identify.FLOATING_ONLY)
-    output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)
+    output = output_folder(Path(arguments.out), IDENTIFICATION_FILES, shared.input_files(arguments))
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
     recordings = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..api.design_result import CellOptions
 from ..api.robots import load_robot, resolve_limits
 from ..designer.options import WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
+from ..recordings.sidecar import sidecar_path
 from ..robot import inertial_parameters
 from ..robot.limits import Limits
 from ..robot.robot import Payload, Robot
@@ -26,6 +28,16 @@ OF_EXCITATION = (
     "--threshold",
 )
 """Options of `excite design` for periodic excitations alone."""
+INPUT_FILES = (
+    *("robot", "limits", "prior", "bounds", "before", "trajectory", "like", "scene", "srdf"),
+    *("discriminate", "model", "into"),
+)
+"""Attributes of options and arguments that name files, which a command must not replace."""
+INPUT_RECORDINGS = (
+    *("recordings", "validate", "discriminating", "carrying", "empty", "recording", "motion"),
+    *("given", "for_task"),
+)
+"""The same of recordings, whose sidecars a command must not replace either."""
 ATTRIBUTES = {"--for": "for_task"}
 """Names of attributes that are not those of their options."""
 
@@ -103,6 +115,22 @@ def refuse_given(arguments: argparse.Namespace, options: Iterable[str], reason: 
         name = ATTRIBUTES.get(option, option[2:].replace("-", "_"))
         if getattr(arguments, name) != arguments.default_of(name):
             raise UnusableInput(f"{option}: {reason}")
+
+
+def input_files(arguments: argparse.Namespace) -> list[Path]:
+    """Return the files that a command reads, which its output must not replace."""
+    files = [Path(name) for name in _stated_names(arguments, INPUT_FILES)]
+    recordings = [Path(name) for name in _stated_names(arguments, INPUT_RECORDINGS)]
+    return [*files, *recordings, *map(sidecar_path, recordings)]
+
+
+def _stated_names(arguments: argparse.Namespace, attributes: Iterable[str]) -> list[str]:
+    """Names of files that are the values of some attributes, where a command has them."""
+    names: list[str] = []
+    for attribute in attributes:
+        value = getattr(arguments, attribute, None) or []
+        names += [value] if isinstance(value, str) else value
+    return names
 
 
 def robot(arguments: argparse.Namespace) -> Robot:

@@ -14,7 +14,7 @@ from .outcome import Outcome, doubt_line, with_files, written_lines
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite payload`."""
-    output = output_folder(Path(arguments.out), PAYLOAD_FILES)
+    output = output_folder(Path(arguments.out), PAYLOAD_FILES, shared.input_files(arguments))
     robot = shared.robot(arguments)
     result = api.identify_payload(
         robot,

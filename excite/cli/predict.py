@@ -14,8 +14,7 @@ from .outcome import Outcome
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite predict`: predict torque at the times of the recording."""
     path = Path(arguments.out)
-    inputs = [Path(arguments.model), Path(arguments.recording)]
-    output = output_files(path, inputs=inputs)
+    output = output_files(path, inputs=shared.input_files(arguments))
     result = api.predict(arguments.model, arguments.recording, columns=shared.columns(arguments))
     path = output.replace({path.name: result.csv()})[0]
     return 0, {"file": str(path), "rows": len(result.time)}, f"wrote {path}"

@@ -15,7 +15,7 @@ from .outcome import Outcome, with_files, written_lines
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite replay`."""
-    output = output_folder(Path(arguments.out), REPLAY_FILES)
+    output = output_folder(Path(arguments.out), REPLAY_FILES, shared.input_files(arguments))
     result = api.replay(
         arguments.model,
         arguments.recording,

@@ -22,8 +22,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         return floating_simulate.run(arguments)
     shared.require_floating(arguments, floating_simulate.FLOATING_ONLY)
     path = checked_path(arguments.out)
-    inputs = (arguments.robot, arguments.trajectory, arguments.like)
-    output = recording_files(path, [Path(name) for name in inputs if name is not None])
+    output = recording_files(path, shared.input_files(arguments))
     result = api.simulate(
         arguments.robot,
         arguments.trajectory,

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         raise UnusableInput("--static: has the D-criterion; leave --criterion out")
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
-    output = output_folder(Path(arguments.out), STATIC_FILES)
+    output = output_folder(Path(arguments.out), STATIC_FILES, shared.input_files(arguments))
     result = api.design_static(
         robot,
         arguments.for_payload,

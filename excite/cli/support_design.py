@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     robot = floating_identify.load(arguments)
     options = replace(options, torque_noise=shared.noise(arguments, robot.joint_robot))
     limits = shared.limits(arguments, robot.joint_robot)
-    output = output_folder(Path(arguments.out), SUPPORT_FILES)
+    output = output_folder(Path(arguments.out), SUPPORT_FILES, shared.input_files(arguments))
     cell = CellOptions(
         scene=arguments.scene,
         clearance=arguments.clearance,

@@ -111,6 +111,7 @@ def write(
     tau: Torque | None = None,
     goal: GoalOptions = GoalOptions(),  # noqa: B008  # immutable
     sliding: Sequence[str] = (),
+    inputs: Sequence[Path] = (),
 ) -> Path:
     """Write a trajectory for a controller, completely or not at all.
 
@@ -126,18 +127,19 @@ def write(
             `tau.<joint>` of `csv`; None: without these columns.
         goal: Lead and tolerances of a ROS 2 goal.
         sliding: Names of the prismatic joints, which formats of angles refuse.
+        inputs: Files that must not be replaced: those that the trajectory was read from.
 
     Returns:
         The path of the file.
 
     Raises:
         UnusableInput: The format is unknown or does not fit the robot, or the path cannot be
-            written.
+            written or is an input.
     """
     entry = _entry(format)
     check_options(speed, rate)
     goal.require_format(format)
-    output_files(path)
+    output_files(path, inputs=inputs)
     motion = trajectory.motion if speed == 1.0 else trajectory.motion.slowed(speed)
     job = ExportJob(trajectory, motion, format, path, speed, rate, tau, goal, tuple(sliding))
     exported = entry.render(job)
@@ -146,7 +148,7 @@ def write(
     if exported.note is not None:
         contents[note.name] = exported.note
     replaces_note = exported.note is not None or is_note(note)
-    output_files(path, (note.name,) if replaces_note else ()).replace(contents)
+    output_files(path, (note.name,) if replaces_note else (), inputs).replace(contents)
     return path
 
 

@@ -16,6 +16,7 @@ from diagnosis_cases import effect_entry
 from identified_models import model_torque, random_states, read_model, write_model
 
 import excite
+from excite import exporters
 from excite.cli.main import main
 from excite.errors import UnusableInput
 from excite.exporters.isaaclab_file import viscous_per_degree
@@ -385,3 +386,81 @@ def test_options_that_do_not_fit_are_refused_in_one_line(options, problem, tmp_p
     assert main(["export", str(path), *options, "-o", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
     assert problem in error and error.count("\n") == 1
+
+
+PROVENANCE = {
+    "recordings": ["monday.csv"],
+    "link_estimates": [
+        {"name": "link_1", "mass": {"value": 4.0, "std": 0.5, "data_share": 0.7}},
+        {"name": "link_2", "mass": {"value": None, "std": None, "data_share": None}},
+    ],
+    "fit": [{"recording": "monday.csv", "joints": {"joint_1": {"rmse": 0.2}, "joint_2": {}}}],
+    "validation": None,
+    "position_fit": [{"recording": "monday.csv", "joints": {"joint_1": {"position_rmse": None}}}],
+    "position_validation": [],
+    "scale": {"words": "of the gains"},
+}
+"""Sections of a `model.json` that an export states in its comment."""
+
+
+def with_provenance(folder, key, value):
+    """Write a `model.json` with another value at a key such as `fit.0.joints`; "absent" removes
+    the key."""
+    path = write_model(folder, "two_link")
+    content = json.loads(path.read_text(encoding="utf-8")) | json.loads(json.dumps(PROVENANCE))
+    *parents, last = [int(word) if word.isdigit() else word for word in key.split(".")]
+    target = content
+    for parent in parents:
+        target = target[parent]
+    if value == "absent":
+        del target[last]
+    else:
+        target[last] = value
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("format", exporters.MODEL_FORMATS)
+@pytest.mark.parametrize("key", ["scale", "fit", "validation", "recordings", "link_estimates"])
+def test_a_model_without_a_section_of_its_provenance_is_exported(key, format, tmp_path):
+    path = with_provenance(tmp_path, key, "absent")
+    assert excite.export_model(path, format).text
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("recordings", "monday.csv"),
+        ("recordings", [5]),
+        ("link_estimates", {"link_1": 4.0}),
+        ("link_estimates.0", 4.0),
+        ("link_estimates.0.name", "absent"),
+        ("link_estimates.0.mass", "absent"),
+        ("link_estimates.0.mass", 4.0),
+        ("link_estimates.0.mass.value", "4"),
+        ("link_estimates.0.mass.std", "absent"),
+        ("link_estimates.1.mass.std", [0.5]),
+        ("link_estimates.1.mass.data_share", "absent"),
+        ("fit", {"monday.csv": 0.2}),
+        ("fit", ["monday.csv"]),
+        ("fit.0.recording", 5),
+        ("fit.0.joints", ["joint_1"]),
+        ("fit.0.joints.joint_1", 0.2),
+        ("fit.0.joints.joint_1.rmse", "0.2"),
+        ("validation", 0.2),
+        ("validation", [[]]),
+        ("position_fit.0.joints.joint_1", {}),
+        ("position_fit.0.joints.joint_1.position_rmse", "0.2"),
+        ("position_validation", "monday.csv"),
+        ("scale", "of the gains"),
+        ("scale.words", 5),
+        ("standard_parameters.20.std", "0.1"),
+        ("standard_parameters.20.unit", 5),
+    ],
+)
+def test_a_faulty_provenance_is_refused_in_one_line(key, value, tmp_path, capsys):
+    path, out = with_provenance(tmp_path, key, value), tmp_path / "out"
+    assert main(["export", str(path), "--format", "sdf", "-o", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert f"{path}: {key.partition('.')[0]}" in error and error.count("\n") == 1
+    assert not out.exists()

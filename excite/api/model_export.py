@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os.path
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,14 +121,14 @@ def _stated_recording(content: Mapping[str, Any], path: Path) -> Path | None:
         for entry in content.get(key) or []:
             stated = Path(str(entry.get("recording", "")))
             for place in (stated, path.parent / stated.name):
-                if place.is_file():
+                if os.path.isfile(place):  # False for names that no file can have
                     return place
     return next(
         (
             place
             for stated in content.get("recordings", [])
             for place in (Path(str(stated)), path.parent / Path(str(stated)).name)
-            if place.is_file()
+            if os.path.isfile(place)
         ),
         None,
     )

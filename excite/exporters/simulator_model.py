@@ -240,7 +240,7 @@ class SimulatorModel:
         for key, words in (("validation", "held-out"), ("fit", "fitted")):
             for entry in self.document.get(key) or []:
                 rows = entry.get("joints", {})
-                errors = [f"{name} {row.get('rmse', np.nan):.3g}" for name, row in rows.items()]
+                errors = [f"{name} {_figure(row.get('rmse'))}" for name, row in rows.items()]
                 source = Path(str(entry.get("recording", ""))).name
                 return [f"{words} torque error, RMS [N m or N], {source}: {', '.join(errors)}"]
         return self._position_errors()
@@ -248,12 +248,13 @@ class SimulatorModel:
     def _position_errors(self) -> list[str]:
         """Position errors of a robot that was identified without torque, and what that means."""
         lines = []
-        if "scale" in self.document:
-            lines.append(f"no torque was recorded: {self.document['scale'].get('words', '')}")
+        scale = self.document.get("scale")
+        if scale is not None:
+            lines.append(f"no torque was recorded: {scale.get('words', '')}")
         for key, words in (("position_validation", "held-out"), ("position_fit", "fitted")):
             for entry in self.document.get(key) or []:
                 rows = entry.get("joints", {})
-                errors = [f"{joint} {row['position_rmse']:.3g}" for joint, row in rows.items()]
+                errors = [f"{joint} {_figure(row['position_rmse'])}" for joint, row in rows.items()]
                 source = Path(str(entry.get("recording", ""))).name
                 text = f"{words} position error, RMS [rad or m], {source}: {', '.join(errors)}"
                 return [*lines, text]
@@ -278,7 +279,7 @@ class SimulatorModel:
                 if row is not None and kind in self.model.drive:
                     std = row.get("std")
                     spread = "" if std is None else f" +- {float(std):.2g}"
-                    unit = str(row.get("unit", "")).replace("²", "2")
+                    unit = str(row.get("unit") or "").replace("²", "2")
                     name = kind.replace("_", " ")
                     parts.append(f"{name} {float(row['value']):.4g}{spread} {unit}".rstrip())
             lines.append(f"{joint}: {', '.join(parts) or 'none'}")
@@ -292,9 +293,10 @@ class SimulatorModel:
         lines = ["masses [kg], and the share that the recordings decide (the rest is the prior's):"]
         for row in rows:
             mass = row["mass"]
+            share = None if mass["data_share"] is None else round(100.0 * mass["data_share"])
             lines.append(
-                f"  {row['name']}: {mass['value']:.4g} +- {mass['std']:.2g}, "
-                f"{100.0 * mass['data_share']:.0f} % data"
+                f"  {row['name']}: {_figure(mass['value'], 4)} +- {_figure(mass['std'], 2)}, "
+                f"{_figure(share)} % data"
             )
         return lines
 
@@ -307,6 +309,11 @@ def _position_limit(
         return model.robot.entries[joint].position
     lower, upper = (float(value) for value in limits.position[joint])
     return (lower, upper) if np.isfinite([lower, upper]).all() else None
+
+
+def _figure(value: float | None, digits: int = 3) -> str:
+    """A number with some significant digits."""
+    return "unknown" if value is None else f"{value:.{digits}g}"
 
 
 def _kind(name: str) -> str:

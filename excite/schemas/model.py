@@ -21,6 +21,7 @@ from .quantities import (
     PositionGain,
     RotorInertia,
     Sha256,
+    Statistic,
     Text,
     Torque,
     ViscousFriction,
@@ -49,11 +50,65 @@ class ModelRobotDocument(msgspec.Struct):
 
 
 class ParameterDocument(msgspec.Struct):
-    """A standard parameter: its name, its link or joint, and its identified value."""
+    """A standard parameter: its name, its link or joint, and its identified value.
+
+    Attributes:
+        std: Standard deviation of the value; null if unknown.
+        unit: Its unit.
+    """
 
     name: Text
     value: InertialParameter
     of: Text = Text("")
+    std: Statistic | None = None
+    unit: Text | None = None
+
+
+class MassDocument(msgspec.Struct):
+    """Mass of a link, its standard deviation [kg], and the share that the data decide [1]."""
+
+    value: Statistic | None
+    std: Statistic | None
+    data_share: Statistic | None
+
+
+class LinkEstimateDocument(msgspec.Struct):
+    """A link and its mass."""
+
+    name: Text
+    mass: MassDocument
+
+
+class TorqueErrorDocument(msgspec.Struct):
+    """RMS torque error of a joint [N m or N]."""
+
+    rmse: Statistic | None = None
+
+
+class PredictionDocument(msgspec.Struct):
+    """Torque errors along one recording by joint."""
+
+    recording: Text = Text("")
+    joints: dict[str, TorqueErrorDocument] = {}
+
+
+class PositionErrorDocument(msgspec.Struct):
+    """RMS position error of a joint [rad or m]."""
+
+    position_rmse: Statistic | None
+
+
+class ReplayDocument(msgspec.Struct):
+    """Position errors along one recording by joint."""
+
+    recording: Text = Text("")
+    joints: dict[str, PositionErrorDocument] = {}
+
+
+class ScaleDocument(msgspec.Struct):
+    """What fixes the scale of a model that was identified without torque, in words."""
+
+    words: Text = Text("")
 
 
 class PositionLoopDocument(msgspec.Struct):
@@ -93,7 +148,7 @@ class FloatingBaseDocument(msgspec.Struct):
 
 
 class ModelDocument(msgspec.Struct):
-    """The keys that a prediction reads.
+    """The keys that predictions and exports read.
 
     Attributes:
         urdf: Description of the identified robot.
@@ -107,6 +162,13 @@ class ModelDocument(msgspec.Struct):
         position_loop: Position loop of each joint, where it was identified.
         floating_base: Present if the base moves freely: `links` then contains the base, and only
             links with a mass.
+        recordings: Paths of the recordings that the model was fitted to.
+        link_estimates: Masses of the links.
+        fit: Torque errors along the fitted recordings.
+        validation: Torque errors along the held-out recordings.
+        position_fit: Position errors along the fitted recordings, of a model without torque.
+        position_validation: The same along the held-out recordings.
+        scale: Present if no torque was recorded.
     """
 
     schema: Literal["excite.model/1"]
@@ -121,6 +183,13 @@ class ModelDocument(msgspec.Struct):
     effects: list[EffectDocument]
     position_loop: dict[str, PositionLoopDocument] = {}
     floating_base: FloatingBaseDocument | None = None
+    recordings: list[Text] = []
+    link_estimates: list[LinkEstimateDocument] | None = None
+    fit: list[PredictionDocument] | None = None
+    validation: list[PredictionDocument] | None = None
+    position_fit: list[ReplayDocument] | None = None
+    position_validation: list[ReplayDocument] | None = None
+    scale: ScaleDocument | None = None
 
     def __post_init__(self) -> None:
         if not self.joints or len(set(self.joints)) < len(self.joints):

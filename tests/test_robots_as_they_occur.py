@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import json
+import re
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +17,7 @@ from identified_models import read_model, write_model
 from scipy.spatial import ConvexHull
 from shared_inputs import INPUTS, needs_inputs
 
+import excite
 from excite.cli.main import main
 from excite.collision import nominal_inertia, urdf_geometry
 from excite.errors import ExciteWarning, MissingLimit, UnusableInput, UnusableRobot
@@ -319,6 +322,33 @@ def test_a_default_namespace_is_ignored(tmp_path, quote):
     assert load(str(path)).joints == ("swing",)
     identified = read_model(write_model(tmp_path, str(path)))  # whose URDF is read again
     assert identified.robot.joints == ("swing",)
+
+
+@pytest.mark.filterwarnings("ignore::excite.errors.ExciteWarning")
+@pytest.mark.parametrize(
+    ("declaration", "foreign"),
+    [
+        ('xmlns:drake="http://drake.mit.edu"', '<drake:rotor_inertia drake:value="1.5" />'),
+        ("", '<drake:rotor_inertia drake:value="1.5" />'),
+        ("", '<gazebo><a:b xmlns:a="urn:a" a:c="&lt;&quot;1"><d xmlns="urn:d" /></a:b></gazebo>'),
+        ('xmlns:a="urn:a" xmlns:b="urn:a"', "<a:one><b:two>ä</b:two></a:one>"),
+        ("", '<gazebo><plugin><link name="arm" /><xi:x /></plugin></gazebo><!-- c:d -->'),
+    ],
+)
+def test_foreign_elements_stay_as_they_are_in_the_identified_robot(tmp_path, declaration, foreign):
+    path = tmp_path / "arm.urdf"
+    text = pendulum().replace("<robot ", f"<robot {declaration} ", 1)
+    path.write_text(text.replace("</robot>", f"{foreign}</robot>"), encoding="utf-8")
+    model = write_model(tmp_path, str(path))
+    identified = json.loads(model.read_text(encoding="utf-8"))["urdf"]
+    for written in (identified, excite.export_model(model, "urdf").text):
+        joined = re.sub(r"\n\s*", "", written)
+        assert foreign in joined and "ns0" not in written
+        assert declaration in written and written.count("xmlns") == (
+            declaration.count("xmlns") + foreign.count("xmlns")
+        )
+        assert written.count("<inertial>") == 1
+    assert read_model(model).robot.joints == ("swing",)
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])

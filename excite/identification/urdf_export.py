@@ -34,7 +34,8 @@ def identified_urdf(
     """Return the URDF of a robot with parameters ψ.
 
     Loaded with the same joints, it gives the same torque. Relative paths of meshes and textures are
-    made absolute, because the file is written to another folder.
+    made absolute, because the file is written to another folder. Elements of other programs stay as
+    they are, with their prefixes.
 
     Args:
         robot: The robot, whose source file is read again.
@@ -48,7 +49,7 @@ def identified_urdf(
     text = source_text.read_urdf_text(path)
     # comments before the root element belong to no element, and the parser drops them
     prolog = re.match(r"\s*(<\?xml.*?\?>)?((\s|<!--.*?-->)*)<", text, re.DOTALL)
-    root = xml_file.parse_text(path, text, keep_comments=True)
+    root = xml_file.parse_as_written(path, text)
     _lock_joints(root, robot)
     bodies = {link: psi[10 * i : 10 * i + 10] for i, link in enumerate(parameters.links)}
     moving = {
@@ -56,7 +57,7 @@ def identified_urdf(
         for frame in (robot.model if model is None else model).frames
         if frame.type == pin.FrameType.BODY and frame.parentJoint > 0
     }
-    for link in root.iter("link"):
+    for link in root.findall("link"):
         name = str(link.get("name"))
         if name in moving:
             for element in link.findall("inertial"):

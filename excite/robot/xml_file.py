@@ -12,6 +12,7 @@ import codecs
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from xml.parsers import expat
 
 from ..errors import UnusableInput
 
@@ -50,7 +51,7 @@ DEFAULT_NAMESPACE = re.compile(r"""\sxmlns\s*=\s*("[^"]*"|'[^']*')""")
 class _BoundedBuilder(ElementTree.TreeBuilder):
     """A tree builder that refuses document type definitions and deep nesting."""
 
-    def __init__(self, path: Path, *, keep_comments: bool) -> None:
+    def __init__(self, path: Path, *, keep_comments: bool = False) -> None:
         super().__init__(insert_comments=keep_comments)
         self._path = path
         self._depth = 0
@@ -129,19 +130,18 @@ def _encoding(data: bytes) -> str:
     return "utf-8" if declared is None else declared[1].decode("ascii").lower()
 
 
-def parse(path: Path, kind: str, *, keep_comments: bool = False) -> ElementTree.Element:
+def parse(path: Path, kind: str) -> ElementTree.Element:
     """Parse an XML file to its root element.
 
     Args:
         path: The file.
         kind: What the file should be, for messages: "a URDF".
-        keep_comments: Whether comments inside the root element stay in the tree.
 
     Raises:
         UnusableInput: The file cannot be read or decoded, is no well-formed XML, has a document
             type definition, or is nested more than DEEPEST deep.
     """
-    return parse_text(path, read_text(path, kind), keep_comments=keep_comments)
+    return parse_text(path, read_text(path, kind))
 
 
 def undeclared_prefixes(text: str) -> list[str]:
@@ -160,18 +160,51 @@ def without_default_namespace(text: str) -> str:
     return ROOT_TAG.sub(lambda match: DEFAULT_NAMESPACE.sub("", match[0]), text, count=1)
 
 
-def parse_text(path: Path, text: str, *, keep_comments: bool = False) -> ElementTree.Element:
+def parse_text(path: Path, text: str) -> ElementTree.Element:
     """Parse the text of an XML file, as `read_text` returns it, to its root element; see
     `parse`."""
     prefixes = undeclared_prefixes(text)
     if prefixes:
         declared = " ".join(f'xmlns:{prefix}="{UNDECLARED}{prefix}"' for prefix in prefixes)
         text = ROOT_NAME.sub(lambda match: f"{match[0]} {declared}", text, count=1)
-    parser = ElementTree.XMLParser(target=_BoundedBuilder(path, keep_comments=keep_comments))
+    parser = ElementTree.XMLParser(target=_BoundedBuilder(path))
     try:
         parser.feed(text)
         return parser.close()
     except (ElementTree.ParseError, UnicodeError) as error:
-        raise UnusableInput(
-            f"{path}: is not valid XML ({error}); repair the file or export it again"
-        ) from error
+        raise _invalid(path, error) from error
+
+
+def parse_as_written(path: Path, text: str) -> ElementTree.Element:
+    """Parse the text of an XML file to a tree that is written again: with its comments, and with
+    names as in the text, their prefixes included, declared or not.
+
+    `ElementTree` replaces prefixes by namespaces and writes others, ns0, ns1, …; here xmlns
+    attributes are attributes like any other.
+
+    Args:
+        path: The file, for messages.
+        text: Its text.
+
+    Raises:
+        UnusableInput: As `parse`.
+    """
+    builder = _BoundedBuilder(path, keep_comments=True)
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.CommentHandler = builder.comment
+    parser.StartDoctypeDeclHandler = lambda name, system, public, _: builder.doctype(
+        name, public, system
+    )
+    try:
+        parser.Parse(text, True)
+    except (expat.ExpatError, UnicodeError) as error:
+        raise _invalid(path, error) from error
+    return builder.close()
+
+
+def _invalid(path: Path, error: Exception) -> UnusableInput:
+    return UnusableInput(f"{path}: is not valid XML ({error}); repair the file or export it again")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 
 from .._types import FloatArray
+from ..identification.identified_model import stated_urdf
 from ..identification.urdf_export import identified_urdf
 from ..robot.robot import load
 from .simulator_model import Held, SimulatorModel
@@ -25,9 +23,7 @@ def urdf_text(model: SimulatorModel) -> str:
     """
     lines = model.header("URDF", HOLDS)
     lines.append("<excite> elements hold rotor inertia, offset and width of friction for excite")
-    with tempfile.TemporaryDirectory(prefix="excite-") as folder:
-        file = Path(folder) / "identified.urdf"
-        file.write_text(str(model.document["urdf"]), encoding="utf-8")
+    with stated_urdf(str(model.document["urdf"])) as file:
         robot = load(str(file), joints=model.joints, gravity=model.model.robot.model.gravity.linear)
         return identified_urdf(robot, model.model.layout, _psi(model), model.torques.widths, lines)
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,7 +14,7 @@ import numpy as np
 
 from .. import __version__
 from .._types import FloatArray
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
@@ -501,6 +503,22 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
     )
 
 
+@contextmanager
+def stated_urdf(text: str) -> Iterator[Path]:
+    """Write the URDF of a `model.json` to a temporary file.
+
+    That it has undeclared XML prefixes is not remarked on: they are those of the robot's own file.
+
+    Args:
+        text: The URDF.
+    """
+    with tempfile.TemporaryDirectory(prefix="excite-") as folder, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* undeclared XML prefix", ExciteWarning)
+        path = Path(folder) / "identified.urdf"
+        path.write_text(text, encoding="utf-8")
+        yield path
+
+
 def load_stated_urdf(
     file: DocumentFile, document: ModelDocument, loader: Callable[[str], StatedRobot]
 ) -> tuple[StatedRobot, tuple[str, ...]]:
@@ -517,9 +535,7 @@ def load_stated_urdf(
     Raises:
         UnusableInput: The URDF is invalid, or its order is not that of the parameters.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder) / "identified.urdf"
-        urdf.write_text(document.urdf, encoding="utf-8")
+    with stated_urdf(document.urdf) as urdf:
         try:
             robot = loader(str(urdf))
         except UnusableInput as error:

@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import BUILTIN
+from conftest import BUILTIN, text_of
 from diagnosis_cases import effect_entry
 from identified_models import model_torque, random_states, read_model, write_model
 
@@ -167,6 +167,47 @@ def test_the_sdf_gives_the_torque_of_the_links(name, tmp_path):
         for key, kind in (("damping", "viscous"), ("friction", "coulomb")):
             value = float(dynamics[joint].findtext(key))
             assert value == model.psi[model.layout.block(kind)][j]
+
+
+@pytest.mark.parametrize(
+    ("renamed", "links", "joints"),
+    [
+        (
+            {"joint_1": "a", "link_1": "a", "joint_2": "a_joint", "link_2": "b"},
+            ["a", "b"],
+            ["a_joint_joint", "a_joint"],
+        ),
+        (
+            {"joint_1": "a", "link_1": "b", "joint_2": "b", "link_2": "a"},
+            ["b", "a"],
+            ["a_joint", "b_joint"],
+        ),
+        ({"link_1": "world", "joint_2": "world"}, ["world_link", "link_2"], None),
+        ({"base_link": "world"}, ["link_1", "link_2"], ["joint_1", "joint_2"]),
+    ],
+)
+def test_names_in_an_sdf_are_unique(renamed, links, joints, tmp_path, capsys):
+    urdf = ElementTree.fromstring(text_of("two_link"))
+    for element in urdf.iter():
+        for key in ("name", "link", "joint"):
+            if element.get(key) in renamed:
+                element.set(key, renamed[element.get(key)])
+    file, out = tmp_path / "robot.urdf", tmp_path / "robot.sdf"
+    file.write_text(ElementTree.tostring(urdf, encoding="unicode"))
+    path = write_model(tmp_path, str(file))
+    assert main(["export", str(path), "--format", "sdf", "-o", str(out)]) == 0
+    warned, text = capsys.readouterr().err, out.read_text()
+    body = ElementTree.fromstring(text).find("model")
+    names = {kind: [e.get("name") for e in body.findall(kind)] for kind in ("link", "joint")}
+    joints = ["joint_1", "world_joint"] if joints is None else joints
+    assert names == {"link": links, "joint": joints}
+    comment = text.partition("-->")[0]
+    for new in {*links, *joints} - {"joint_1", "joint_2", "link_1", "link_2", *renamed.values()}:
+        assert f"is '{new}'" in comment and f"is '{new}'" in warned
+    model, parsed = read_model(path), sdf_model(text)
+    for i, joint in enumerate(joints):  # the joints are connected as before
+        phi = parsed.inertias[parsed.getJointId(joint)].toDynamicParameters()
+        np.testing.assert_allclose(phi, model.psi[10 * i : 10 * i + 10], atol=1e-9)
 
 
 # -- effects ---------------------------------------------------------------------------------------

@@ -41,6 +41,7 @@ def test_the_way_to_a_model_is_printed(robot, format, words, tmp_path, capsys):
     assert all(word in text for word in [*words, str(path), "--trajectory", "excite identify"])
     joint = json.loads((FOLDER / f"{robot}.json").read_text(encoding="utf-8"))["joints"][0]
     assert joint in steps[0]
+    assert "partial" not in text  # no joint of these is locked
 
 
 def test_the_identification_runs_as_printed(tmp_path, monkeypatch, capsys):
@@ -57,6 +58,7 @@ def test_the_identification_runs_as_printed(tmp_path, monkeypatch, capsys):
     assert cli.main([*export, "--json"]) == 0
     steps = json.loads(capsys.readouterr().out)["next_steps"]
     assert steps[0].endswith("; locked: joint_2 -0.3000")
+    assert "the locked joint_2" in steps[3] and "allow_partial_joints_goal is true" in steps[3]
     words = shlex.split(steps[-1].partition("excite ")[2])
     for beginning in ("--lock=joint_2=-0.3", "--payload=link_2:0.5,0.1,0.0,0.02,", "--limits=/"):
         assert any(word.startswith(beginning) for word in words)

@@ -58,7 +58,7 @@ def next_steps(
         "1. bring the robot to the start pose, at reduced speed and with a clear cell; "
         + _start_note(format, goal),
         f"2. record: {record[0]}",
-        f"3. run: {run}",
+        f"3. run: {run}" + _partial_goal_note(format, locked),
         f"4. identify: excite identify {shlex.join(words)} -o model" + _speed_note(speed),
     ]
 
@@ -66,6 +66,20 @@ def next_steps(
 def _joint_list(positions: Mapping[str, float]) -> str:
     """List joints with their positions."""
     return ", ".join(f"{joint} {value:.4f}" for joint, value in positions.items())
+
+
+def _partial_goal_note(format: str, locked: Mapping[str, Any]) -> str:
+    """Say what a ROS 2 controller that also commands locked joints needs to accept the motion.
+
+    Its parameter `allow_partial_joints_goal` is false by default (ros2_controllers,
+    joint_trajectory_controller, "Details about parameters").
+    """
+    if not locked or not format.startswith("ros2"):
+        return ""
+    return (
+        f" (the file has no positions of the locked {', '.join(locked)}: a controller that commands "
+        "them, too, rejects it unless its parameter allow_partial_joints_goal is true)"
+    )
 
 
 def _speed_note(speed: float) -> str:

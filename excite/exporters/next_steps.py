@@ -76,8 +76,9 @@ def _partial_goal_note(format: str, locked: Mapping[str, Any]) -> str:
     """
     if not locked or not format.startswith("ros2"):
         return ""
+    names = ", ".join(locked)
     return (
-        f" (the file has no positions of the locked {', '.join(locked)}: a controller that commands "
+        f" (the file has no positions of the locked {names}: a controller that commands "
         "them, too, rejects it unless its parameter allow_partial_joints_goal is true)"
     )
 

@@ -106,7 +106,7 @@ class ReplayDocument(msgspec.Struct):
 
 
 class ScaleDocument(msgspec.Struct):
-    """What fixes the scale of a model that was identified without torque, in words."""
+    """Statement of what fixes the scale of a model that was identified without torque."""
 
     words: Text = Text("")
 

@@ -302,3 +302,17 @@ def test_directions_of_a_bag_do_not_depend_on_what_is_stated(logged_bag):
             assert not result.recordings[0].doubts
     assert max(counts) - min(counts) <= 3, counts
     assert min(counts) > 35, counts
+
+
+@pytest.mark.parametrize("is_split", [True, False])
+def test_positions_of_locked_joints_are_compared(tmp_path, is_split):
+    standing = np.column_stack([np.ones(len(T)), Q[:, 1]])
+    parts = [[0], [1]] if is_split else [[0, 1]]
+    messages = [
+        (t + 1e-3 * part[0], message(t, [JOINTS[i] for i in part], standing[k, part]))
+        for k, t in enumerate(T)
+        for part in parts
+    ]
+    path = write(tmp_path / "bag", {"/joint_states": messages})
+    with pytest.raises(UnusableInput, match="locked at 0 rad, but stands at 1 rad"):
+        recordings.read(path, load("two_link", joints=("joint_2",)))

@@ -31,7 +31,7 @@ from ..identification import (
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
-from ..recordings import Recording, executed_motion, recording_cost, require_distinct
+from ..recordings import Recording, RemarkKind, executed_motion, recording_cost, require_distinct
 from ..recordings.periodicity import check_repetition, with_detected_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
@@ -382,6 +382,9 @@ def predict(
         )
     fitted = identified_model.model_from_document(file, content)
     motion = read_recording(recording, fitted.robot, columns=columns)
+    for remark in motion.doubts:
+        if remark.kind is RemarkKind.LOCKED:
+            warnings.warn(f"{motion.source}: {remark.text}", ExciteWarning, stacklevel=2)
     time, torque = fitted_effects.predict(fitted, motion)
     if not np.isfinite(torque).all():
         joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]

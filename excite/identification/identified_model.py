@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,7 +21,7 @@ from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
 from ..robot.floating_base import FloatingRobot
 from ..robot.inertial_parameters import DRIVE, Parameters
-from ..robot.robot import Robot, load
+from ..robot.robot import LockedJoint, Robot, load
 from ..robot.samples import Samples
 from ..schemas.document_file import DocumentFile
 from ..schemas.effects import EffectDocument
@@ -304,13 +305,18 @@ def model_document(
 def robot_entry(robot: Robot) -> dict[str, Any]:
     """Return the entry "robot" of `model.json`.
 
-    Locked joints, payload and nominal inertias are part of the identified URDF.
+    Locked joints, payload and nominal inertias are part of the identified URDF; where the locked
+    joints stood is stated for comparisons with recordings.
 
     Args:
         robot: The robot before its identification.
     """
     entry = {**robot.document(), "locked": {}, "payload": None}
     entry.pop("inertias", None)
+    if robot.locked:
+        entry["fixed"] = {
+            joint.name: {"position": joint.position, "unit": joint.unit} for joint in robot.locked
+        }
     return entry
 
 
@@ -489,6 +495,9 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
         document,
         lambda path: load(path, joints=document.joints, gravity=document.robot.gravity),
     )
+    fixed = document.robot.fixed.items()
+    locked = tuple(LockedJoint(name, float(at.position), at.unit) for name, at in fixed)
+    robot = dataclasses.replace(robot, locked=locked)
     psi = np.array([entry.value for entry in document.standard_parameters], float)
     widths = np.array([document.coulomb_width[joint] for joint in robot.joints], float)
     return IdentifiedModel(

@@ -4,7 +4,7 @@ order."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,11 +24,14 @@ class Block:
         values: Measured quantities, NaN where a value is missing. Shape (N, n) each; those of a
             floating base have other names and widths, see `floating_signals`.
         remarks: Remarks of the reader.
+        locked: Positions of locked joints by name, where the file has them; NaN where a value is
+            missing. Only as a reader returns the block [rad or m].
     """
 
     t: FloatArray
     values: Mapping[str, FloatArray]
     remarks: tuple[Remark, ...] = ()
+    locked: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.t)

@@ -45,12 +45,13 @@ class ColumnLayout:
     """Columns of a table that are read.
 
     Attributes:
-        names: Names of the columns, those of time first.
-        places: Quantity and joint index of each column but time.
+        names: Names of the columns: those of time, of `places`, of `locked`.
+        places: Quantity and joint index of each column of the robot.
         n: Number of joints.
         signals: Columns of each signal of a floating base; see `floating_signals`.
         time_factors: Factors by which the columns of time add up to seconds.
         from_first: True if time counts from the first row.
+        locked: Names of the locked joints of which positions are recorded.
     """
 
     names: tuple[str, ...]
@@ -59,6 +60,12 @@ class ColumnLayout:
     time_factors: tuple[float, ...] = (1.0,)
     from_first: bool = False
     signals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    locked: tuple[str, ...] = ()
+
+    @property
+    def recorded(self) -> slice:
+        """Columns of the table that hold quantities of the robot."""
+        return slice(len(self.time_factors), len(self.time_factors) + len(self.places))
 
     def block(self, table: FloatArray, origin: FloatArray | None = None) -> Block:
         """Sort the columns of a table into quantities.
@@ -81,7 +88,9 @@ class ColumnLayout:
         }
         for column, (quantity, joint) in enumerate(self.places, start=len(self.time_factors)):
             values[quantity][:, joint] = table[:, column]
-        return Block(np.ascontiguousarray(t), values)
+        first = self.recorded.stop
+        locked = {name: table[:, first + k] for k, name in enumerate(self.locked)}
+        return Block(np.ascontiguousarray(t), values, locked=locked)
 
 
 def find_columns(
@@ -133,13 +142,15 @@ def find_columns(
     for signal, columns in signals.items():
         places |= {name: (signal, i) for i, name in enumerate(columns)}
     names = [name for name in header if name in places]
+    locked = tuple(joint.name for joint in robot.locked if f"q.{joint.name}" in header)
     return ColumnLayout(
-        (*(name for name, _ in time), *names),
+        (*(name for name, _ in time), *names, *(f"q.{joint}" for joint in locked)),
         tuple(places[name] for name in names),
         robot.n,
         tuple(factor for _, factor in time),
         from_first,
         signals,
+        locked,
     )
 
 

@@ -190,7 +190,7 @@ class _Table:
 
     def _without_empty_rows(self, table: FloatArray) -> FloatArray:
         """Rows without those of other topics, which hold a time and no quantity of the robot."""
-        is_empty = np.isnan(table[:, len(self.layout.time_factors) :]).all(axis=1)
+        is_empty = np.isnan(table[:, self.layout.recorded]).all(axis=1)
         if not len(table) or is_empty.mean() < MIN_EMPTY_SHARE:
             return table
         self._remark("rows without any quantity of the robot, as of other topics, are left out")

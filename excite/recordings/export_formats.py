@@ -120,9 +120,10 @@ def _plotjuggler(
 ) -> tuple[str, ...]:
     """Names with `/topic/<joint>/position` renamed to `q.<joint>`."""
     out = list(names)
+    joints = {*robot.joints, *(joint.name for joint in robot.locked)}
     for k, name in enumerate(names):
         match = NAMED.fullmatch(name)
-        if match is None or match[2] not in robot.joints or topic not in (None, match[1]):
+        if match is None or match[2] not in joints or topic not in (None, match[1]):
             continue
         ours = f"{QUANTITY[match[3]]}.{match[2]}"
         if ours in out:
@@ -166,6 +167,7 @@ def _listed(
             "named 't' [s]"
         )
     quantities = {QUANTITY[field]: k for field, k in fields.items() if field in QUANTITY}
+    locked = [joint.name for joint in robot.locked] if "name" in fields else []
     cells = ListCells(
         source,
         separator,
@@ -173,8 +175,10 @@ def _listed(
         fields.get("name"),
         quantities,
         robot.joints,
+        locked,
     )
     columns = [f"{quantity}.{joint}" for quantity in quantities for joint in robot.joints]
+    columns += [f"q.{joint}" for joint in locked]
     return Header((*(name for name, _ in time), *columns), time, True, True, cells.rewrite)
 
 

@@ -89,6 +89,7 @@ class ListCells:
         names: Index of the column with the names of the joints; None: the robot's order.
         fields: Index of the column of each quantity.
         joints: Names of the robot's joints, which is the order of the columns that are written.
+        locked: Names of locked joints, whose positions are written behind.
     """
 
     source: str
@@ -97,6 +98,7 @@ class ListCells:
     names: int | None
     fields: Mapping[str, int]
     joints: Sequence[str]
+    locked: Sequence[str] = ()
 
     def rewrite(self, text: bytes) -> tuple[bytes, int]:
         """Write the elements of the robot's joints into columns of their own.
@@ -113,7 +115,7 @@ class ListCells:
             if len(row) < width or not set(self.joints) <= set(names):
                 left_out += 1
                 continue
-            cells = [row[k] for k in self.time]
+            cells, behind = [row[k] for k in self.time], list[str]()
             for quantity, column in self.fields.items():
                 values = _elements(row[column])
                 if values and len(values) != len(names):
@@ -123,7 +125,9 @@ class ListCells:
                     )
                 place = dict(zip(names, values, strict=False))
                 cells += [place.get(joint, "") for joint in self.joints]
-            kept.append(self.separator.join(cells))
+                if quantity == "q":
+                    behind = [place.get(joint, "") for joint in self.locked]
+            kept.append(self.separator.join([*cells, *behind]))
         return ("\n".join(kept) + "\n").encode() if kept else b"", left_out
 
 

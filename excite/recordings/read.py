@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -15,6 +16,7 @@ from ..robot.robot import Robot
 from . import (
     csv_reader,
     data_quality,
+    locked_joints,
     magnitudes,
     npz_reader,
     recording_cost,
@@ -63,7 +65,8 @@ def read(
     """
     context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
     blocks, rows, numbers = list[Block](), 0, 0
-    for block in _read_blocks(path, context, columns, floating=floating):
+    positions = locked_joints.LockedPositions(robot)
+    for block in map(positions.watched, _read_blocks(path, context, columns, floating=floating)):
         if len(block) or block.remarks:
             blocks.append(block)
         rows += len(block)
@@ -77,6 +80,7 @@ def read(
     window = RowWindow(ordered, remarks=tuple(remarks))
     grid = find_grid(str(path), ordered.t)
     recording = data_quality.check_and_repair(context, window, grid, complete=True)
+    recording = replace(recording, remarks=(*recording.remarks, *positions.check(str(path))))
     recording.require_segment()
     stated = recording.sidecar
     if stated.period is not None:
@@ -94,10 +98,11 @@ def stream(
 
     Each block is repaired as `read` repairs the recording, on the grid of the first block. Not
     judged are properties of the complete recording: clock steps, held values, wrapped positions,
-    glitches, the period, joints that never move, timestamp jitter, quantization, and coarse, frozen
-    or clipped signals. Shares of missing values are judged by block. A repair is warned of where it
-    first occurs; numbers in a remark may include up to 32 rows around the block. Memory is bounded
-    for CSV, bags and .npz, except 2-D arrays in Fortran order.
+    glitches, the period, joints that never move, locked joints that move, timestamp jitter,
+    quantization, and coarse, frozen or clipped signals. Shares of missing values are judged by
+    block. A repair is warned of where it first occurs; numbers in a remark may include up to 32
+    rows around the block. Memory is bounded for CSV, bags and .npz, except 2-D arrays in Fortran
+    order.
 
     Args:
         path: As of `read`.
@@ -117,7 +122,10 @@ def stream(
         )
     context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
     grid, warned = None, set[tuple[RemarkKind, str | None]]()
-    for window in _windows(str(path), _regrouped(_read_blocks(path, context), rows), overlap):
+    positions = locked_joints.LockedPositions(robot)
+    blocks = map(positions.watched, _read_blocks(path, context))
+    for window in _windows(str(path), _regrouped(blocks, rows), overlap):
+        positions.check(str(path))
         grid = grid or find_grid(str(path), window.block.t)
         part = data_quality.check_and_repair(context, window, grid, complete=False)
         new = [remark for remark in part.remarks if (remark.kind, remark.joint) not in warned]

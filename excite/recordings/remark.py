@@ -20,6 +20,7 @@ class RemarkKind(Enum):
     MISSING = "missing"
     UNIT = "unit"
     SKIPPED = "skipped"
+    LOCKED = "locked joint"
     STILL = "still"
     COARSE = "coarse"
     ROUNDED = "rounded"

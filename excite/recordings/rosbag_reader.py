@@ -11,7 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -177,11 +177,13 @@ def _read_messages(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> Ite
         return
     recorded = max(complete, key=_usefulness, default=frozenset({"position"}))
     table = _Table(path, robot, effort, recorded)
+    locked = _LockedPositions(robot)
     for message, received in bag.messages(topic):
         table.add(message, received)
+        locked.add(message)
         if len(table.times) == BLOCK_ROWS:
-            yield table.flush()
-    yield table.flush(_remarks(path, topic, table, sidecar))
+            yield replace(table.flush(), locked=locked.flush())
+    yield replace(table.flush(_remarks(path, topic, table, sidecar)), locked=locked.flush())
 
 
 def _message_contents(bag: _Bag, topic: str) -> set[tuple[frozenset[str], frozenset[str]]]:
@@ -208,7 +210,9 @@ def _merge_joints(path: Path, bag: _Bag, topic: str, robot: Robot, sidecar: Side
 
     effort = "current" if sidecar.effort == "current" else "tau"
     tables = [_Table(path, robot, effort, frozenset(FIELDS), (joint,)) for joint in robot.joints]
+    locked = _LockedPositions(robot)
     for message, received in bag.messages(topic):
+        locked.add(message)
         for table in tables:
             table.add(message, received)
     origin = min(table.start for table in tables if table.start is not None)
@@ -244,7 +248,8 @@ def _merge_joints(path: Path, bag: _Bag, topic: str, robot: Robot, sidecar: Side
             block[name] = columns
     text = f"each message on {topic} holds some of the joints; they are merged in time"
     remarks = [Remark(RemarkKind.PUBLISHER, text, repaired=True)]
-    return Block(t, block, (*remarks, *_effort_remarks(path, effort in block, sidecar)))
+    remarks += _effort_remarks(path, effort in block, sidecar)
+    return Block(t, block, tuple(remarks), locked.flush())
 
 
 def _select_topic(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> str:
@@ -289,6 +294,26 @@ def _names_together(bag: _Bag, topic: str, robot: Robot) -> bool:
     """Return True if the messages of a topic together name all joints."""
     contents = _message_contents(bag, topic)
     return set(robot.joints) <= set().union(*(names for names, _ in contents))
+
+
+class _LockedPositions:
+    """Positions of locked joints, collected from messages until they are returned."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.joints = [joint.name for joint in robot.locked]
+        self.values: dict[str, list[float]] = {}
+
+    def add(self, message: Any) -> None:
+        """Add the positions of a message."""
+        for joint in self.joints:
+            if joint in message.name and len(message.position) == len(message.name):
+                position = message.position[message.name.index(joint)]
+                self.values.setdefault(joint, []).append(float(position))
+
+    def flush(self) -> dict[str, FloatArray]:
+        """Return the collected positions and start anew."""
+        values, self.values = self.values, {}
+        return {joint: np.array(positions) for joint, positions in values.items()}
 
 
 class _Table:

@@ -57,6 +57,21 @@ class Follower:
 
 
 @dataclass(frozen=True)
+class LockedJoint:
+    """A joint that does not move.
+
+    Attributes:
+        name: Name of the joint.
+        position: Position at which it is locked [rad or m].
+        unit: Unit of the position, "rad" or "m".
+    """
+
+    name: str
+    position: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Robot:
     """A robot as designed for, identified and verified: n moving joints, all else locked.
 
@@ -77,6 +92,7 @@ class Robot:
         placeholders: Names of the moving links whose inertia is the identity matrix.
         followers: The mimic joints that move with the moving joints.
         mimics: Names of all mimic joints, moving or not.
+        locked: The joints that do not move, without mimic joints.
         options: How it was loaded (locked joints, payload, gravity, inertias), enough to load it
             again.
     """
@@ -96,6 +112,7 @@ class Robot:
     placeholders: tuple[str, ...] = ()
     followers: tuple[Follower, ...] = ()
     mimics: tuple[str, ...] = ()
+    locked: tuple[LockedJoint, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -268,6 +285,15 @@ def load(
     if payload is not None:
         _attach(model, document.source, payload)
     order = [name for name in model.names[1:] if name in moving]
+    locked = tuple(
+        LockedJoint(
+            str(name),
+            float(reference[full.joints[full.getJointId(name)].idx_q]),
+            document.joints[name].unit("rad"),
+        )
+        for name in full.names[1:]
+        if name not in kept and document.joints[name].mimic is None
+    )
     spread, shift = np.zeros((model.nv, len(order))), np.zeros(model.nv)
     for row, name in enumerate(model.names[1:]):
         master, multiplier, offset = multipliers[name]
@@ -292,12 +318,9 @@ def load(
             if name not in moving
         ),
         links=tuple(document.joints[name].child for name in model.names[1:]),
+        locked=locked,
         options={
-            "locked": {
-                str(n): float(reference[full.joints[full.getJointId(n)].idx_q])
-                for n in full.names[1:]
-                if n not in kept and document.joints[n].mimic is None
-            },
+            "locked": {joint.name: joint.position for joint in locked},
             "payload": None if payload is None else vars(payload) | {},
             "gravity": [float(g) for g in gravity],
             **({"inertias": _inertia_document(inertias)} if inertias else {}),

@@ -17,6 +17,7 @@ from .quantities import (
     InertialParameter,
     Mass,
     Name,
+    Position,
     PositionError,
     PositionGain,
     RotorInertia,
@@ -40,13 +41,25 @@ DRIVE_RANGES = {
 }
 
 
+class LockedJointDocument(msgspec.Struct):
+    """A joint that the model's URDF holds as a fixed one: where it stood."""
+
+    position: Position
+    unit: Literal["rad", "m"]
+
+
 class ModelRobotDocument(msgspec.Struct):
-    """The identified robot; locked joints and the payload are part of the model's URDF."""
+    """The identified robot; locked joints and the payload are part of the model's URDF.
+
+    Attributes:
+        fixed: The locked joints, with which recordings are compared.
+    """
 
     name: Name
     source: FilePath
     sha256: Sha256
     gravity: tuple[Gravity, Gravity, Gravity]
+    fixed: dict[str, LockedJointDocument] = {}
 
 
 class ParameterDocument(msgspec.Struct):

@@ -8,6 +8,7 @@ from recording_fixtures import assert_refused, read_with_warnings, two_joint_mot
 
 from excite import recordings
 from excite.cli import main as cli
+from excite.errors import UnusableInput
 from excite.recordings import RemarkKind
 from excite.robot.robot import load
 
@@ -298,3 +299,38 @@ def test_a_spreadsheet_of_another_program_in_utf_16_is_refused(two_link, tmp_pat
     path = write(tmp_path / "r.csv", list(COLUMNS), rows(*COLUMNS.values()))
     path.write_text(path.read_text(encoding="utf-8"), encoding="utf-16")
     assert_refused(path, two_link, "UTF-8")
+
+
+@pytest.mark.parametrize("form", ["PlotJuggler", "lists", "elements", "echo"])
+def test_efforts_of_messages_may_be_currents(two_link, tmp_path, form):
+    header: list[str] | None
+    if form == "PlotJuggler":
+        header = ["__time", *(f"/joint_states/joint_{k}/{f}" for f in QUANTITIES for k in (1, 2))]
+        names = [f"{p}.joint_{k}" for p in QUANTITIES.values() for k in (1, 2)]
+        cells = rows(EPOCH + COLUMNS["t"], *(COLUMNS[name] for name in names))
+    elif form == "lists":
+        header, cells = ["time", "name", *QUANTITIES], lists()
+    else:
+        header = ["%time", *(f"field.{f}{k}" for f in ("name", *QUANTITIES) for k in (0, 1))]
+        cells = elements(True)
+    if form == "echo":
+        header = None
+        cells = [[row[0][:-9], str(int(row[0][-9:])), "", *row[1:]] for row in cells]
+    path = write(tmp_path / "r.csv", header, cells)
+    gains = '"drive_gain": {"joint_1": 2.0, "joint_2": 3.0}'
+    sidecar = path.with_suffix(".json")
+    sidecar.write_text('{"schema": "excite.recording/1", "effort": "current", ' + gains + "}")
+    recording = recordings.read(path, two_link)
+    currents = np.column_stack([COLUMNS["tau.joint_1"], COLUMNS["tau.joint_2"]])
+    assert recording.tau is None
+    assert np.allclose(recording.torque, currents * [2.0, 3.0], atol=1e-9)
+
+
+def test_torque_columns_are_no_currents(two_link, tmp_path):
+    path = write(tmp_path / "r.csv", list(COLUMNS), rows(*COLUMNS.values()))
+    path.with_suffix(".json").write_text('{"schema": "excite.recording/1", "effort": "current"}')
+    with pytest.raises(UnusableInput, match=r"r\.json: \"effort\": \"current\" .*i\.<joint>"):
+        recordings.read(path, two_link)
+    named = [name.replace("tau.", "i.") for name in COLUMNS]
+    write(path, named, rows(*COLUMNS.values()))
+    assert recordings.read(path, two_link).tau is None

@@ -78,6 +78,7 @@ def read_blocks(
     columns: Mapping[str, str] = MappingProxyType({}),
     topic: str | None = None,
     *,
+    effort: str = "tau",
     floating: bool = False,
 ) -> Iterator[Block]:
     """Read a CSV file whose first row names the columns.
@@ -87,6 +88,7 @@ def read_blocks(
         robot: Robot whose joints are recorded.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in the file.
         topic: Topic of PlotJuggler's columns to use; None: there is one of the robot's joints.
+        effort: Prefix of the efforts of JointState messages, "tau" for torque or "i" for current.
         floating: True if the columns of a floating base are wanted; see `floating_signals`.
 
     Yields:
@@ -104,7 +106,7 @@ def read_blocks(
         if _is_row_of_units(path, cells, first_row):
             behind, row = stream.tell(), row + 1
             first_row = _cells(separator, stream.readline(MAX_LINE))
-        header = recognise(str(path), cells, first_row, robot, columns, separator, topic)
+        header = recognise(str(path), cells, first_row, robot, columns, separator, topic, effort)
         stream.seek(behind if header.has_line else 0)
         layout = find_columns(
             str(path),

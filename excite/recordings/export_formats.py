@@ -21,8 +21,6 @@ from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .joint_state_cells import ElementColumns, ListCells, Rewrite, is_list
 
-QUANTITY = {"position": "q", "velocity": "dq", "effort": "tau"}
-"""Our prefixes of the fields of a JointState message."""
 PLOTJUGGLER_TIME = "__time"
 """Column of time of PlotJuggler [s since 1970]."""
 TIME_COLUMNS = (
@@ -69,6 +67,7 @@ def recognise(
     columns: Mapping[str, str],
     separator: str = ",",
     topic: str | None = None,
+    effort: str = "tau",
 ) -> Header:
     """Rename the columns of a file.
 
@@ -80,12 +79,14 @@ def recognise(
         columns: Standard names of columns -> names in the file; they precede all other rules.
         separator: Separator of the cells.
         topic: Topic of PlotJuggler's columns to use; None: there is one of the robot's joints.
+        effort: Prefix of the efforts of JointState messages, "tau" for torque or "i" for current.
 
     Raises:
         UnusableInput: A column of `columns` is not in the file, or two columns hold the same
             quantity of a joint.
     """
-    echoed = _echoed(source, cells, robot, separator)
+    prefixes = {"position": "q", "velocity": "dq", "effort": effort}
+    echoed = _echoed(source, cells, robot, separator, prefixes)
     if echoed is not None and not columns:
         return echoed
     names = list(cells)
@@ -102,8 +103,8 @@ def recognise(
         names[cells.index(theirs)] = ours
     if PLOTJUGGLER_TIME in names:
         time = ((PLOTJUGGLER_TIME, 1.0),)
-        return Header(_plotjuggler(source, names, robot, topic), time, True)
-    listed = _listed(source, names, first_row, robot, separator)
+        return Header(_plotjuggler(source, names, robot, topic, prefixes), time, True)
+    listed = _listed(source, names, first_row, robot, separator, prefixes)
     if listed is not None:
         return listed
     if "t" not in names and any(INDEXED.fullmatch(name) for name in names):
@@ -111,12 +112,16 @@ def recognise(
             (entry for entry in TIME_COLUMNS if all(name in names for name, _ in entry)), None
         )
         if time_columns is not None:
-            return _indexed(source, names, first_row, robot, separator, time_columns)
+            return _indexed(source, names, first_row, robot, separator, time_columns, prefixes)
     return Header(tuple(names))
 
 
 def _plotjuggler(
-    source: str, names: Sequence[str], robot: Robot, topic: str | None
+    source: str,
+    names: Sequence[str],
+    robot: Robot,
+    topic: str | None,
+    prefixes: Mapping[str, str],
 ) -> tuple[str, ...]:
     """Names with `/topic/<joint>/position` renamed to `q.<joint>`."""
     out = list(names)
@@ -125,7 +130,7 @@ def _plotjuggler(
         match = NAMED.fullmatch(name)
         if match is None or match[2] not in joints or topic not in (None, match[1]):
             continue
-        ours = f"{QUANTITY[match[3]]}.{match[2]}"
+        ours = f"{prefixes[match[3]]}.{match[2]}"
         if ours in out:
             other = names[out.index(ours)]
             first = NAMED.fullmatch(other)
@@ -150,6 +155,7 @@ def _listed(
     first_row: Sequence[str],
     robot: Robot,
     separator: str,
+    prefixes: Mapping[str, str],
 ) -> Header | None:
     """Header of a file whose cells hold lists, None for any other."""
     fields: dict[str, int] = {}
@@ -166,7 +172,7 @@ def _listed(
             f"{source}: has no column of time; name it with --columns t=COLUMN, or write one "
             "named 't' [s]"
         )
-    quantities = {QUANTITY[field]: k for field, k in fields.items() if field in QUANTITY}
+    quantities = {prefixes[field]: k for field, k in fields.items() if field in prefixes}
     locked = [joint.name for joint in robot.locked] if "name" in fields else []
     cells = ListCells(
         source,
@@ -189,6 +195,7 @@ def _indexed(
     robot: Robot,
     separator: str,
     time: tuple[tuple[str, float], ...],
+    prefixes: Mapping[str, str],
 ) -> Header:
     """Header with `field.position0` renamed to `q.<joint>` by the joint in `field.name0`."""
     fields = [INDEXED.fullmatch(name) for name in names]
@@ -202,7 +209,7 @@ def _indexed(
         place = {(m[1], m[2]): k for k, m in enumerate(fields) if m is not None}
         elements = [
             [place[field, element] for element in joints]
-            for field in QUANTITY
+            for field in prefixes
             if all((field, element) in place for element in joints)
         ]
         columns = [place["name", element] for element in joints]
@@ -212,15 +219,21 @@ def _indexed(
     else:  # positions without names are in the order of the robot
         joints = {str(i): joint for i, joint in enumerate(robot.joints)}
     renamed = tuple(
-        f"{QUANTITY[match[1]]}.{joints[match[2]]}"
-        if match is not None and match[1] in QUANTITY and match[2] in joints
+        f"{prefixes[match[1]]}.{joints[match[2]]}"
+        if match is not None and match[1] in prefixes and match[2] in joints
         else name
         for name, match in zip(names, fields, strict=True)
     )
     return Header(renamed, time, True, True, rewrite)
 
 
-def _echoed(source: str, cells: Sequence[str], robot: Robot, separator: str) -> Header | None:
+def _echoed(
+    source: str,
+    cells: Sequence[str],
+    robot: Robot,
+    separator: str,
+    prefixes: Mapping[str, str],
+) -> Header | None:
     """Header of a file of `ros2 topic echo --csv /joint_states`, None for any other."""
     if len(cells) < 5 or not (cells[0].isdigit() and cells[1].isdigit()):
         return None
@@ -237,7 +250,7 @@ def _echoed(source: str, cells: Sequence[str], robot: Robot, separator: str) -> 
         return None
     names = ["sec", "nanosec", "frame_id", *(f"name {joint}" for joint in joints)]
     # without velocities, efforts stand in their place: a driver sends both or positions alone
-    for prefix in ("q", "dq", "tau")[: numbers // count]:
+    for prefix in list(prefixes.values())[: numbers // count]:
         names += [f"{prefix}.{joint}" for joint in joints]
     columns = [
         list(range(start + k * count, start + (k + 1) * count)) for k in range(1 + numbers // count)

@@ -149,7 +149,7 @@ def _read_blocks(
         raise UnusableInput(
             f"{path}: is no recording but JSON; give the recording of that name: {FORMATS}"
         )
-    row = 1
+    row, holds_current = 1, context.sidecar.effort == "current"
     if columns and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
         raise UnusableInput(f"{path}: has no named columns; leave --columns out")
     if floating and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
@@ -163,13 +163,22 @@ def _read_blocks(
         elif path.suffix == ".npz":
             blocks = npz_reader.read_blocks(path, context.robot)
         else:
-            blocks, row = (
-                csv_reader.read_blocks(
-                    path, context.robot, columns, context.sidecar.topic, floating=floating
-                ),
-                2,
-            )  # the header is row 1
+            blocks = csv_reader.read_blocks(
+                path,
+                context.robot,
+                columns,
+                context.sidecar.topic,
+                effort="i" if holds_current else "tau",
+                floating=floating,
+            )
+            row = 2  # the header is row 1
         for block in blocks:
+            if holds_current and "tau" in block.values and "current" not in block.values:
+                raise UnusableInput(
+                    f'{sidecar.sidecar_path(path)}: "effort": "current" holds for efforts of '
+                    f"JointState messages, but {path.name} has columns tau.<joint>; name them "
+                    "i.<joint>, or remove it"
+                )
             magnitudes.check_magnitudes(str(path), block, context.robot, row)
             row += len(block)
             yield block

@@ -25,8 +25,9 @@ class Sidecar:
         period: Period of the excitation [s].
         periodic: Start and end of the window in which it repeats [s].
         motor_side: True if `q` is the motor encoder divided by the gear ratio.
-        effort: Content of `effort` in JointState messages, "torque" [N m] or "current" [A], or of
-            the torque in any file, "without gravity" [N m]; None if not stated.
+        effort: Content of `effort` in JointState messages, of a bag or in a CSV file, "torque"
+            [N m] or "current" [A], or of the torque in any file, "without gravity" [N m]; None if
+            not stated.
         topic: Topic to read, of a bag or of PlotJuggler's CSV.
         position_gain: Gain of each joint's position loop, in any unit: recordings of one robot with
             different gains are compared by their ratio [1].

@@ -316,3 +316,54 @@ def test_positions_of_locked_joints_are_compared(tmp_path, is_split):
     path = write(tmp_path / "bag", {"/joint_states": messages})
     with pytest.raises(UnusableInput, match="locked at 0 rad, but stands at 1 rad"):
         recordings.read(path, load("two_link", joints=("joint_2",)))
+
+
+def one_publisher_a_joint(late: int = 0, missing: tuple[int, ...] = ()):
+    """Messages of single joints, the first ones without effort, some with NaN as effort."""
+    return [
+        (
+            t + 1e-3 * i,
+            message(
+                t + 1e-3 * i,
+                [JOINTS[i]],
+                [Q[k, i]],
+                [],
+                [] if k < late else [np.nan if k in missing else TAU[k, i]],
+            ),
+        )
+        for k, t in enumerate(T)
+        for i in (0, 1)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("late", "missing", "lost"), [(1, (), 2), (0, (100,), 0), (0, tuple(range(100, 140)), 41)]
+)
+def test_missing_efforts_of_single_joints_cost_their_rows_alone(
+    two_link, tmp_path, late, missing, lost
+):
+    path = write(tmp_path / "bag", {"/joint_states": one_publisher_a_joint(late, missing)})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = recordings.read(path, two_link)
+    assert any("merged in time" in str(entry.message) for entry in caught)
+    assert len(T) - 2 - lost <= len(recording) <= len(T)
+    assert recording.tau is not None and np.isfinite(recording.tau).all()
+    assert np.abs(recording.tau[:, 0] - np.cos(5.0 * recording.t)).max() < 0.06
+
+
+@pytest.mark.parametrize(
+    "others",
+    [
+        [(-0.1, message(-0.1, JOINTS, [0.0, 0.0]))],
+        [(t + 2e-3, message(t + 2e-3, JOINTS, Q[5 * k])) for k, t in enumerate(T[::5])],
+        [(t + 2e-3, message(t + 2e-3, JOINTS, Q[k] + 0.1)) for k, t in enumerate(T)],
+    ],
+    ids=["announced once", "slow aggregator", "aggregator"],
+)
+def test_publishers_of_all_joints_without_efforts_hide_none(two_link, tmp_path, others):
+    path = write(tmp_path / "bag", {"/joint_states": [*one_publisher_a_joint(), *others]})
+    with pytest.warns(ExciteWarning, match=f"{len(others)} messages that hold all of them"):
+        recording = recordings.read(path, two_link)
+    assert recording.tau is not None
+    assert np.abs(recording.q[:, 0] - np.sin(2.0 * recording.t)).max() < 0.01

@@ -9,6 +9,7 @@ import itertools
 import sqlite3
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -71,7 +72,8 @@ def read_blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
     Where some messages hold positions, velocities and efforts and others fewer of them, as of a
     second publisher that fills in positions, only the complete ones are used; without any, those
     with positions and efforts. Where no message names all joints, as with one publisher a joint,
-    the messages are merged.
+    the messages are merged; also where those that name all joints lack the efforts of the others,
+    or are fewer.
 
     Args:
         path: A rosbag2 folder or a file of a bag.
@@ -172,7 +174,7 @@ def _read_messages(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> Ite
     contents = _message_contents(bag, topic)
     effort = "current" if sidecar.effort == "current" else "tau"
     complete = [fields for names, fields in contents if set(robot.joints) <= names]
-    if not complete and set(robot.joints) <= set().union(*(names for names, _ in contents)):
+    if _are_parts_better(contents, robot):
         yield _merge_joints(path, bag, topic, robot, sidecar)
         return
     recorded = max(complete, key=_usefulness, default=frozenset({"position"}))
@@ -186,12 +188,38 @@ def _read_messages(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> Ite
     yield replace(table.flush(_remarks(path, topic, table, sidecar)), locked=locked.flush())
 
 
-def _message_contents(bag: _Bag, topic: str) -> set[tuple[frozenset[str], frozenset[str]]]:
-    """Joints and fields that occur together in messages of a topic."""
-    return {
+Contents = Counter[tuple[frozenset[str], frozenset[str]]]
+"""Joints and fields that occur together in messages, and in how many."""
+
+
+def _message_contents(bag: _Bag, topic: str) -> Contents:
+    """Contents of the first messages of a topic."""
+    return Counter(
         (frozenset(message.name), _filled_fields(message))
         for message, _ in itertools.islice(bag.messages(topic), SEARCHED_MESSAGES)
-    }
+    )
+
+
+def _are_parts_better(contents: Contents, robot: Robot) -> bool:
+    """Return True if messages of some joints hold efforts that those of all joints lack, or as many
+    quantities more often.
+
+    The others are those of an aggregator, or of a publisher that only announces the joints.
+    """
+    joints = frozenset(robot.joints)
+    parts = Counter({kind: n for kind, n in contents.items() if not joints <= kind[0]})
+    if not joints <= frozenset().union(*(names for names, _ in parts)):
+        return False
+    ranks = [_rank(parts, joint) for joint in robot.joints]
+    complete = Counter({kind: n for kind, n in contents.items() if joints <= kind[0]})
+    return min(ranks) > _rank(complete, robot.joints[0])
+
+
+def _rank(contents: Contents, joint: str) -> tuple[bool, bool, int]:
+    """Rank of the messages of a joint: positions, then efforts, then their number."""
+    kinds = {kind: n for kind, n in contents.items() if joint in kind[0] and "position" in kind[1]}
+    with_efforts = sum(n for (_, fields), n in kinds.items() if "effort" in fields)
+    return bool(kinds), with_efforts > 0, with_efforts or sum(kinds.values())
 
 
 def _filled_fields(message: Any) -> frozenset[str]:
@@ -205,22 +233,29 @@ def _usefulness(fields: frozenset[str]) -> tuple[bool, bool, int]:
 
 
 def _merge_joints(path: Path, bag: _Bag, topic: str, robot: Robot, sidecar: Sidecar) -> Block:
-    """Merge messages of single joints on the stamps of the joint with the most messages."""
-    from scipy.interpolate import CubicSpline  # slow to import
+    """Merge messages of some joints on the stamps of the joint with the most messages.
 
+    Messages of all joints are those of another publisher and left out.
+    """
     effort = "current" if sidecar.effort == "current" else "tau"
     tables = [_Table(path, robot, effort, frozenset(FIELDS), (joint,)) for joint in robot.joints]
     locked = _LockedPositions(robot)
+    joints, left_out = set(robot.joints), 0
     for message, received in bag.messages(topic):
         locked.add(message)
+        if joints <= set(message.name):
+            left_out += 1
+            continue
         for table in tables:
             table.add(message, received)
     origin = min(table.start for table in tables if table.start is not None)
     series = []
     for table in tables:
-        order = np.unique(np.array(table.times) + 1e-9 * ((table.start or 0) - origin), True)
-        values = {name: np.concatenate(rows)[order[1]] for name, rows in table.rows.items() if rows}
-        series.append((order[0], values))
+        times = np.array(table.times) + 1e-9 * ((table.start or 0) - origin)
+        times, first = np.unique(times, return_index=True)
+        first = first[np.isfinite(times)]
+        values = {name: np.concatenate(rows)[first] for name, rows in table.rows.items() if rows}
+        series.append((times[np.isfinite(times)], values))
     base = max(series, key=lambda entry: len(entry[0]))[0]
     start, end = (f(entry[0][k] for entry in series) for f, k in ((max, 0), (min, -1)))
     t = base[(base >= start) & (base <= end)]
@@ -232,24 +267,37 @@ def _merge_joints(path: Path, bag: _Bag, topic: str, robot: Robot, sidecar: Side
     for field, name in tables[0].fields.items():
         columns = np.full((len(t), robot.n), np.nan)
         for i, (times, values) in enumerate(series):
-            column = values[field]
-            if np.isfinite(column).all():
-                same = len(times) == len(base) and np.array_equal(times, base)
-                columns[:, i] = (
-                    column[(base >= start) & (base <= end)]
-                    if same
-                    else CubicSpline(times, column)(t)
-                )
-                between = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
-                usual = float(np.median(np.diff(times)))
-                too_far = times[between] - times[between - 1] > (MAX_FILLED_STEPS + 0.5) * usual
-                columns[too_far, i] = np.nan
+            known = np.isfinite(values[field])
+            if known.sum() >= MIN_MERGED_ROWS:
+                columns[:, i] = _interpolated(times[known], values[field][known], t)
         if np.isfinite(columns).any():
             block[name] = columns
     text = f"each message on {topic} holds some of the joints; they are merged in time"
+    if left_out:
+        text += f", and {left_out} messages that hold all of them are left out"
     remarks = [Remark(RemarkKind.PUBLISHER, text, repaired=True)]
     remarks += _effort_remarks(path, effort in block, sidecar)
     return Block(t, block, tuple(remarks), locked.flush())
+
+
+def _interpolated(times: FloatArray, column: FloatArray, t: FloatArray) -> FloatArray:
+    """Interpolate a column by a cubic spline; NaN beyond its ends and in its gaps.
+
+    Args:
+        times: Its times. Shape (M,) [s].
+        column: Its finite values. Shape (M,).
+        t: Times at which it is wanted. Shape (N,) [s].
+    """
+    from scipy.interpolate import CubicSpline  # slow to import
+
+    out = CubicSpline(times, column, extrapolate=False)(t)
+    place = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
+    usual = float(np.median(np.diff(times)))
+    out[times[place] - times[place - 1] > (MAX_FILLED_STEPS + 0.5) * usual] = np.nan
+    for index in (place - 1, place):  # where there is a value, it is taken unchanged
+        is_known = times[index] == t
+        out[is_known] = column[index[is_known]]
+    return np.asarray(out, float)
 
 
 def _select_topic(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> str:

@@ -281,6 +281,35 @@ def test_wrong_torque_of_a_joint_is_remarked_there(
     assert all(joint in text and part in text for text in texts)
 
 
+@pytest.mark.parametrize("value", [0.0, 1.234])
+@pytest.mark.parametrize("rows", [slice(0, 200), slice(150, 400)])
+def test_torque_that_is_frozen_while_the_joint_reverses_is_doubted(
+    value, rows, torque_columns, two_link, tmp_path, capsys
+):
+    torque_columns["tau.joint_2"][rows] = value
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    doubts = recordings.read(path, two_link).doubts
+    assert [(doubt.kind, doubt.joint) for doubt in doubts] == [(RemarkKind.FROZEN, "joint_2")]
+    cli.main(["identify", "two_link", str(path), "-o", str(tmp_path / "out")])
+    assert "joint 'joint_2': tau is constant from" in capsys.readouterr().err
+
+
+def test_torque_that_may_be_constant_is_not_doubted(torque_columns, two_link, tmp_path):
+    """That of a short time, of a motion in one direction, of a coarse resolution, of no drive."""
+    torque = torque_columns["tau.joint_2"].copy()
+    for rows, step in ((slice(100, 130), 0.0), (slice(60, 100), 0.0), (slice(0, 400), 4.0)):
+        changed = np.round(torque / step) * step if step else torque.copy()
+        changed[rows] = changed[rows] if step else 0.5
+        path = write_columns(tmp_path / "r.csv", {**torque_columns, "tau.joint_2": changed})
+        assert not recordings.read(path, two_link).doubts
+    columns = {**torque_columns, "tau.joint_2": torque, "qref.joint_2": torque_columns["q.joint_2"]}
+    path = tmp_path / "r.csv"
+    torque[200:] = 0.0
+    assert recordings.read(write_columns(path, columns), two_link).doubts
+    columns["qref.joint_2"] = np.where(np.arange(400) < 200, columns["qref.joint_2"], 0.0)
+    assert not recordings.read(write_columns(path, columns), two_link).doubts
+
+
 @pytest.mark.parametrize(("value", "word"), [(0.0, "0"), (3.5, "constant")])
 def test_recording_without_torque_is_refused(value, word, torque_columns, two_link, tmp_path):
     for joint in ("joint_1", "joint_2"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from .._types import FloatArray
@@ -36,6 +38,11 @@ MIN_FROZEN_ROWS = 20
 """Smallest number of rows with a frozen value that is remarked."""
 MIN_MOTION_SHARE = 0.01
 """Motion of the joint in that time above which a value counts as frozen, over its range [1]."""
+MIN_DOUBTED_SHARE = 0.1
+"""Share of the rows from which a torque that is frozen while the joint reverses is doubted [1]."""
+MIN_REVERSED_SHARE = 0.05
+"""Motion in either direction from which a joint counts as reversed, over its range [1]: friction
+and acceleration have changed their sign, which no motion at constant speed does."""
 MIN_CLIPPED_RUN = 5
 """Length of a run at the extreme value that is clipping [rows]."""
 MIN_CLIPPED_RATIO = 3.0
@@ -44,7 +51,8 @@ signal is clipped [1]."""
 NEIGHBOURING_VALUES = 10
 """Number of distinct values next to the extreme that are compared."""
 MIN_DISTINCT_VALUES = 20
-"""Smallest number of distinct values of a signal that can be clipped."""
+"""Smallest number of distinct values of a signal that can be clipped or frozen; fewer are those of
+a coarse resolution."""
 
 
 def check_signals(block: Block, robot: Robot, limits: Limits | None) -> list[Remark]:
@@ -68,8 +76,9 @@ def check_signals(block: Block, robot: Robot, limits: Limits | None) -> list[Rem
         ]
         for name in ("tau", "current"):
             if name in block.values and np.isfinite(block.values[name][:, i]).all():
-                clipped = check_clipped(block, robot, i, name)
-                out.append(clipped or check_frozen_torque(block, robot, i, name))
+                frozen = check_frozen_torque(block, robot, i, name)
+                is_doubted = frozen is not None and frozen.doubt
+                out.append(frozen if is_doubted else check_clipped(block, robot, i, name) or frozen)
     return [remark for remark in out if remark is not None]
 
 
@@ -151,12 +160,42 @@ def _frozen_rows(block: Block, values: FloatArray) -> slice | None:
 
 def check_frozen_torque(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
     """Remark a torque or current that is constant for 0.1 s and 20 rows while the joint moves by 1
-    % of its range."""
+    % of its range.
+
+    It is doubted if it is constant in a tenth of all rows, in which the joint reverses, and neither
+    its resolution is coarse nor is its drive off: 0 while the commanded position stands.
+    """
     rows = _frozen_rows(block, block.values[name][:, i])
     q = block.values["q"][:, i]
     if rows is None or np.ptp(q[rows]) <= MIN_MOTION_SHARE * np.ptp(q):
         return None
-    return _frozen_remark(block, robot.joints[i], name, rows)
+    remark = _frozen_remark(block, robot.joints[i], name, rows)
+    is_doubtful = (
+        len(q[rows]) >= MIN_DOUBTED_SHARE * len(q)
+        and _reverses(q[rows], MIN_REVERSED_SHARE * float(np.ptp(q)))
+        and len(np.unique(block.values[name][:, i])) >= MIN_DISTINCT_VALUES
+        and not _is_off(block, rows, i, name)
+    )
+    if not is_doubtful:
+        return remark
+    share = f"{100.0 * len(q[rows]) / len(q):.0f} % of the rows"
+    text = f"{remark.text} and reverses, in {share}; check the measurement, and cut these rows out"
+    return dataclasses.replace(remark, text=text, doubt=True)
+
+
+def _is_off(block: Block, rows: slice, i: int, name: str) -> bool:
+    """Return True if a joint has no torque, and is commanded to stand."""
+    if "qref" not in block.values or block.values[name][rows, i].any():
+        return False
+    commanded = float(np.ptp(block.values["qref"][rows, i]))
+    return commanded < MIN_MOTION_SHARE * float(np.ptp(block.values["q"][:, i]))
+
+
+def _reverses(q: FloatArray, distance: float) -> bool:
+    """Return True if positions move by more than a distance in either direction."""
+    rise = float((q - np.minimum.accumulate(q)).max())
+    fall = float((np.maximum.accumulate(q) - q).max())
+    return min(rise, fall) > distance
 
 
 def check_frozen_position(block: Block, robot: Robot, i: int) -> Remark | None:

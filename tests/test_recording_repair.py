@@ -293,3 +293,29 @@ def test_noise_of_positions_does_not_even_stamps(two_link, tmp_path, damage):
         )
     recording, _ = DamagedMotion(columns).read(tmp_path, two_link)
     assert remark_kinds(recording) == [RemarkKind.JITTER]
+
+
+@pytest.mark.parametrize("name", ["qref", "qlink"])
+@pytest.mark.parametrize("turns", [0, 1])
+def test_further_positions_have_the_turn_of_the_measured_ones(two_link, tmp_path, name, turns):
+    """Also where the measured position is neither wrapped nor shifted."""
+    columns = two_joint_motion()
+    columns["q.joint_1"] = 2.5 * columns["q.joint_1"] + 2.0  # crosses half a turn upwards
+    error = 0.05 * np.cos(3.0 * columns["t"])
+    further = columns["q.joint_1"] + error
+    wrapped = (further + 2.0 * np.pi * turns + np.pi) % (2.0 * np.pi) - np.pi
+    columns[f"{name}.joint_1"] = further + 2.0 * np.pi if turns else wrapped
+    columns[f"{name}.joint_2"] = columns["q.joint_2"]
+    recording, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert np.allclose(getattr(recording, name)[:, 0], further, atol=1e-9)
+    assert (recording.q[:, 0] == columns["q.joint_1"]).all()
+    assert [name in text and "whole turns" in text for text in texts] == [True]
+
+
+@pytest.mark.parametrize("name", ["qref", "qlink"])
+def test_further_positions_in_degrees_are_refused(two_link, tmp_path, name):
+    columns = two_joint_motion()
+    for joint in ("joint_1", "joint_2"):
+        columns[f"{name}.{joint}"] = np.rad2deg(columns[f"q.{joint}"] + 0.01)
+    path = write_columns(tmp_path / "r.csv", columns)
+    assert_refused(path, two_link, f"{name} moves 57.3 times as far as q", "degrees")

@@ -108,6 +108,7 @@ def check_and_repair(
     if len(block) < (MIN_ROWS if complete else 2):
         raise UnusableInput(f"{source}: has {len(block)} usable rows; give at least {MIN_ROWS}")
     units.check_positions(source, block, robot, context.limits)
+    units.check_further_positions(source, block, robot)
     inconsistent = units.check_velocities(source, block, robot)
     stamps: list[Remark] = []
     if complete:

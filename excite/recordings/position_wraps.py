@@ -61,7 +61,13 @@ def unwrap_positions(
             continue
         unwrapped, wraps = _unwrapped(q)
         turns = _turns_into_limits(unwrapped, _limits(robot, i, limits))
+        q = unwrapped + TURN * turns if turns else unwrapped
+        others = _aligned(block, q, robot, i, limits)
+        for name, column in {**others, "q": q}.items():
+            values[name] = values[name].copy()
+            values[name][:, i] = column
         if not len(wraps) and not turns:
+            remarks += [_aligned_remark(joint, name) for name in others]
             continue
         done = []
         if len(wraps):
@@ -78,15 +84,41 @@ def unwrap_positions(
             (float(block.t[wraps[0]]), float(block.t[wraps[-1]])) if len(wraps) else (None, None)
         )
         remarks.append(Remark(RemarkKind.WRAPPED, text, joint, start, end, repaired=True))
-        for name in ("q", "qref", "qlink"):
-            if name in values and np.isfinite(values[name][:, i]).any():
-                column = unwrapped + TURN * turns
-                if name != "q":  # the same turn as the measured position
-                    other = values[name][:, i]
-                    column = other + TURN * np.round((column - other) / TURN)
-                values[name] = values[name].copy()
-                values[name][:, i] = column
     return (Block(block.t, values, block.remarks), remarks) if remarks else (block, [])
+
+
+def _aligned(
+    block: Block, q: FloatArray, robot: Robot, i: int, limits: Limits | None
+) -> dict[str, FloatArray]:
+    """Commanded and link positions of a joint that are unwrapped, or on another turn than q.
+
+    Args:
+        block: Rows as they were recorded.
+        q: Positions of the joint, unwrapped. Shape (N,) [rad].
+        robot: The robot.
+        i: Index of the joint.
+        limits: Limits of the robot, None: those of the URDF.
+
+    Returns:
+        Columns that differ from the recorded ones, by name of the quantity.
+    """
+    out: dict[str, FloatArray] = {}
+    for name in ("qref", "qlink"):
+        column = block.values[name][:, i] if name in block.values else q
+        known = np.isfinite(q) & np.isfinite(column)
+        if column is q or not known.any():
+            continue
+        unwrapped, wraps = _unwrapped(column)
+        turns = np.round(np.median((q - unwrapped)[known]) / TURN)
+        aligned = unwrapped + TURN * turns
+        if (len(wraps) or turns) and is_plausible(aligned, robot, i, limits):
+            out[name] = aligned
+    return out
+
+
+def _aligned_remark(joint: str, name: str) -> Remark:
+    text = f"joint '{joint}': {name} is moved by whole turns to the turn of q"
+    return Remark(RemarkKind.WRAPPED, text, joint, repaired=True)
 
 
 def _unwrapped(q: FloatArray) -> tuple[FloatArray, FloatArray]:

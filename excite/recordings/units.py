@@ -104,6 +104,43 @@ def check_positions(source: str, block: Block, robot: Robot, limits: Limits | No
     )
 
 
+def check_further_positions(source: str, block: Block, robot: Robot) -> None:
+    """Check that commanded and link positions have the unit of q.
+
+    Where both correlate by more than 0.7, their regression coefficient should not be a factor of
+    units.
+
+    Args:
+        source: Name of the recording, for messages.
+        block: Rows of it.
+        robot: The robot.
+
+    Raises:
+        UnusableInput: qref or qlink is in degrees or mm, while q is in rad or m.
+    """
+    for name in ("qref", "qlink"):
+        for i, joint in enumerate(robot.joints):
+            if name not in block.values:
+                continue
+            q, other = block.values["q"][:, i], block.values[name][:, i]
+            known = np.isfinite(q) & np.isfinite(other)
+            if not known.any():
+                continue
+            q, other = q[known] - np.mean(q[known]), other[known] - np.mean(other[known])
+            power, other_power = float(q @ q), float(other @ other)
+            product = float(q @ other)
+            if product <= MIN_CORRELATION * np.sqrt(power * other_power):
+                continue
+            slides = robot.entries[i].kind == "prismatic"
+            factor, unit, wanted = (1e3, "mm", "m") if slides else (180.0 / np.pi, "degrees", "rad")
+            ratio = product / power
+            if 1 / UNIT_RATIO_TOLERANCE < ratio / factor < UNIT_RATIO_TOLERANCE:
+                raise UnusableInput(
+                    f"{source}: joint '{joint}': {name} moves {ratio:.4g} times as far as q, so it "
+                    f"is in {unit}; convert it to {wanted}"
+                )
+
+
 def check_velocities(source: str, block: Block, robot: Robot) -> list[Remark]:
     """Compare dq with the slope of q, whose ratio shows mixed units.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from recording_fixtures import assert_refused, read_with_warnings, two_joint_motion
@@ -334,3 +336,58 @@ def test_torque_columns_are_no_currents(two_link, tmp_path):
     named = [name.replace("tau.", "i.") for name in COLUMNS]
     write(path, named, rows(*COLUMNS.values()))
     assert recordings.read(path, two_link).tau is None
+
+
+@pytest.mark.parametrize("line", [b"sep=;\r\n", b"SEP=;\n"])
+def test_line_of_spreadsheets_that_states_the_separator(two_link, tmp_path, line):
+    path = write(tmp_path / "r.csv", list(COLUMNS), rows(*COLUMNS.values()), ";")
+    path.write_bytes(line + path.read_bytes())
+    assert_same_motion(recordings.read(path, two_link))
+
+
+def test_comment_behind_a_byte_order_mark(two_link, tmp_path):
+    path = write(tmp_path / "r.csv", list(COLUMNS), rows(*COLUMNS.values()))
+    path.write_bytes(b"\xef\xbb\xbf# recorded on Monday\n" + path.read_bytes())
+    assert_same_motion(recordings.read(path, two_link))
+
+
+def test_row_of_units_with_missing_and_unknown_ones(two_link, tmp_path):
+    cells = rows(*COLUMNS.values())
+    units = ["s", "rad", "rad", "rad/s", "rad/s", "N-m", "-"]
+    path = write(tmp_path / "r.csv", list(COLUMNS), [units, *cells])
+    assert_same_motion(recordings.read(path, two_link))
+    path = write(tmp_path / "r.csv", list(COLUMNS), [[*units[:6], "kp cm"], *cells])
+    assert_refused(path, two_link, "row 2", "unit 'kp cm' of column 'tau.joint_2' is unknown")
+
+
+def test_elements_without_names_must_be_as_many_as_joints(two_link, tmp_path):
+    header = ["time", "position_0", "position_1", "position_2"]
+    columns = [COLUMNS[name] for name in ("t", "q.joint_1", "q.joint_2", "q.joint_2")]
+    path = write(tmp_path / "r.csv", header, rows(*columns))
+    assert_refused(path, two_link, "positions of 3 joints", "2 joints of the robot", "--columns")
+    named = {"t": "time", "q.joint_1": "position_1", "q.joint_2": "position_2"}
+    recording = recordings.read(path, two_link, columns=named)
+    assert (recording.q[:, 0] == COLUMNS["q.joint_2"]).all()
+
+
+def test_row_of_an_implausible_number_counts_comments(two_link, tmp_path):
+    cells = rows(*COLUMNS.values())
+    cells[10][1] = "1e20"
+    path = write(tmp_path / "r.csv", list(COLUMNS), cells)
+    path.write_text("# one\n# two\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
+    assert_refused(path, two_link, "row 14, column q.joint_1")
+
+
+def test_echo_may_begin_with_a_message_of_other_joints(two_link, tmp_path):
+    cells = [[row[0][:-9], str(int(row[0][-9:])), "", *row[1:]] for row in elements(False)]
+    finger = [[row[0], row[1], "", "finger", "0.01", "0.0", "0.0"] for row in cells]
+    mixed = [row for pair in zip(finger, cells, strict=True) for row in pair]
+    path = write(tmp_path / "r.csv", None, mixed)
+    recording, texts = read_with_warnings(path, two_link)
+    assert_same_motion(recording)
+    assert "400 rows that lack some of the robot's joints" in texts[0]
+
+
+def test_pipes_are_no_recordings(two_link):
+    with pytest.raises(UnusableInput, match="/dev/null: is a pipe or a device; write"):
+        recordings.read(Path("/dev/null"), two_link)

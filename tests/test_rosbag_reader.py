@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -367,3 +368,10 @@ def test_publishers_of_all_joints_without_efforts_hide_none(two_link, tmp_path, 
         recording = recordings.read(path, two_link)
     assert recording.tau is not None
     assert np.abs(recording.q[:, 0] - np.sin(2.0 * recording.t)).max() < 0.01
+
+
+def test_bag_that_is_the_working_folder_keeps_its_sidecar(two_link, tmp_path):
+    path = write(tmp_path / "bag", {"/joint_states": arm()})
+    (tmp_path / "bag.json").write_text('{"schema": "excite.recording/1", "effort": "torque"}')
+    with contextlib.chdir(path):
+        assert recordings.read(Path(), two_link).sidecar.effort == "torque"

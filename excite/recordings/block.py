@@ -26,12 +26,14 @@ class Block:
         remarks: Remarks of the reader.
         locked: Positions of locked joints by name, where the file has them; NaN where a value is
             missing. Only as a reader returns the block [rad or m].
+        row: Number of the first row in the file, as users count; None: not known.
     """
 
     t: FloatArray
     values: Mapping[str, FloatArray]
     remarks: tuple[Remark, ...] = ()
     locked: Mapping[str, FloatArray] = field(default_factory=dict)
+    row: int | None = None
 
     def __len__(self) -> int:
         return len(self.t)

@@ -12,6 +12,7 @@ text is therefore checked first on whole arrays; other text goes to `np.loadtxt`
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
 import dataclasses
@@ -56,9 +57,14 @@ MIN_EMPTY_SHARE = 0.1
 """Share of rows without any quantity of the robot from which they are those of another topic, in a
 table that merges several [1]; fewer are missing values."""
 SI_UNITS = frozenset(
-    ("s", "sec", "rad", "rad/s", "nm", "n m", "n*m", "n·m", "n.m", "n", "m", "m/s", "a", "°c")
+    (
+        *("s", "sec", "rad", "rad/s", "nm", "n m", "n*m", "n·m", "n.m", "n-m", "n", "m", "m/s"),
+        *("a", "°c"),
+    )
 )
 """Units in a row below the header that need no conversion, in small letters."""
+NO_UNITS = frozenset(("-", "none", "n/a"))
+"""Cells of such a row that name no unit."""
 OTHER_UNITS = frozenset(
     (
         *("ms", "us", "µs", "ns", "deg", "°", "deg/s", "°/s", "mrad", "rpm", "mm", "mm/s"),
@@ -66,6 +72,10 @@ OTHER_UNITS = frozenset(
     )
 )
 """Units in a row below the header that have to be converted, in small letters."""
+UNIT_CELL = re.compile(r"[^0-9+.\-].{0,15}|-")
+"""Cell that may name a unit: no number."""
+SEPARATOR_LINE = re.compile(rb"sep=.\r?\n", re.IGNORECASE)
+"""First line by which spreadsheets state the separator of cells."""
 MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \t]*(?![^,\n])')
 """Cell that says that nothing was measured."""
 DATE = re.compile(r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}:\d{2}:)")
@@ -103,7 +113,7 @@ def read_blocks(
         behind = stream.tell()
         second = stream.readline(MAX_LINE)
         first_row = _cells(separator, second)
-        if _is_row_of_units(path, cells, first_row):
+        if _is_row_of_units(path, row + 1, cells, first_row):
             behind, row = stream.tell(), row + 1
             first_row = _cells(separator, stream.readline(MAX_LINE))
         header = recognise(str(path), cells, first_row, robot, columns, separator, topic, effort)
@@ -154,7 +164,7 @@ class _Table:
 
     def block(self, text: bytes) -> Block:
         """Parse complete lines."""
-        count = text.count(b"\n")
+        count, first = text.count(b"\n"), self.row
         text = self._without_repeated_headers(text)
         if self.header.rewrite is not None:
             text, left_out = self.header.rewrite(text)
@@ -168,7 +178,8 @@ class _Table:
         times = len(self.layout.time_factors)
         if self.layout.from_first and self.origin is None and len(table):
             self.origin = table[0, :times].copy()
-        out = dataclasses.replace(self.layout.block(table, self.origin), remarks=self.remarks)
+        block = self.layout.block(table, self.origin)
+        out = dataclasses.replace(block, remarks=self.remarks, row=first)
         self.remarks = ()
         return out
 
@@ -211,7 +222,9 @@ def _skip_comments(stream: BinaryIO) -> tuple[bytes, int]:
 
     A header may be a comment itself: then the line below has as many cells and is none.
     """
-    line, row = stream.readline(MAX_LINE), 1
+    line, row = stream.readline(MAX_LINE).removeprefix(codecs.BOM_UTF8), 1
+    if SEPARATOR_LINE.fullmatch(line):
+        line, row = stream.readline(MAX_LINE), row + 1
     while line.lstrip().startswith(COMMENTS):
         place = stream.tell()
         following = stream.readline(MAX_LINE)
@@ -230,21 +243,27 @@ def _width(line: bytes) -> int:
     return len(_cells(separator, text))
 
 
-def _is_row_of_units(path: Path, header: Sequence[str], cells: Sequence[str]) -> bool:
-    """Return True if the line below the header names SI units.
+def _is_row_of_units(path: Path, row: int, header: Sequence[str], cells: Sequence[str]) -> bool:
+    """Return True if the line below the header, with that number, names SI units.
 
     Raises:
-        UnusableInput: It names another unit.
+        UnusableInput: It names another unit, or an unknown one next to known ones.
     """
     units = [cell.strip().strip("[]()").strip().lower() for cell in cells]
     stated = [unit for unit in units if unit]
-    if not stated or not all(unit in SI_UNITS | OTHER_UNITS for unit in stated):
+    known = [unit in SI_UNITS | OTHER_UNITS for unit in stated]
+    if not any(known) or not all(UNIT_CELL.fullmatch(unit) for unit in stated):
         return False
     for name, unit in zip(header, units, strict=False):
         if unit in OTHER_UNITS:
             raise UnusableInput(
-                f"{path}: row 2: column '{name}' is in {unit}; convert it to SI units (s, rad, "
-                "rad/s, N m, A) and leave row 2 out"
+                f"{path}: row {row}: column '{name}' is in {unit}; convert it to SI units (s, rad, "
+                f"rad/s, N m, A) and leave row {row} out"
+            )
+        if unit and unit not in SI_UNITS | NO_UNITS:
+            raise UnusableInput(
+                f"{path}: row {row}: the unit '{unit}' of column '{name}' is unknown; write one of "
+                f"{', '.join(sorted(SI_UNITS))}, or leave row {row} out"
             )
     return True
 

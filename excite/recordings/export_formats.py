@@ -87,6 +87,8 @@ def recognise(
     """
     prefixes = {"position": "q", "velocity": "dq", "effort": effort}
     echoed = _echoed(source, cells, robot, separator, prefixes)
+    if echoed is None and cells and cells[0].isdigit():  # a message of other joints comes first
+        echoed = _echoed(source, first_row, robot, separator, prefixes)
     if echoed is not None and not columns:
         return echoed
     names = list(cells)
@@ -217,6 +219,13 @@ def _indexed(
             source, separator, columns, elements, list(joints.values()), robot.joints
         ).rewrite
     else:  # positions without names are in the order of the robot
+        count = sum(match is not None and match[1] == "position" for match in fields)
+        if count != robot.n and not all(f"q.{joint}" in names for joint in robot.joints):
+            raise UnusableInput(
+                f"{source}: has the positions of {count} joints without their names, but "
+                f"{robot.n} joints of the robot move; name the columns with --columns "
+                f"q.{robot.joints[0]}=COLUMN,…"
+            )
         joints = {str(i): joint for i, joint in enumerate(robot.joints)}
     renamed = tuple(
         f"{prefixes[match[1]]}.{joints[match[2]]}"

@@ -144,6 +144,8 @@ def _read_blocks(
 ) -> Iterator[Block]:
     """Yield blocks as the reader of the file's format returns them."""
     if not (os.path.isdir(path) or os.path.isfile(path)):
+        if os.path.exists(path):
+            raise UnusableInput(f"{path}: is a pipe or a device; write the recording to a file")
         raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
     if path.suffix == ".json":
         raise UnusableInput(
@@ -171,7 +173,6 @@ def _read_blocks(
                 effort="i" if holds_current else "tau",
                 floating=floating,
             )
-            row = 2  # the header is row 1
         for block in blocks:
             if holds_current and "tau" in block.values and "current" not in block.values:
                 raise UnusableInput(
@@ -179,7 +180,8 @@ def _read_blocks(
                     f"JointState messages, but {path.name} has columns tau.<joint>; name them "
                     "i.<joint>, or remove it"
                 )
-            magnitudes.check_magnitudes(str(path), block, context.robot, row)
+            first = row if block.row is None else block.row
+            magnitudes.check_magnitudes(str(path), block, context.robot, first)
             row += len(block)
             yield block
     except OSError as error:

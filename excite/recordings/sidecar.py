@@ -51,6 +51,8 @@ class Sidecar:
 def sidecar_path(recording: Path) -> Path:
     """Return the path of a recording's sidecar: `run.json` for `run.csv` and for the folder
     `run`."""
+    if recording.name in ("", ".."):  # the working folder, or one above it
+        recording = recording.resolve()
     return (
         recording.parent / f"{recording.name if os.path.isdir(recording) else recording.stem}.json"
     )

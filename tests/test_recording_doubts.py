@@ -417,3 +417,18 @@ def test_a_doubted_recording_names_no_joint(tmp_path):
     assert all(entry["joint"] is None for entry in document["findings"])
     assert document["verdict"] == "unexplained" and document["unknown"] == []
     assert result.model()["effects"] == []
+
+
+@needs_inputs
+def test_positions_in_turns_are_a_possible_cause_of_a_useless_model(tmp_path, capsys):
+    assert INPUTS is not None
+    training, held_out = (INPUTS / f"{name}.csv" for name in ("good", "good2"))
+    header, *rows = training.read_text(encoding="utf-8").splitlines()
+    table = np.array([row.split(",") for row in rows], float)
+    is_position = [name.startswith(("q.", "qref.")) for name in header.split(",")]
+    table[:, is_position] /= 2.0 * np.pi
+    lines = [header, *(",".join(f"{value:.9g}" for value in row) for row in table)]
+    path = tmp_path / "turns.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    main(["identify", "two_link", str(path), f"--validate={held_out}", f"-o{tmp_path}/m"])
+    assert "positions in rad, not in turns" in capsys.readouterr().out

@@ -196,9 +196,18 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
             lines.append(f"{joint:25} {before:10.4g} {after:11.4g} {floor:>10} {percent:>9}")
     lines += [_summary(prediction, robot) for prediction in predictions]
     if worse := identification.worsened_joints():
+        useless = [
+            p.relative()[robot.joints.index(joint)] > 1.0 for p in predictions for joint in worse
+        ]
+        advice = (
+            "its error exceeds the torque itself: check the units of all recordings (positions in "
+            "rad, not in turns or degrees)"
+            if any(useless)
+            else "try a lower --band or record a motion that excites more"
+        )
         lines.append(
             f"{some(worse)}: the nominal robot predicts the held-out torque better than the "
-            "identified one; try a lower --band or record a motion that excites more"
+            f"identified one; {advice}"
         )
     common, spread = identification.delay.common
     if abs(common) > 3.0 * spread and not identification.options.align:

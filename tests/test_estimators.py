@@ -13,12 +13,21 @@ from synthetic_recordings import (
     PERIOD,
     perturbed_parameters,
     random_fourier,
+    rnea_torque,
     synthetic_recording,
     two_link_model,
 )
 
 from excite._types import FloatArray
-from excite.identification import estimators, friction_width, regression, segments, torque_delay
+from excite.identification import (
+    consistency,
+    estimators,
+    friction_width,
+    identification,
+    regression,
+    segments,
+    torque_delay,
+)
 from excite.identification.estimators import Method
 from excite.identification.regression import IdentificationModel, TorqueEquations
 from excite.recordings import Recording
@@ -110,6 +119,44 @@ def test_outliers_hardly_change_the_robust_estimate(model, truth):
     errors = [np.abs((estimate.theta - exact) / deviation).max() for estimate in (weighted, robust)]
     assert errors[1] < 0.3 * errors[0]
     assert robust.outliers > 0.01 and weighted.outliers == 0.0
+
+
+def held_joint(
+    model: IdentificationModel, truth: FloatArray, torque: float, noise: float = 0.1
+) -> Recording:
+    """Recording in which joint 2 stands still and its recorded torque is constant."""
+    fourier = random_fourier(2)
+    t = np.arange(1201) / 100.0
+    motion = fourier.samples(t)
+    q, dq, ddq = motion.q.copy(), motion.dq.copy(), motion.ddq.copy()
+    q[:, 1], dq[:, 1], ddq[:, 1] = 0.3, 0.0, 0.0
+    tau = rnea_torque(model, truth, q, dq, ddq)
+    tau[:, 0] += noise * np.random.default_rng(5).normal(size=len(t))
+    tau[:, 1] = torque
+    return Recording("held.csv", model.robot.joints, t, q, tau=tau, row_times=t)
+
+
+@pytest.mark.parametrize("torque", [0.0, 7.0])
+@pytest.mark.parametrize("method", [Method.OLS, Method.WLS, Method.FULL, Method.HUBER])
+def test_constant_torque_of_a_joint_at_rest_has_finite_weight(model, truth, method, torque):
+    equations = equations_of(model, held_joint(model, truth, torque))
+    estimate = estimators.estimate(equations, method)
+    residual = equations.torque - equations.predicted(estimate.theta)
+    assert np.abs(residual[:, 1]).max() < 1e-2
+    assert 0.05 < estimate.noise[0] < 0.2
+    whitened = estimators.whiten(residual, estimate.noise_root)
+    assert np.abs(whitened).max() < 1e4
+    scale = np.linalg.norm(estimate.information_root, axis=0).max()
+    assert np.isfinite(scale) and scale < 1e9
+
+
+@pytest.mark.parametrize("torque", [0.0, 7.0])
+def test_robot_with_constant_torque_of_a_joint_at_rest_is_identified(model, truth, torque):
+    identified = identification.identify(
+        model.robot, model.parameters, model.base, [held_joint(model, truth, torque)]
+    )
+    assert consistency.is_consistent(model.parameters, identified.psi)
+    assert identified.fits[0].error()[0] < 0.5
 
 
 def autoregressive_noise(

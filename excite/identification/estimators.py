@@ -36,6 +36,10 @@ derivatives of a resting joint's position."""
 RANK_TOLERANCE = 1e-9
 """Relative singular value of Γ, columns scaled to unit norm, below which a combination of
 parameters counts as not excited."""
+TORQUE_RESOLUTION = 2.0**-16 / np.sqrt(12.0)
+"""Smallest standard deviation of a joint's torque error over its largest torque: the quantisation
+error of 16 bits. A constant torque, as of a joint at rest or of a channel that was not measured, has
+no deviation by which its rows could be weighted."""
 BLOCK_ROWS = 4096
 """Number of rows that are orthogonalised at a time."""
 CONFIDENCE_LEVEL = 0.95
@@ -116,6 +120,15 @@ class LeastSquaresFit:
     leverage: FloatArray
     size: FloatArray
     hidden: FloatArray
+
+
+def torque_resolution(equations: TorqueEquations) -> FloatArray:
+    """Return the smallest standard deviation of each joint's torque error. Shape (n,) [N m].
+
+    A joint whose torque is 0 throughout has that of the joint with the largest torque.
+    """
+    largest = np.abs(equations.torque).max(axis=0)
+    return TORQUE_RESOLUTION * np.where(largest > 0.0, largest, largest.max() or 1.0)
 
 
 def whiten(rows: FloatArray, noise_root: FloatArray) -> FloatArray:
@@ -231,7 +244,7 @@ def least_squares(
 
 
 def _reweighted(
-    factors: FloatArray, iterations: int, rows: IntArray
+    factors: FloatArray, iterations: int, rows: IntArray, resolution: FloatArray
 ) -> tuple[LeastSquaresFit, FloatArray]:
     """Alternate between least squares and the joints' noise variances.
 
@@ -239,6 +252,7 @@ def _reweighted(
         factors: QR factor of each joint's [Γ | τ]. Shape (n, p + 1, p + 1).
         iterations: Number of alternations.
         rows: Number of rows of each joint. Shape (n,).
+        resolution: See `torque_resolution`. Shape (n,) [N m].
 
     Returns:
         The fit, and C, diagonal.
@@ -247,9 +261,8 @@ def _reweighted(
     fit = _solved(_stacked(factors), factors)
     for _ in range(iterations):
         residual = factors[:, :, -1] - factors[:, :, :-1] @ fit.theta
-        deviation = np.sqrt(
-            np.maximum(np.sum(residual**2, axis=1) / np.maximum(rows - fit.leverage, 1.0), 1e-300)
-        )
+        variance = np.sum(residual**2, axis=1) / np.maximum(rows - fit.leverage, 1.0)
+        deviation = np.sqrt(variance + resolution**2)
         weighted = factors / deviation[:, None, None]
         fit = _solved(_stacked(weighted), weighted)
     return fit, np.diag(deviation)
@@ -286,10 +299,12 @@ def estimate(
             instruments = np.concatenate([instruments, nuisance], axis=2)
         return _marginal(estimate(extended, method, instruments=instruments), equations)
     equations = equations.without_standstill()
+    resolution = torque_resolution(equations)
     fit, noise_root = _reweighted(
         joint_triangular_factors(equations),
         0 if method is Method.OLS else VARIANCE_ITERATIONS,
         equations.moving.sum(axis=0),
+        resolution,
     )
     rank, count = fit.half.shape[1], int(equations.moving.sum())
     if count <= rank:
@@ -302,6 +317,7 @@ def estimate(
             equations.torque - equations.predicted(fit.theta),
             fit.leverage,
             equations.moving.sum(axis=0),
+            resolution,
         )
         fit = least_squares(equations, noise_root)
     if method is Method.HUBER:
@@ -346,7 +362,9 @@ def _assembled(
 ) -> Estimate:
     """Estimate with its sandwich covariance H S Hᵀ/slope², as A = slope · 1 in coordinates H."""
     regressor = whiten(equations.regressor @ fit.half, noise_root)
-    spectrum, spread = noise_spectrum(equations, score, regressor, noise_root)
+    spectrum, spread = noise_spectrum(
+        equations, score, regressor, noise_root, resolution=torque_resolution(equations)
+    )
     spread = spread / slope**2
     residual = equations.torque - equations.predicted(theta)
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
@@ -367,11 +385,12 @@ def with_unidentified_variances(covariance: FloatArray, fit: LeastSquaresFit) ->
 
 def _huber(equations: TorqueEquations, fit: LeastSquaresFit, noise_root: FloatArray) -> Estimate:
     """Huber's estimator by reweighting, with deviations by the median, which resists outliers."""
-    theta = fit.theta
+    theta, resolution = fit.theta, torque_resolution(equations)
     for _ in range(MAX_HUBER_ITERATIONS):
         residual = whiten(equations.torque - equations.predicted(theta), noise_root)
         size = np.where(equations.moving, np.abs(residual), np.nan)
-        noise_root = noise_root * (np.nanmedian(size, axis=0) / NORMAL_MEDIAN_DEVIATION)[:, None]
+        median = np.diag(noise_root) * np.nanmedian(size, axis=0)
+        noise_root = np.diag(np.hypot(median / NORMAL_MEDIAN_DEVIATION, resolution))
         residual = whiten(equations.torque - equations.predicted(theta), noise_root)
         weights = np.minimum(1.0, HUBER_THRESHOLD / np.maximum(np.abs(residual), 1e-300))
         refit = least_squares(equations, noise_root, weights)
@@ -411,7 +430,9 @@ def _instrumental(
         )
     theta = fit.half @ np.linalg.solve(product, np.einsum("tip,ti->p", Z, torque, optimize=True))
     white = whiten(equations.torque - equations.predicted(theta), noise_root)
-    spectrum, scores = noise_spectrum(equations, white, regressor, noise_root, Z)
+    spectrum, scores = noise_spectrum(
+        equations, white, regressor, noise_root, Z, resolution=torque_resolution(equations)
+    )
     inverse = np.linalg.inv(product)
     spread = inverse @ scores @ inverse.T
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)

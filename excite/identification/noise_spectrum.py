@@ -55,22 +55,26 @@ class NoiseSpectrum:
     repeated: BoolArray
 
 
-def covariance_root(residual: FloatArray, leverage: FloatArray, rows: IntArray) -> FloatArray:
+def covariance_root(
+    residual: FloatArray, leverage: FloatArray, rows: IntArray, resolution: FloatArray
+) -> FloatArray:
     """Estimate C with Σ = C Cᵀ, the covariance of residuals over the joints.
 
     Args:
         residual: Residual torque, 0 in rows that do not count. Shape (N, n) [N m].
         leverage: Trace of the hat matrix per joint. Shape (n,).
         rows: Number of rows of each joint that count. Shape (n,).
+        resolution: Smallest standard deviation of each joint's torque error, that of its rounding,
+            which no other joint shares. Shape (n,) [N m].
 
     Returns:
         Shape (n, n) [N m].
     """
-    deviation = np.sqrt(
-        np.maximum(np.sum(residual**2, axis=0) / np.maximum(rows - leverage, 1.0), 1e-300)
-    )
-    unit = residual / np.sqrt(np.mean(residual**2, axis=0))
-    return np.linalg.cholesky(unit.T @ unit / len(residual)) * deviation[:, None]
+    variance = np.sum(residual**2, axis=0) / np.maximum(rows - leverage, 1.0)
+    covariance = residual.T @ residual / len(residual) + np.diag(resolution**2)
+    size = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(size, size)
+    return np.linalg.cholesky(correlation) * np.sqrt(variance + resolution**2)[:, None]
 
 
 def noise_spectrum(
@@ -79,6 +83,7 @@ def noise_spectrum(
     rows: FloatArray,
     noise_root: FloatArray,
     instruments: FloatArray | None = None,
+    resolution: FloatArray | None = None,
 ) -> tuple[NoiseSpectrum, FloatArray]:
     """Estimate the spectrum of weighted residuals and the covariance of the scores Σₜ Zₜᵀ uₜ.
 
@@ -90,6 +95,8 @@ def noise_spectrum(
         rows: Weighted regressor in coordinates where the information is 1. Shape (N, n, r).
         noise_root: C with Σ = C Cᵀ. Shape (n, n) [N m].
         instruments: Z if it is not the regressor. Shape (N, n, q).
+        resolution: Smallest standard deviation of each joint's torque error, whose density is
+            added; 0 by default. Shape (n,) [N m].
 
     Returns:
         The spectrum, and the covariance of the scores. Shape (q, q).
@@ -102,6 +109,9 @@ def noise_spectrum(
         else LONG_RECORDING_BIN_FACTOR * MIN_BIN_WIDTH_HZ
     )
     count = max(2, int(0.5 * rate / max(finest, rate / longest)))
+    rounding = np.zeros(n)
+    if resolution is not None:
+        rounding = np.sum((np.linalg.inv(noise_root) * resolution) ** 2, axis=1)
     scores = rows if instruments is None else instruments
     gram_numbers = count * scores.shape[2] ** 2
     group_size = max(1, MAX_GRAM_NUMBERS // gram_numbers)
@@ -112,6 +122,7 @@ def noise_spectrum(
         density, agrees, grams = _group_spectrum(
             equations, residual, rows, noise_root, instruments, count, joints
         )
+        density = density + rounding[joints]
         densities.append(density)
         agreements.append(agrees)
         covariance += np.einsum("fj,fjpq->pq", density, grams)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -139,13 +140,13 @@ SCREW_RATIO = 3e-3
 """Lift of the screw [m/rad]."""
 
 
-def record_quill(path: Path, seed: int) -> Path:
+def record_quill(path: Path, seed: int, travel: float = 0.09) -> Path:
     """Record a lift of 2 kg and a flange whose screw has viscous, Coulomb friction and inertia."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, DURATION, 1.0 / 250.0)
     omega = 2.0 * np.pi * np.arange(2, 7) / DURATION
     share = np.array([0.5, 0.2, 0.15, 0.1, 0.05])
-    offset, lift, lift_rate = sum_of_sines(t, omega, 0.09 * share, rng)
+    offset, lift, lift_rate = sum_of_sines(t, omega, travel * share, rng)
     angle, turn, turn_rate = sum_of_sines(t, omega, 3.0 * share, rng)
     speed, rate = lift + SCREW_RATIO * turn, lift_rate + SCREW_RATIO * turn_rate
     screw = 40.0 * speed + 6.0 * np.tanh(speed / WIDTH) + 2.0 * rate
@@ -177,3 +178,19 @@ def test_a_screw_that_two_joints_turn_is_a_coupling(tmp_path):
         ratio, std = entry.parameters["ratio"]
         assert abs(ratio - (SCREW_RATIO if entry.joint == 0 else 1.0 / SCREW_RATIO)) < 2.0 * std
     assert (result.held_out.rmse_after < 0.2 * result.held_out.rmse_before).all()
+
+
+def test_a_sliding_joint_may_stand_still_in_the_fitted_recordings(tmp_path):
+    """No shaft is tried that both joints turn, and its friction is said to be unknown."""
+    robot = tmp_path / "quill.urdf"
+    robot.write_text(QUILL, encoding="utf-8")
+    train = record_quill(tmp_path / "held.csv", 1, travel=0.0)
+    arguments = ["diagnose", str(robot), str(train), "-o", str(tmp_path)]
+    held_out = record_quill(tmp_path / "moving.csv", 2)
+    assert main([*arguments, "--validate", str(held_out)]) == 0
+    document = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    assert document["joints"]["lift"]["speed_ratio"] is None
+    assert 0.5 < document["joints"]["turn"]["speed_ratio"] < 2.0
+    assert "it stands still in the fitted recordings" in (tmp_path / "report.html").read_text(
+        encoding="utf-8"
+    )

@@ -10,7 +10,7 @@ from scipy import special
 
 from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
-from ..effects.recorded_motion import RecordedMotion, split_by_motion
+from ..effects.recorded_motion import MIN_SPEED, RecordedMotion, split_by_motion, stands_still
 from ..robot.parameter_names import percent
 from . import effect_curves, rival_evidence, session_changes, unmodelled
 from .decisions import Decisions
@@ -60,7 +60,7 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
     torque_rms = rms(held_out.torque, held_out.moving)
-    speed_ratio = _largest_speed(held_out.motions) / _largest_speed(diagnosis.model.motions)
+    speed_ratio = _speed_ratio(diagnosis.model.motions, held_out.motions)
     rows = {
         joint: _joint_entry(
             float(noise.floor[i]),
@@ -68,7 +68,7 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
             float(held_out.rmse_before[i]),
             float(held_out.rmse_after[i]),
         )
-        | {"torque_rms": float(torque_rms[i]), "speed_ratio": float(speed_ratio[i])}
+        | {"torque_rms": float(torque_rms[i]), "speed_ratio": speed_ratio[i]}
         for i, joint in enumerate(joints)
     }
     if held_out.rmse_refit is not None:
@@ -96,13 +96,27 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     }
 
 
+def _speed_ratio(
+    fitted: Sequence[RecordedMotion], held_out: Sequence[RecordedMotion]
+) -> list[float | None]:
+    """Largest held-out speed of each joint over that of the fitted recordings [1].
+
+    None for a joint that moves in the held-out recordings alone, 1 for one that never moves.
+    """
+    out: list[float | None] = (_largest_speed(held_out) / _largest_speed(fitted)).tolist()
+    for joint in range(len(out)):
+        if stands_still(fitted, joint):
+            out[joint] = 1.0 if stands_still(held_out, joint) else None
+    return out
+
+
 def _largest_speed(motions: Sequence[RecordedMotion]) -> FloatArray:
     """Return the largest speed of each joint in the fitted rows, shape (n,) [rad/s or m/s]."""
     largest = [
         np.abs(m.samples.dq[(m.times >= m.time[0]) & (m.times <= m.time[-1])]).max(axis=0)
         for m in motions
     ]
-    return np.maximum(np.max(largest, axis=0), 1e-12)
+    return np.maximum(np.max(largest, axis=0), MIN_SPEED)
 
 
 def _joint_entry(floor: float, method: str, before: float, after: float) -> dict[str, Any]:

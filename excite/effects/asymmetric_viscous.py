@@ -23,7 +23,7 @@ class _AsymmetricViscous(JointTorque):
                 max(float(motions[0].fitted_robot.actuator_parameter(kind)[j]), 1e-9)
                 for kind in ("viscous", "coulomb")
             )
-            limit = MAX_EXCESS * (viscous + coulomb / max(max_speed(motions, j), 1e-9))
+            limit = MAX_EXCESS * (viscous + coulomb / max_speed(motions, j))
             yield CandidateModel(self, j, facts={"limit": limit})
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from .._types import FloatArray
 from .effect import CandidateModel, Values, grid_candidates
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, RecordedMotion, stands_still
 
 RATIOS = (0.5, 1.0, 2.0)
 """Turns of the shaft by the other joint over those by its own, tried with either sign."""
@@ -67,6 +67,9 @@ def _ratios(motions: Sequence[RecordedMotion], i: int, j: int) -> Sequence[float
     entries = motions[0].fitted_robot.robot.entries
     if (entries[i].kind == "prismatic") is (entries[j].kind == "prismatic"):
         return RATIOS
+    motions = [m for m in motions if not (stands_still([m], i) or stands_still([m], j))]
+    if not motions:
+        return ()
     speeds = np.vstack([motion.at_rows(motion.samples.dq[:, [i, j]]) for motion in motions])
     both_move = np.concatenate([motion.moving[:, [i, j]].all(axis=1) for motion in motions])
     if not both_move.any():

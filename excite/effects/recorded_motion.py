@@ -26,6 +26,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 MIN_MOVING_SHARE = 0.3
 """Share of the time that a joint must move. A joint that moves less is judged near its stops as
 well, as little would remain."""
+MIN_SPEED = 1e-9
+"""Smallest speed that scales others, above the rounding errors of filters [rad/s or m/s]."""
 HELD_SHARE = 0.03
 """Share of the time that a joint moves up to which it counts as held and is judged at all times, as
 nothing would remain [1]: 1/33, so that 30 joints that move one after the other are not held."""
@@ -433,8 +435,15 @@ def position_range(motions: Sequence[RecordedMotion], joint: int) -> tuple[float
 
 
 def max_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
-    """Return the largest speed of a joint [rad/s or m/s]."""
-    return max(float(np.abs(motion.samples.dq[:, joint]).max()) for motion in motions)
+    """Return the largest speed of a joint, at least `MIN_SPEED` [rad/s or m/s]."""
+    speeds = (float(np.abs(motion.samples.dq[:, joint]).max()) for motion in motions)
+    return max(MIN_SPEED, *speeds)
+
+
+def stands_still(motions: Sequence[RecordedMotion], joint: int) -> bool:
+    """Return True if a joint has one position in each of several motions."""
+    travels = (float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
+    return max(travels) < MIN_TRAVEL
 
 
 def radian(motions: Sequence[RecordedMotion], joint: int) -> float:

@@ -38,8 +38,8 @@ RANK_TOLERANCE = 1e-9
 parameters counts as not excited."""
 TORQUE_RESOLUTION = 2.0**-16 / np.sqrt(12.0)
 """Smallest standard deviation of a joint's torque error over its largest torque: the quantisation
-error of 16 bits. A constant torque, as of a joint at rest or of a channel that was not measured, has
-no deviation by which its rows could be weighted."""
+error of 16 bits. A constant torque, as of a joint at rest or where it was not measured, has no
+deviation by which its rows could be weighted."""
 BLOCK_ROWS = 4096
 """Number of rows that are orthogonalised at a time."""
 CONFIDENCE_LEVEL = 0.95

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,8 @@ class JointBudget:
         unknown: Whether the joint has torque that no effect explains.
         small: Effects that would explain a part of that, but are too small.
         absent: Findings at the joint that remove no notable part of its error.
-        speed_ratio: Largest held-out speed over that of the fitted recordings [1].
+        speed_ratio: Largest held-out speed over that of the fitted recordings; infinite if the
+            joint stands still in those [1].
         refit: RMSE of the base model identified without the trusted prior; infinite without one.
     """
 
@@ -160,14 +162,14 @@ class JointBudget:
     parts: tuple[BudgetPart, ...]
     others: float
     is_withheld: bool
-    torque: float = float("inf")
+    torque: float = inf
     changed: float = 0.0
     changed_before: float = 0.0
     unknown: bool = False
     small: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
     speed_ratio: float = 1.0
-    refit: float = float("inf")
+    refit: float = inf
 
     @property
     def removed(self) -> float:
@@ -305,6 +307,8 @@ class JointBudget:
             texts.append(
                 f"friction is extrapolated to speeds {self.speed_ratio:.1f} times those of the "
                 "fitted recordings"
+                if isfinite(self.speed_ratio)
+                else "its friction is not known, as it stands still in the fitted recordings"
             )
         if self.is_changed:
             start = "of the remaining squared error" if self.is_improved else "of its square"
@@ -462,8 +466,8 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 joint in small,
                 small.get(joint, ()),
                 tuple(name for name in effects if name not in named),
-                errors["speed_ratio"],
-                errors.get("rmse_refit", float("inf")),
+                inf if errors["speed_ratio"] is None else errors["speed_ratio"],
+                errors.get("rmse_refit", inf),
             )
         )
     return out

@@ -162,6 +162,54 @@ def test_trusted_parameters_keep_their_values(model, truth):
     assert np.allclose(result.psi[friction], truth[friction], rtol=0.1)
 
 
+def one_sided(model: IdentificationModel, psi: FloatArray, noise: float) -> Recording:
+    """Recording in which joint 1 turns in one direction: its friction looks like an offset."""
+    t = np.arange(2001) / 100.0
+    motion = random_fourier(2).samples(t)
+    omega = 2.0 * np.pi / PERIOD
+    first = np.column_stack(
+        [
+            0.8 * t + 0.3 / omega * np.sin(omega * t),
+            0.8 + 0.3 * np.cos(omega * t),
+            -0.3 * omega * np.sin(omega * t),
+        ]
+    )
+    q, dq, ddq = (
+        np.column_stack([own, x[:, 1]])
+        for own, x in zip(first.T, (motion.q, motion.dq, motion.ddq), strict=True)
+    )
+    tau = rnea_torque(model, psi, q, dq, ddq)
+    tau += noise * np.random.default_rng(1).normal(size=tau.shape)
+    return Recording("one_sided.csv", model.robot.joints, t, q, tau=tau, row_times=t)
+
+
+@pytest.mark.parametrize("noise", [0.3, 1e-3])
+def test_a_trusted_prior_leaves_undetermined_friction_near_nominal(model, truth, noise):
+    trusted = dict(enumerate(truth[: 10 * model.parameters.bodies].tolist()))
+    result = identify(model, one_sided(model, truth, noise), trusted=trusted)
+    std = np.sqrt(np.diag(result.posterior.covariance))
+    for kind in ("coulomb", "offset"):
+        place = model.parameters.block(kind).start
+        assert abs(result.psi[place] - truth[place]) < 2.0 * std[place]
+        assert std[place] > 0.1
+    both = [model.parameters.block(kind).start for kind in ("coulomb", "offset")]
+    assert result.psi[both].sum() == pytest.approx(truth[both].sum(), abs=0.1)
+
+
+def test_variances_are_honest_where_the_data_know_other_directions_far_better(model):
+    """The data know a sum of two parameters; the prior knows each of them, 10⁹ times worse."""
+    nominal = consistency.consistent_nominal(model.parameters)
+    count, edge = model.parameters.count, 10 * model.parameters.bodies
+    places = [model.parameters.block(kind).start for kind in ("coulomb", "offset")]
+    root = np.zeros((1, count))
+    root[0, places] = 1e9
+    ones = np.ones(count - edge)
+    prior = consistency.Prior(nominal, Distance.PULLBACK, 1.0, 0.5 * ones, ones)
+    result = consistency.maximum_a_posteriori(model.parameters, root, root @ nominal, prior)
+    variance = np.diag(result.covariance)[places]
+    np.testing.assert_allclose(variance, 0.5, rtol=1e-3)
+
+
 POOR_DATA = {
     "a joint that hardly moves": lambda f: (
         FourierSeries(f.sine * [[1.0], [1e-3]], f.cosine * [[1.0], [1e-3]], f.offset, f.period),

@@ -23,7 +23,7 @@ from diagnosis_cases import (
     recordings_of,
 )
 from scipy.interpolate import CubicSpline
-from synthetic_recordings import pinocchio_model
+from synthetic_recordings import pinocchio_model, rnea_torque
 
 import excite
 from excite._types import FloatArray
@@ -77,6 +77,21 @@ def test_a_prior_that_holds_is_not_in_doubt():
     load = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])
     loaded = changed(dict(zip(range(10, 14), load, strict=True)))
     assert not doubts(diagnose(loaded, prior=TRUSTED))
+
+
+def test_a_joint_that_stands_still_keeps_a_finite_friction_next_to_trusted_inertias():
+    """Its viscous friction, which the prior does not state, has no column in the fit."""
+    moving = recordings_of(None)
+    held = dataclasses.replace(moving[0], q=moving[0].q * [1.0, 0.0] + [0.0, 0.3])
+    rest = np.zeros_like(held.q[:, 1:])
+    spline = CubicSpline(held.t, held.q[:, :1])
+    dq, ddq = (np.hstack([spline(held.t, order), rest]) for order in (1, 2))
+    tau = rnea_torque(SUBJECT, PSI, held.q, dq, ddq)
+    tau += 0.1 * np.random.default_rng(3).normal(size=tau.shape)
+    inertias = prior.TrustedPrior(dict(enumerate(PSI[: 10 * SUBJECT.parameters.bodies].tolist())))
+    result = diagnose([dataclasses.replace(held, tau=tau), moving[1]], prior=inertias)
+    assert np.abs(result.final.motions[0].theta).max() < 100.0
+    assert noise_ratios(result)[1][0] < 1.5
 
 
 def test_an_offset_is_found_that_a_refit_absorbs():

@@ -607,7 +607,10 @@ def _base_prior(
     free: IntArray,
     change_scale: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean and information of the base parameters, widths, recording chain and session changes."""
+    """Mean and information of the base parameters, widths, recording chain and session changes.
+
+    Each base parameter that a trusted prior leaves free is a joint parameter plus known ones.
+    """
     base, prior = identified.model.base, identified.prior
     p, n = len(free), motions[0].n
     others = np.concatenate(
@@ -621,6 +624,12 @@ def _base_prior(
     if not identified.options.trusted:
         out[:p, :p] = consistency.base_prior_information(identified.model.parameters, base, prior)
         mean[:p] = base.matrix @ prior.nominal
+    else:
+        edge, psi = 10 * identified.model.parameters.bodies, initial_parameters(identified)
+        own = np.asarray(base.independent, int)[free]
+        information = 2.0 * prior.joint_weights / prior.joint_scales**2
+        out[range(p), range(p)] = information[own - edge]
+        mean[:p] = (base.matrix @ psi)[free] + (prior.nominal - psi)[own]
     places = np.arange(p, len(mean))
     out[places, places] = 1.0 / others**2
     return mean, out
@@ -634,7 +643,7 @@ def _dissipated(identified: Identification, free: IntArray, count: int) -> BoolA
     """
     model, out = identified.model, np.zeros(count, bool)
     if identified.options.trusted:
-        return out  # the others have no prior, without which zero has no evidence
+        return out  # `consistent_parameters` makes them dissipative
     kinds = [kind for kind in ("viscous", "coulomb") if kind in model.parameters.drive]
     powers = friction_powers(model, identified.equations, identified.data, kinds)
     dissipating = [j for j, (power, _) in powers.items() if power > 0.0]

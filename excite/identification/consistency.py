@@ -205,7 +205,6 @@ class _BarrierProblem:
         self.scale = prior.joint_scales
         self.S = linalg.block_diag(*coordinates, np.diag(self.scale))
         self.rows_x, self.root_x = rows @ self.S, root @ self.S
-        self.information = root.T @ root
 
     def slack(self, psi: FloatArray) -> FloatArray:
         """Slack of the linear constraints, positive inside."""
@@ -337,7 +336,7 @@ def maximum_a_posteriori(
     distance = problem.penalty(psi) / prior.inertial_weight if prior.inertial_weight else 0.0
     return ConsistentEstimate(
         psi,
-        symmetric_pseudo_inverse(problem.information + spread),
+        posterior_covariance(root, spread),
         0.5 * float(misfit @ misfit),
         distance,
         decrement,
@@ -399,6 +398,30 @@ def _line_search(
             return np.asarray(psi + length * step)
         length *= 0.5
     return psi
+
+
+def posterior_covariance(root: FloatArray, prior: FloatArray) -> FloatArray:
+    """Compute (RᵀR + prior)⁻¹ by a QR decomposition of R above the root of the prior.
+
+    The data may know some directions 10²⁰ times better than the prior knows the others, which the
+    sum of both matrices would have lost: their variance would be 0.
+
+    Args:
+        root: R. Shape (m, P).
+        prior: Information of the prior. Shape (P, P).
+
+    Returns:
+        Shape (P, P).
+    """
+    own_scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
+    values, vectors = np.linalg.eigh(prior / np.outer(own_scale, own_scale))
+    prior_root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * own_scale
+    rows = np.vstack([root, prior_root])
+    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-150)
+    rows = np.vstack([rows / scale, ROUNDING * np.eye(len(scale))])
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    half = linalg.solve_triangular(triangle, np.eye(len(scale))) / scale[:, None]
+    return np.asarray(half @ half.T)
 
 
 def symmetric_pseudo_inverse(matrix: FloatArray) -> FloatArray:

@@ -54,8 +54,6 @@ WIDTH_STEPS = 2
 """Gauss-Newton steps of the friction widths, starting from the best of a grid."""
 TRUSTED_GAMMA = 1e8
 """γ of parameters that a trusted prior states: keeps them at their stated values."""
-UNINFORMATIVE_GAMMA = 1e-14
-"""γ of parameters that only the data should determine."""
 REDUCED_GAMMA = 1e-3
 """γ of the prior in `Identification.reduced`, small against the information of a direction that
 counts as identified."""
@@ -532,27 +530,31 @@ def _choose_prior(
     data: Estimate,
     options: IdentificationOptions,
 ) -> tuple[Prior, tuple[tuple[float, float], ...]]:
-    """Choose ψ₀ and γ: given, by evidence, or by validation; trusted parameters are kept."""
+    """Choose ψ₀ and γ: given, by evidence, or by validation; trusted parameters are kept.
+
+    Joint parameters that a trusted prior does not state have the γ that they have without one: the
+    data may not determine them.
+    """
     nominal = consistency.consistent_nominal(parameters)
     edge, scales = 10 * parameters.bodies, prior_weight.joint_parameter_scales(parameters)
     for place, value in options.trusted.items():
         nominal[place] = value
-    if options.trusted:
-        weights = np.full(parameters.count - edge, UNINFORMATIVE_GAMMA)
-        weights[[place - edge for place in options.trusted if place >= edge]] = TRUSTED_GAMMA
-        return Prior(nominal, options.distance, TRUSTED_GAMMA, weights, scales), ()
     start = Prior(nominal, options.distance, 1.0, np.ones(parameters.count - edge), scales)
-    if not isinstance(options.gamma, str):
-        return dataclasses.replace(
+    inertial, joint = (
+        prior_weight.gamma_by_evidence(
+            parameters,
+            data.information_root @ base.matrix,
+            data.information_root @ data.theta,
             start,
-            inertial_weight=options.gamma[0],
-            joint_weights=options.gamma[1] * start.joint_weights,
-        ), ()
-    inertial, joint = prior_weight.gamma_by_evidence(
-        parameters, data.information_root @ base.matrix, data.information_root @ data.theta, start
+        )
+        if isinstance(options.gamma, str)
+        else (options.gamma[0], options.gamma[1] * start.joint_weights)
     )
+    if options.trusted:
+        inertial, joint = TRUSTED_GAMMA, joint.copy()
+        joint[[place - edge for place in options.trusted if place >= edge]] = TRUSTED_GAMMA
     prior = dataclasses.replace(start, inertial_weight=inertial, joint_weights=joint)
-    if options.gamma == "evidence":
+    if options.trusted or options.gamma != "heldout":
         return prior, ()
     folds = _fold_factors(equations, data)
 

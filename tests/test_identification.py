@@ -175,8 +175,8 @@ def one_sided(model: IdentificationModel, psi: FloatArray, noise: float) -> Reco
         ]
     )
     q, dq, ddq = (
-        np.column_stack([own, x[:, 1]])
-        for own, x in zip(first.T, (motion.q, motion.dq, motion.ddq), strict=True)
+        np.column_stack([turning, x[:, 1]])
+        for turning, x in zip(first.T, (motion.q, motion.dq, motion.ddq), strict=True)
     )
     tau = rnea_torque(model, psi, q, dq, ddq)
     tau += noise * np.random.default_rng(1).normal(size=tau.shape)

@@ -83,9 +83,9 @@ def test_a_joint_that_stands_still_keeps_a_finite_friction_next_to_trusted_inert
     """Its viscous friction, which the prior does not state, has no column in the fit."""
     moving = recordings_of(None)
     held = dataclasses.replace(moving[0], q=moving[0].q * [1.0, 0.0] + [0.0, 0.3])
-    rest = np.zeros_like(held.q[:, 1:])
+    zero_speed = np.zeros_like(held.q[:, 1:])
     spline = CubicSpline(held.t, held.q[:, :1])
-    dq, ddq = (np.hstack([spline(held.t, order), rest]) for order in (1, 2))
+    dq, ddq = (np.hstack([spline(held.t, order), zero_speed]) for order in (1, 2))
     tau = rnea_torque(SUBJECT, PSI, held.q, dq, ddq)
     tau += 0.1 * np.random.default_rng(3).normal(size=tau.shape)
     inertias = prior.TrustedPrior(dict(enumerate(PSI[: 10 * SUBJECT.parameters.bodies].tolist())))

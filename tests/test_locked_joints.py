@@ -50,6 +50,23 @@ def test_whole_turns_of_a_locked_joint_are_no_difference(tmp_path):
     assert not recordings.read(path, robot).doubts
 
 
+def test_finger_of_little_mass_may_stand_anywhere(tmp_path):
+    urdf = tmp_path / "gripper.urdf"
+    inertia = '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>'
+    urdf.write_text(
+        '<robot name="gripper"><link name="base"/>'
+        f'<link name="arm"><inertial><mass value="4"/>{inertia}</inertial></link>'
+        f'<link name="tip"><inertial><mass value="0.02"/>{inertia}</inertial></link>'
+        '<joint name="joint_2" type="revolute"><parent link="base"/><child link="arm"/>'
+        '<axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="3" effort="90"/></joint>'
+        '<joint name="joint_1" type="prismatic"><parent link="arm"/><child link="tip"/>'
+        '<axis xyz="0 1 0"/><limit lower="0" upper="1" velocity="1" effort="9"/></joint></robot>'
+    )
+    robot = load(str(urdf), joints=("joint_2",))
+    assert not recordings.read(with_locked_joint(tmp_path / "open.csv", 0.04), robot).doubts
+    assert_refused(with_locked_joint(tmp_path / "far.csv", 1.4), robot, "--lock joint_1=1.4")
+
+
 def test_locked_joint_that_moves_is_a_doubt(tmp_path, capsys):
     path = with_locked_joint(tmp_path / "r.csv", two_joint_motion()["q.joint_1"])
     doubt = recordings.read(path, load("two_link", joints=("joint_2",))).doubts

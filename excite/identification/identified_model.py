@@ -315,7 +315,8 @@ def robot_entry(robot: Robot) -> dict[str, Any]:
     entry.pop("inertias", None)
     if robot.locked:
         entry["fixed"] = {
-            joint.name: {"position": joint.position, "unit": joint.unit} for joint in robot.locked
+            joint.name: {"position": joint.position, "unit": joint.unit, "share": joint.share}
+            for joint in robot.locked
         }
     return entry
 
@@ -496,7 +497,9 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
         lambda path: load(path, joints=document.joints, gravity=document.robot.gravity),
     )
     fixed = document.robot.fixed.items()
-    locked = tuple(LockedJoint(name, float(at.position), at.unit) for name, at in fixed)
+    locked = tuple(
+        LockedJoint(name, float(at.position), at.unit, float(at.share)) for name, at in fixed
+    )
     robot = dataclasses.replace(robot, locked=locked)
     psi = np.array([entry.value for entry in document.standard_parameters], float)
     widths = np.array([document.coulomb_width[joint] for joint in robot.joints], float)

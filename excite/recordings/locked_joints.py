@@ -16,9 +16,9 @@ from .position_wraps import TURN
 from .remark import Remark, RemarkKind
 
 TOLERANCE = {"rad": 0.01, "m": 0.005}
-"""Distance from the stated position that counts as none [rad or m]. It changes the gravity torque
-of bodies with a lever arm of half a metre by at most 1 %, and is more than servos yield or encoders
-are off."""
+"""Distance from the stated position that counts as none, times the share of the mass that the joint
+carries [rad or m]. It changes the gravity torque of bodies with a lever arm of half a metre by at
+most 1 %, and is more than servos yield or encoders are off: the fingers of a gripper are free."""
 OUTLIER_SHARE = 0.01
 """Share of positions at either end of their range that may be glitches [1]."""
 
@@ -48,8 +48,7 @@ class LockedPositions:
             source: Name of the recording, for messages.
 
         Returns:
-            A doubt for each locked joint that moves. It is no error, since the joint may carry
-            little, such as a finger.
+            A doubt for each locked joint that moves.
 
         Raises:
             UnusableInput: A joint stands elsewhere than it is locked.
@@ -58,11 +57,11 @@ class LockedPositions:
         for name, ranges in self._ranges.items():
             joint = self._joints[name]
             low, high = float(np.min(ranges, axis=0)[0]), float(np.max(ranges, axis=0)[2])
-            if high - low > TOLERANCE[joint.unit]:
+            if (high - low) * joint.share > TOLERANCE[joint.unit]:
                 remarks.append(_moving(joint, low, high))
                 continue
             position = float(np.median(ranges, axis=0)[1])
-            if _distance(position, joint) > TOLERANCE[joint.unit]:
+            if _distance(position, joint) * joint.share > TOLERANCE[joint.unit]:
                 remedy = "lock it there" if self._can_be_locked else "identify the robot"
                 raise UnusableInput(
                     f"{source}: joint '{name}' is locked at {joint.position:.4g} {joint.unit}, but "

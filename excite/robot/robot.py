@@ -64,11 +64,13 @@ class LockedJoint:
         name: Name of the joint.
         position: Position at which it is locked [rad or m].
         unit: Unit of the position, "rad" or "m".
+        share: Mass that it carries over that of all bodies which the joints of the robot carry [1].
     """
 
     name: str
     position: float
     unit: str
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -285,11 +287,14 @@ def load(
     if payload is not None:
         _attach(model, document.source, payload)
     order = [name for name in model.names[1:] if name in moving]
+    carried = full.createData()
+    pin.computeSubtreeMasses(full, carried)
     locked = tuple(
         LockedJoint(
             str(name),
             float(reference[full.joints[full.getJointId(name)].idx_q]),
             document.joints[name].unit("rad"),
+            float(carried.mass[full.getJointId(name)]) / max(float(carried.mass[0]), 1e-300),
         )
         for name in full.names[1:]
         if name not in kept and document.joints[name].mimic is None

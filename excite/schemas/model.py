@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -42,10 +42,12 @@ DRIVE_RANGES = {
 
 
 class LockedJointDocument(msgspec.Struct):
-    """A joint that the model's URDF holds as a fixed one: where it stood."""
+    """A joint that the model's URDF holds as a fixed one: where it stood, and the share of the
+    mass of the robot that it carries."""
 
     position: Position
     unit: Literal["rad", "m"]
+    share: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 1.0
 
 
 class ModelRobotDocument(msgspec.Struct):

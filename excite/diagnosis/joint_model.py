@@ -627,8 +627,7 @@ def _base_prior(
     else:
         edge, psi = 10 * identified.model.parameters.bodies, initial_parameters(identified)
         places_in_psi = np.asarray(base.independent, int)[free]
-        information = 2.0 * prior.joint_weights / prior.joint_scales**2
-        out[range(p), range(p)] = information[places_in_psi - edge]
+        out[range(p), range(p)] = prior.joint_information[places_in_psi - edge]
         mean[:p] = (base.matrix @ psi)[free] + (prior.nominal - psi)[places_in_psi]
     places = np.arange(p, len(mean))
     out[places, places] = 1.0 / others**2

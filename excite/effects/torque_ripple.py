@@ -27,6 +27,7 @@ def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> C
 
     The order is known to half a period over the range of the joint, the width of its peak in a
     spectrum over the angle.
+
     At a load as large as the largest torque of the joint, the growth has the prior of the wave
     itself: a joint that carried next to nothing says nothing about loads.
     """

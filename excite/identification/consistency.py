@@ -94,6 +94,11 @@ class Prior:
     joint_weights: FloatArray
     joint_scales: FloatArray
 
+    @property
+    def joint_information(self) -> FloatArray:
+        """Information 2γ/s² on each friction, rotor inertia and offset, shape (P − 10 bodies,)."""
+        return np.asarray(2.0 * self.joint_weights / self.joint_scales**2)
+
 
 @dataclass(frozen=True)
 class ConsistentEstimate:
@@ -141,8 +146,7 @@ def inertial_rows(parameters: Parameters, psi: FloatArray) -> FloatArray:
 def prior_information(parameters: Parameters, prior: Prior) -> FloatArray:
     """Compute 2γG, the information that the prior is worth near ψ₀. Shape (P, P)."""
     edge = 10 * parameters.bodies
-    joint_information = 2.0 * prior.joint_weights / prior.joint_scales**2
-    out = np.diag(np.concatenate([np.zeros(edge), joint_information]))
+    out = np.diag(np.concatenate([np.zeros(edge), prior.joint_information]))
     for i, G in enumerate(
         distance_metrics(prior.distance, inertial_rows(parameters, prior.nominal))
     ):

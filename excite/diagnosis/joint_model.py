@@ -81,6 +81,8 @@ class JointModel:
         chain: How torque is recorded. Its delay was removed from the torque of the motions, its
             filter is part of all columns.
         level: Friction level of each joint, the unit of prior deviations, shape (n,) [N m].
+        variation: Standard deviation of the torque of each joint, at least its friction level: the
+            unit of those of effects that change the base model, shape (n,) [N m].
         psi: Standard parameters, shape (P,).
         free: Base parameters that are refit, shape (p,); all but those of a trusted prior.
         known: Torque of the others, which is not part of the regression, shape (N, n) [N m].
@@ -96,6 +98,7 @@ class JointModel:
     regression: JointRegression
     chain: RecordingChain
     level: FloatArray
+    variation: FloatArray
     psi: FloatArray
     free: IntArray
     known: FloatArray
@@ -208,12 +211,14 @@ class JointModel:
         if model.prior_std is not None:
             prior = np.full(k, model.prior_std)
         else:
-            level = self.level[list(joints)]
-            prior = np.full(k, float(level.max()))
+            # a load or another change of the base model can be as large as that
+            of_base = model.definition.prior_only
+            unit = (self.variation if of_base else self.level)[list(joints)]
+            prior = np.full(k, float(unit.max()))
             if not any(model.nonnegative):
-                # coefficients in units of their own: the RMS torque of a column is the friction
-                # level of the joints on which it acts; one that is not visible stays near zero
-                size = np.sqrt(np.mean((values / level[:, None, None]) ** 2, axis=(0, 1)))
+                # coefficients in units of their own: the RMS torque of a column is the unit of the
+                # joints on which it acts; one that is not visible stays near zero
+                size = np.sqrt(np.mean((values / unit[:, None, None]) ** 2, axis=(0, 1)))
                 prior = 1.0 / np.where(size > 1e-3 * size.max(), size, size.max())
         prior[: len(model.prior_shares)] *= model.prior_shares
         if model.form_columns:
@@ -474,6 +479,7 @@ def base_model(
             and the measured torque of the motions; the base model does if None.
     """
     free, level = free_parameters(identified), friction_level(motions)
+    variation = np.maximum(torque_variation(motions), level)
     fixed = np.delete(np.arange(identified.model.base.count), free)
     known = np.concatenate(
         [chain.passed(m, m.gamma[:, :, fixed] @ m.theta[fixed]) for m in motions]
@@ -501,7 +507,17 @@ def base_model(
         _dissipated(identified, free, len(prior[0])),
     )
     return JointModel(
-        tuple(motions), (), regression, chain, level, psi, free, known, change_scale, in_mean
+        motions=tuple(motions),
+        models=(),
+        regression=regression,
+        chain=chain,
+        level=level,
+        variation=variation,
+        psi=psi,
+        free=free,
+        known=known,
+        change_scale=change_scale,
+        weights_in_mean=in_mean,
     )
 
 
@@ -543,9 +559,13 @@ def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
     It is at least a share of the other joints' and of the variation of the joint's torque.
     """
     coulomb = np.abs(motions[0].fitted_robot.actuator_parameter("coulomb"))
-    variation = np.concatenate([motion.torque for motion in motions]).std(axis=0)
     least = max(MIN_LEVEL_SHARE * float(np.median(coulomb)), 1e-12)
-    return np.maximum(coulomb, np.maximum(least, MIN_TORQUE_SHARE * variation))
+    return np.maximum(coulomb, np.maximum(least, MIN_TORQUE_SHARE * torque_variation(motions)))
+
+
+def torque_variation(motions: Sequence[RecordedMotion]) -> FloatArray:
+    """Return the standard deviation of the torque of each joint, shape (n,) [N m]."""
+    return np.asarray(np.concatenate([motion.torque for motion in motions]).std(axis=0))
 
 
 def free_parameters(identified: Identification) -> IntArray:

@@ -36,12 +36,17 @@ def record(path: Path, seed: int) -> Path:
 
 
 @pytest.fixture(scope="module", params=[1, 3])
-def diagnosis(request, tmp_path_factory) -> Diagnosis:
+def result(request, tmp_path_factory) -> excite.DiagnosisResult:
     folder = tmp_path_factory.mktemp("ripple")
     robot = folder / "turntable.urdf"
     robot.write_text(URDF, encoding="utf-8")
     files = [record(folder / f"{request.param + k}.csv", request.param + k) for k in (0, 1)]
-    return excite.diagnose(robot, files[:1], files[1:]).diagnosis
+    return excite.diagnose(robot, files[:1], files[1:])
+
+
+@pytest.fixture
+def diagnosis(result) -> Diagnosis:
+    return result.diagnosis
 
 
 def test_two_waves_of_few_periods_have_the_right_orders(diagnosis):
@@ -52,6 +57,17 @@ def test_two_waves_of_few_periods_have_the_right_orders(diagnosis):
         [WAVES[order] for order in sorted(WAVES)], rel=0.2
     )
     assert diagnosis.held_out.rmse_after < 1.1 * diagnosis.noise.floor
+
+
+def test_all_waves_are_reported(result, tmp_path):
+    ripple = next(f for f in result.findings if f["effect"] == "torque_ripple")
+    (weaker,) = ripple["weaker_waves"]
+    order, amplitude = sorted(WAVES.items())[1]
+    assert weaker["order"] == pytest.approx(order, rel=0.01)
+    assert weaker["amplitude"] == pytest.approx(amplitude, rel=0.2)
+    result.save(tmp_path)
+    report = (tmp_path / "report.html").read_text(encoding="utf-8").replace("\u00a0", " ")
+    assert "weaker waves of order 22." in report
 
 
 def test_order_is_as_exact_as_the_recording_tells(diagnosis):

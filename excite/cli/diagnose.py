@@ -19,6 +19,7 @@ from ..report.torque_budget import (
     joint_budgets,
     known_words,
     origin_words,
+    finding_parameter_words,
     parameter_words,
     prior_words,
     probability_words,
@@ -139,7 +140,7 @@ def _finding(finding: Mapping[str, Any]) -> tuple[str, ...]:
         + origin_words(finding),
         probability_words(finding["probability"]),
         f"{significant(finding['evidence']['severity'])} × residual",
-        parameter_words(finding["parameters"]),
+        finding_parameter_words(finding),
     )
 
 

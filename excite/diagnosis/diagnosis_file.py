@@ -223,6 +223,8 @@ def _entry(
     }
     if shape.other is not None:
         out["from"] = _joint(diagnosis, shape.other)
+    if weaker := _weaker_waves(estimate):
+        out["weaker_waves"] = weaker
     if hidden := sorted(set(estimate.parameters) - set(shown)):
         out["not_shown"] = hidden
     if not estimate.asserted:
@@ -234,6 +236,19 @@ def _entry(
             if name not in excluded
         ]
     return out
+
+
+def _weaker_waves(estimate: EffectEstimate) -> list[dict[str, float]]:
+    """Order and amplitude of all waves of a ripple but the one that is reported, as it."""
+    if estimate.effect != "torque_ripple" or "order" not in estimate.parameters:
+        return []
+    order, _ = estimate.parameters["order"]
+    waves = [
+        {"order": shape.values["order"], "amplitude": float(np.hypot(*c[:2]))}
+        for shape, c in zip(estimate.models, estimate.coefficients, strict=True)
+        if shape.values["order"] != order
+    ]
+    return sorted(waves, key=lambda wave: -wave["amplitude"])
 
 
 def _determined(

@@ -36,7 +36,7 @@ from .torque_budget import (
     joint_words,
     known_words,
     origin_words,
-    parameter_words,
+    finding_parameter_words,
     prior_words,
     probability_words,
     sorted_findings,
@@ -281,7 +281,7 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
                 ),
                 probability_words(finding["probability"]),
                 _size(finding["evidence"]),
-                parameter_words(finding["parameters"])
+                finding_parameter_words(finding)
                 .replace(" ", "\u00a0")
                 .replace(",\u00a0", ", "),
             )

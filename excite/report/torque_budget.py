@@ -366,6 +366,13 @@ def parameter_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     return ", ".join(_parameter(*entry) for entry in parameters.items()) or "not determined"
 
 
+def finding_parameter_words(finding: Mapping[str, Any]) -> str:
+    """Return the parameters of a finding, and the orders of all waves of a ripple."""
+    text = parameter_words(finding["parameters"])
+    weaker = [significant(wave["order"], 3) for wave in finding.get("weaker_waves", ())]
+    return f"{text}; weaker waves of order {listed(weaker)}" if weaker else text
+
+
 def _parameter(name: str, entry: Mapping[str, Any]) -> str:
     """Return a parameter; a delay says which of torque and motion is late."""
     if name != "seconds":

@@ -218,8 +218,10 @@ class JointModel:
             if not any(model.nonnegative):
                 # coefficients in units of their own: the RMS torque of a column is the unit of the
                 # joints on which it acts; one that is not visible stays near zero
-                size = np.sqrt(np.mean((values / unit[:, None, None]) ** 2, axis=(0, 1)))
-                prior = 1.0 / np.where(size > 1e-3 * size.max(), size, size.max())
+                exact = values[:, :, : k - model.form_columns]
+                size = np.sqrt(np.mean((exact / unit[:, None, None]) ** 2, axis=(0, 1)))
+                size = np.where(size > 1e-3 * size.max(), size, size.max())
+                prior[: len(size)] = 1.0 / size
         prior[: len(model.prior_shares)] *= model.prior_shares
         if model.form_columns:
             prior[-model.form_columns :] = FORM_ERROR_STD

@@ -315,6 +315,13 @@ class _Search:
             shape, extended = self._chosen_again(shape, extended, ranking)
         elif shape.nonlinear is not None and shape.interval is None:
             shape, extended = self._optimised_again(shape, extended)
+        elif (richer := shape.definition.richer(shape)) is not None:
+            # the residual of what is left out looked correlated, which hid further coefficients
+            other = self._fit((*self._shapes, richer))
+            if _evidence(other, shape.key) > _evidence(extended, shape.key):
+                members = posterior.effect_groups(other)[shape.key]
+                if _is_plausible(other, members):
+                    shape, extended = richer, other
         return self._judged(extended, shape, self.model)
 
     def _chosen_again(

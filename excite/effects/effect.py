@@ -86,6 +86,10 @@ class Effect:
         """Return a model with another value of a nonlinear parameter."""
         return model.with_values(**{key: value})
 
+    def richer(self, model: CandidateModel) -> CandidateModel | None:
+        """Return a form of a model with further coefficients; None if there is none."""
+        return None
+
     def predicted_torque(
         self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
     ) -> FloatArray:

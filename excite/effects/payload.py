@@ -22,8 +22,8 @@ MAX_CENTRE_DISTANCE = 1.5
 MAX_INDEFINITENESS = 0.05
 """Largest magnitude of a negative eigenvalue of its pseudo-inertia over the largest one: noise
 makes that of a compact load indefinite."""
-
-
+COUNTS = (4, 10)
+"""Parameters of a point mass, and of a body with inertia."""
 ONE_LOAD = "a load that the other recordings have not"
 """Description of the residual of a load in one recording."""
 
@@ -63,13 +63,18 @@ class _Payload(Effect):
         fitted, times = motions[0].fitted_robot, _times_of_recordings(motions)
         for link in range(len(fitted.parameters.links)):
             joint = int(np.flatnonzero(fitted.robot.spread[link])[0])
-            for count in (4, 10):
+            for count in COUNTS:
                 values = {"link": float(link), "count": float(count)}
                 model = CandidateModel(self, joint, values, motions=motions)
                 yield model
                 if _ends_a_chain(fitted, link) and len(times) > 1:
                     for source, interval in times.items():
                         yield replace(model, source=source, interval=interval, signature=ONE_LOAD)
+
+    def richer(self, model: CandidateModel) -> CandidateModel | None:
+        """Return a body with inertia in the place of a point mass."""
+        is_body = model.values["count"] == COUNTS[-1]
+        return None if is_body else model.with_values(count=float(COUNTS[-1]))
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         reach = float(np.linalg.norm(c[1:4]))

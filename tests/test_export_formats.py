@@ -95,6 +95,57 @@ def test_flattened_joint_states(two_link, tmp_path, time, element):
     assert_same_motion(recordings.read(write(tmp_path / "r.csv", header, cells), two_link))
 
 
+@pytest.mark.parametrize(
+    ("time", "spelling"),
+    [
+        ("time", "{quantity}_{joint}"),
+        ("timestamp", "{joint}/{word}"),
+        ("t [s]", "{word}[{joint}]"),
+        ("time_s", "{joint}.{quantity} [{unit}]"),
+    ],
+)
+def test_names_of_joints_as_scripts_spell_them(two_link, tmp_path, time, spelling):
+    columns = {time: COLUMNS["t"]}
+    for word, quantity, unit in (
+        *(("position", "q", "rad"), ("velocity", "dq", "rad/s"), ("torque", "tau", "N m")),
+    ):
+        for joint in ("joint_2", "joint_1"):
+            name = spelling.format(quantity=quantity, word=word, joint=joint, unit=unit)
+            columns[name] = COLUMNS[f"{quantity}.{joint}"]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    assert_same_motion(recordings.read(path, two_link))
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("spelling", ["{}{}", "{}_{}", "{}[{}]", "{}_joint{}"])
+def test_numbered_joints_are_in_the_order_of_the_robot(two_link, tmp_path, spelling, first):
+    columns = {"t_ms": 1e3 * COLUMNS["t"]}
+    for k in (1, 0):
+        for quantity in ("q", "dq", "tau"):
+            name = spelling.format(quantity, k + first)
+            columns[name] = COLUMNS[f"{quantity}.joint_{k + 1}"]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    recording, warned = read_with_warnings(path, two_link)
+    assert_same_motion(recording)
+    second = spelling.format("q", first + 1)
+    assert any(f"{second} = joint_2" in text for text in warned)
+
+
+def test_names_that_scripts_spell_are_read_only_if_they_are_clear(two_link, tmp_path):
+    t, q = COLUMNS["t"], COLUMNS["q.joint_1"]
+
+    def named(*names: str) -> Path:
+        columns = rows(t, *(q for _ in names))
+        return write(tmp_path / "r.csv", ["time", *names], columns)
+
+    both = assert_refused(named("q_joint_1", "joint_1_pos", "q_joint_2"), two_link, "both")
+    assert "--columns q.joint_1=" in both
+    assert_refused(named("q_joint_1 (deg)", "q_joint_2 (deg)"), two_link, "is in deg", "SI units")
+    # a joint less or more than the robot has: numbers say nothing
+    assert_refused(named("q1"), two_link, "no column 't'")
+    assert_refused(named("q1", "q2", "q3"), two_link, "no column 't'")
+
+
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_comma_decimals_and_byte_order_mark(two_link, tmp_path, separator):
     cells = [[cell.replace(".", ",") for cell in row] for row in rows(*COLUMNS.values())]
@@ -126,7 +177,7 @@ def test_ur_rtde_with_targets_and_currents(tmp_path):
 def test_columns_are_named_by_the_user(two_link, tmp_path, capsys):
     renamed = {
         "t": "Time",
-        **{f"{p}.joint_{k}": f"{p}{k} (SI)" for p in ("q", "dq", "tau") for k in (1, 2)},
+        **{f"{p}.joint_{k}": f"channel {p} {k}" for p in ("q", "dq", "tau") for k in (1, 2)},
     }
     path = write(tmp_path / "r.csv", [renamed[name] for name in COLUMNS], rows(*COLUMNS.values()))
     assert_refused(path, two_link, "--columns t=COLUMN")

@@ -16,10 +16,10 @@ from ..report.formatting import capitalized, significant
 from ..report.torque_budget import (
     change_words,
     filter_words,
+    finding_parameter_words,
     joint_budgets,
     known_words,
     origin_words,
-    finding_parameter_words,
     parameter_words,
     prior_words,
     probability_words,

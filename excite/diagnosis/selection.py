@@ -316,7 +316,7 @@ class _Search:
         elif shape.nonlinear is not None and shape.interval is None:
             shape, extended = self._optimised_again(shape, extended)
         elif (richer := shape.definition.richer(shape)) is not None:
-            # the residual of what is left out looked correlated, which hid further coefficients
+            # without it, its own torque made the residual look correlated: few rows counted
             other = self._fit((*self._shapes, richer))
             if _evidence(other, shape.key) > _evidence(extended, shape.key):
                 members = posterior.effect_groups(other)[shape.key]

@@ -127,7 +127,7 @@ def read_blocks(
             floating=floating,
         )
         table = _Table(path, separator, header, layout, line if header.has_line else None)
-        table.remarks += _planned(cells, robot)
+        table.remarks += (*_planned(cells, robot), *_numbered(header.numbered, robot))
         table.row = row + 1 if header.has_line else 1
         remainder = b""
         while chunk := stream.read(CHUNK_SIZE):
@@ -290,6 +290,15 @@ def _planned(header: Sequence[str], robot: Robot) -> tuple[Remark, ...]:
         "nominal model, which a fit to it returns"
     )
     return (Remark(RemarkKind.PLANNED, text, doubt=True),)
+
+
+def _numbered(columns: Sequence[str], robot: Robot) -> tuple[Remark, ...]:
+    """Remark columns that name joints by their numbers: the order is that of the robot."""
+    if not columns:
+        return ()
+    pairs = zip(columns, robot.joints, strict=True)
+    text = f"its joints have numbers and no names; they are {', '.join(map(' = '.join, pairs))}"
+    return (Remark(RemarkKind.NUMBERED, text, repaired=True),)
 
 
 def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:

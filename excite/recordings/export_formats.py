@@ -6,6 +6,7 @@
 | `ros2 topic echo --csv` | none: seconds, nanoseconds, frame, names, positions, … |
 | `rostopic echo -p` and others | `%time`, `field.name0`, `field.position0` or `name[0]`, … |
 | scripts that write a message per row | `time`, `name`, `position`, … with lists in the cells |
+| other scripts | `time`, `q_<joint>` or `q1`, …, see `spelled_columns` |
 
 Where names of joints stand in cells, each row is put into the order of the first
 (`joint_state_cells`).
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .joint_state_cells import ElementColumns, ListCells, Rewrite, is_list
+from .spelled_columns import find_spelled_columns
 
 PLOTJUGGLER_TIME = "__time"
 """Column of time of PlotJuggler [s since 1970]."""
@@ -50,6 +52,7 @@ class Header:
         from_first: True if time counts from the first row.
         has_line: True if the file has a header line.
         rewrite: Rewrites lines so that they have the columns `names`; None: they have them.
+        numbered: Names in the file of the positions of numbered joints; else empty.
     """
 
     names: tuple[str, ...]
@@ -57,6 +60,7 @@ class Header:
     from_first: bool = False
     has_line: bool = True
     rewrite: Rewrite | None = None
+    numbered: tuple[str, ...] = ()
 
 
 def recognise(
@@ -115,6 +119,9 @@ def recognise(
         )
         if time_columns is not None:
             return _indexed(source, names, first_row, robot, separator, time_columns, prefixes)
+    spelled = find_spelled_columns(source, names, robot, effort)
+    if spelled is not None:
+        return Header(spelled.names, (spelled.time,), numbered=spelled.numbered)
     return Header(tuple(names))
 
 

@@ -36,6 +36,7 @@ class RemarkKind(Enum):
     PERIOD = "period"
     EXECUTED = "executed motion"
     PLANNED = "planned"
+    NUMBERED = "numbered joints"
     TORQUE_SIGN = "torque sign"
     TORQUE_SCALE = "torque scale"
     GRAVITY = "gravity"

@@ -32,11 +32,11 @@ from .render import render
 from .torque_budget import (
     JointBudget,
     base_words,
+    finding_parameter_words,
     joint_budgets,
     joint_words,
     known_words,
     origin_words,
-    finding_parameter_words,
     prior_words,
     probability_words,
     sorted_findings,
@@ -281,9 +281,7 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
                 ),
                 probability_words(finding["probability"]),
                 _size(finding["evidence"]),
-                finding_parameter_words(finding)
-                .replace(" ", "\u00a0")
-                .replace(",\u00a0", ", "),
+                finding_parameter_words(finding).replace(" ", "\u00a0").replace(",\u00a0", ", "),
             )
         )
     head = ("joint", "effect", "probability", "size [× residual]", "parameters")

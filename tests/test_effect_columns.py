@@ -130,6 +130,8 @@ def recorded() -> RecordedMotion:
         rows,
         slice(0, None),
         np.zeros(0),
+        rows.astype(bool),
+        rows.astype(bool),
     )
     return out.with_modelled_torque(out.motor_torque)
 

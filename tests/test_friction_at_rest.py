@@ -24,7 +24,7 @@ from synthetic_recordings import pinocchio_model, rest_to_rest, rnea_torque
 from excite._types import FloatArray
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.identification.segments import RecordingSegment
-from excite.identification.standstill import far_from_rest, moving_rows
+from excite.identification.standstill import LargestMotion, far_from_rest, moving_rows
 from excite.recordings import Recording
 
 MOVES = 14
@@ -114,8 +114,10 @@ def test_rows_near_a_stop_do_not_count_and_those_near_a_reversal_do():
     swing = np.cos(np.linspace(0.0, 8.0 * np.pi, 1600))
     for q, stands in ((stop, True), (swing, False)):
         segment, dq = segment_of(q)
-        rows = np.arange(len(q))
-        near, far = (moving_rows(segment, segment.q, dq, rows, reach=x)[:, 0] for x in (0.0, 0.1))
+        rows, largest = np.arange(len(q)), LargestMotion.of([(segment.q, dq)])
+        near, far = (
+            moving_rows(segment, segment.q, dq, rows, largest, reach=x)[:, 0] for x in (0.0, 0.1)
+        )
         assert np.all(near[far])
         lost = np.flatnonzero(near & ~far)
         if not stands:
@@ -126,11 +128,30 @@ def test_rows_near_a_stop_do_not_count_and_those_near_a_reversal_do():
         assert not np.any(far[first:last])
 
 
+@pytest.mark.parametrize(
+    ("size", "turns", "share"),
+    [(0.0, 4.0, 0.0), (1e-3, 16.0, 0.0), (0.1, 0.25, 1.0), (0.01, 200.0, 1.0)],
+    ids=["held exactly", "held by a servo", "slow motion", "small, fast motion"],
+)
+def test_joint_that_is_held_throughout_a_segment_does_not_count_there(size, turns, share):
+    phase = np.linspace(0.0, 2.0 * np.pi, 1600)
+    (wide, fast), (small, speed) = (
+        segment_of(factor * np.cos(count * phase)) for factor, count in ((1.0, 4.0), (size, turns))
+    )
+    largest = LargestMotion.of([(wide.q, fast), (small.q, speed)])
+    rows = np.arange(len(phase))
+    assert moving_rows(wide, wide.q, fast, rows, largest).all()
+    assert moving_rows(small, small.q, speed, rows, largest).mean() == share
+    if not share:
+        assert not far_from_rest(small.q, speed, rows, largest, 1).any()
+
+
 def test_rows_far_from_rest_are_those_without_a_reversal_nearby():
     q = np.cos(np.linspace(0.0, 4.0 * np.pi, 800))
     _, dq = segment_of(q)
     reach = 40
-    far = far_from_rest(dq, np.arange(len(q)), reach)[:, 0]
+    column, rows = q[:, None], np.arange(len(q))
+    far = far_from_rest(column, dq, rows, LargestMotion.of([(column, dq)]), reach)[:, 0]
     reversals = np.array([0, 200, 400, 600, 799])
     distance = np.abs(np.arange(len(q))[:, None] - reversals).min(axis=1)
     assert np.all(far[distance > reach + 4]) and not np.any(far[distance < reach - 4])

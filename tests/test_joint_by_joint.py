@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 
 import numpy as np
@@ -11,6 +12,7 @@ from synthetic_recordings import rnea_torque
 
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.effects import contact
+from excite.identification import identification
 from excite.recordings import Recording
 
 SECONDS = 24.0
@@ -18,8 +20,11 @@ STROKES = ((1.0, 12.0), (13.0, 17.0))
 """Time during which each joint moves [s]; it is at rest for more than half of the recording."""
 
 
-def one_after_the_other(seed: int) -> Recording:
-    """Return a recording whose joints hold by static friction while the other one moves."""
+def one_after_the_other(seed: int, is_constant: bool = False) -> Recording:
+    """Return a recording whose joints hold by static friction while the other one moves.
+
+    The friction at rest varies slowly, or is the same at all times.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(round(SECONDS * RATE)) / RATE
     q, dq, ddq, held = np.zeros((4, len(t), 2))
@@ -33,14 +38,43 @@ def one_after_the_other(seed: int) -> Recording:
         ddq[:, joint] = np.gradient(dq[:, joint], t)
         at_rest = (u <= 0.0) | (u >= 1.0)
         wave = np.sin(rng.uniform(0.1, 0.4) * rate * t + rng.uniform(0.0, 6.0))
+        wave = np.ones_like(t) if is_constant else wave
         held[:, joint] = np.where(at_rest, 0.9 * COULOMB[joint] * wave, 0.0)
     tau = rnea_torque(SUBJECT, PSI, q, dq, ddq) + held + NOISE * rng.normal(size=held.shape)
     return Recording(f"{seed}.csv", SUBJECT.robot.joints, t, q, tau=tau, row_times=t)
 
 
+def one_file_of_each_joint(seed: int) -> list[Recording]:
+    """Return the recording as two files, in each of which one joint stands still throughout."""
+    whole = one_after_the_other(seed, is_constant=True)
+    cut = round(12.5 * RATE)
+    return [
+        dataclasses.replace(whole.rows(rows), source=f"{seed}_{joint}.csv")
+        for joint, rows in enumerate((slice(0, cut), slice(cut, None)))
+    ]
+
+
 @cache
 def diagnosed() -> Diagnosis:
     return diagnose([one_after_the_other(1), one_after_the_other(2), one_after_the_other(3)])
+
+
+def test_joint_that_stands_still_throughout_a_recording_does_not_count_there():
+    """Static friction would be taken for offset."""
+    files = [*one_file_of_each_joint(1), *one_file_of_each_joint(2)]
+    options = identification.IdentificationOptions(band=20.0)
+    parts = SUBJECT.robot, SUBJECT.parameters, SUBJECT.base
+    psi = identification.identify(*parts, files, (), options).psi
+    offset = SUBJECT.parameters.block("offset")
+    assert (np.abs(psi[offset] - PSI[offset]) < 0.05 * COULOMB).all()
+
+
+def test_diagnosis_of_one_file_of_each_joint_predicts_their_motion():
+    result = diagnose(
+        [*one_file_of_each_joint(1), *one_file_of_each_joint(2), one_after_the_other(3)]
+    )
+    assert not findings_of(result)
+    assert noise_ratios(result)[1].max() < 4.0
 
 
 def test_torque_at_rest_is_no_reason_for_an_effect():

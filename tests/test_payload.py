@@ -41,9 +41,16 @@ ROBOT = "ur5e"
 
 
 def recording_with(
-    body: pin.Inertia | None, seed: int, motion: int = 3, effort: str | None = None
+    body: pin.Inertia | None,
+    seed: int,
+    motion: int = 3,
+    effort: str | None = None,
+    held: int | None = None,
 ) -> Recording:
-    """Return a recording of a robot with a payload, load friction and noise."""
+    """Return a recording of a robot with a payload, load friction and noise.
+
+    The joint `held` stands still, held by most of its Coulomb friction.
+    """
     machine = robot.load(ROBOT)
     table = limits.resolve(machine)
     standard = inertial_parameters.standard_parameters(machine, table)
@@ -52,6 +59,8 @@ def recording_with(
         psi[10 * (standard.bodies - 1) : 10 * standard.bodies] += body.toDynamicParameters()
     t = np.arange(round(PERIODS * PERIOD * RATE) + 1) / RATE
     s = random_fourier(machine.n, motion, period=PERIOD).samples(t)
+    if held is not None:
+        s.q[:, held], s.dq[:, held], s.ddq[:, held] = 0.3, 0.0, 0.0
     copy = machine.model.copy()
     if effort == "without gravity":
         copy.gravity.linear = np.zeros(3)
@@ -63,6 +72,8 @@ def recording_with(
     drive = {kind: psi[standard.block(kind)] for kind in standard.drive}
     torque = rigid + drive["rotor_inertia"] * s.ddq + drive["viscous"] * s.dq
     torque += drive["coulomb"] * sign + drive["offset"] + LOAD_FRICTION * sign * np.abs(rigid)
+    if held is not None:
+        torque[:, held] += 0.9 * drive["coulomb"][held]
     torque += NOISE * np.random.default_rng(seed).normal(size=torque.shape)
     sidecar = Sidecar(period=PERIOD, periodic=(0.0, float(t[-1])), effort=effort)
     return Recording(
@@ -97,6 +108,14 @@ def test_mass_centre_and_inertia_are_within_their_intervals(result):
     assert np.linalg.norm(result.estimate.body.lever - BODY.lever) < 3e-3
     # the wrist joints carry little: only the loaded joints show their friction
     np.testing.assert_allclose(result.estimate.load_friction[1:3], LOAD_FRICTION, atol=0.02)
+
+
+def test_joint_that_stands_still_throughout_a_recording_does_not_count_there(empty):
+    carrying = [recording_with(BODY, 2), recording_with(BODY, 5, 4, held=1)]
+    estimate = excite.identify_payload(ROBOT, carrying, empty=[empty]).estimate
+    assert (estimate.residual < NOISE).all()
+    mass = estimate["mass"]
+    assert abs(mass.value - BODY.mass) < 4.0 * mass.std
 
 
 def test_values_are_in_the_frame_of_the_link(empty):

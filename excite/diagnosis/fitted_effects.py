@@ -153,6 +153,8 @@ def _effect_torque(
             slopes=no_rows,
             kept=slice(0),
             time=np.zeros(0),
+            moving=no_rows.astype(bool),
+            far_from_rest=no_rows.astype(bool),
         )
         out = torque(of_motion, motion)
         for part in of_measured_torque:

@@ -15,7 +15,12 @@ from .._types import BoolArray, FloatArray, IntArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import IdentificationModel, filtered_friction, filtered_regressor
 from ..identification.segments import RecordingSegment
-from ..identification.standstill import FILTER_REACH, far_from_rest, moving_rows
+from ..identification.standstill import (
+    FILTER_REACH,
+    LargestMotion,
+    far_from_rest,
+    moving_rows,
+)
 from ..robot.dynamics import inverse_dynamics
 from ..robot.inertial_parameters import Parameters, model_with_inertias
 from ..robot.robot import Robot
@@ -24,13 +29,14 @@ from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetr
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 MIN_MOVING_SHARE = 0.3
-"""Share of the time that a joint must move. A joint that moves less is judged near its stops as
-well, as little would remain."""
+"""Share of the time of all motions that a joint must move. A joint that moves less is judged near
+its stops as well, as little would remain."""
 MIN_SPEED = 1e-9
 """Smallest speed that scales others, above the rounding errors of filters [rad/s or m/s]."""
 HELD_SHARE = 0.03
-"""Share of the time that a joint moves up to which it counts as held and is judged at all times, as
-nothing would remain [1]: 1/33, so that 30 joints that move one after the other are not held."""
+"""Share of the time of all motions that a joint moves up to which it counts as held and is judged
+at all times, as nothing would remain [1]: 1/33, so that 30 joints that move one after the other are
+not held."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,9 @@ class RecordedMotion:
         slopes: Derivative of the torque by the logarithm of the friction width, shape (N, n).
         kept: Rows of the regression's grid that are far enough from the segment's ends.
         time: Times of the kept rows [s], shape (N,).
+        moving: Rows at which a joint moves; static friction is not modelled. Shape (N, n).
+        far_from_rest: Rows that no friction at rest reaches through the low-pass filter, shape
+            (N, n).
         grid: Grid to which `lowpass` reduces.
         modelled_torque: Torque of a fitted joint model, which takes the place of the measured
             torque; None without one, shape (M, n) [N m].
@@ -107,6 +116,8 @@ class RecordedMotion:
     slopes: FloatArray
     kept: slice
     time: FloatArray
+    moving: BoolArray
+    far_from_rest: BoolArray
     grid: Grid = Grid.KEPT
     modelled_torque: FloatArray | None = None
     modelled_motor_torque: FloatArray | None = None
@@ -179,55 +190,21 @@ class RecordedMotion:
         """Time derivative of the measured torque [N m/s], shape (N, n)."""
         return self.band.filter(self.segment.torque, Grid.KEPT, 1)[self.kept]
 
-    @property
-    @for_all_fits
-    def samples(self) -> Samples:
-        """Low-passed motion at every sample of the recording, shapes (M, n).
-
-        q and q̈ pass a filter of twice the bandwidth, q̇ that of `friction_speed`: it is not the
-        derivative of q.
-        """
-        position = self.band.transform(self.segment.q)
-        speed = friction_speed(self.segment.q, self.band, position)
-        return Samples(
-            position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
-            speed,
-            position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO),
-        )
-
     def sign(self, joint: int) -> FloatArray:
         """Return the smooth sign tanh(q̇/w) of the base model's Coulomb friction, shape (M,)."""
         return np.asarray(np.tanh(self.samples.dq[:, joint] / self.widths[joint]))
+
+    @property
+    @for_all_fits
+    def samples(self) -> Samples:
+        """Low-passed motion at every sample of the recording, see `low_passed_samples`."""
+        return low_passed_samples(self.segment, self.band)
 
     @property
     def temperature(self) -> FloatArray:
         """Joint temperatures [°C], shape (M, n); NaN where none was recorded."""
         recorded = self.segment.temperature
         return np.full((len(self.segment), self.n), np.nan) if recorded is None else recorded
-
-    @property
-    @for_all_fits
-    def moving(self) -> BoolArray:
-        """Rows at which a joint moves, shape (N, n); static friction is not modelled."""
-        out, q, dq = np.zeros((len(self), self.n), bool), self.samples.q, self.samples.dq
-        for reach in (FILTER_REACH / self.band.hertz, 0.0):
-            few = out.mean(axis=0) <= MIN_MOVING_SHARE
-            if few.any():
-                moving = moving_rows(self.segment, q, dq, self._row_samples, reach=reach)
-                out[:, few] = moving[:, few]
-        return out | (out.mean(axis=0) <= HELD_SHARE)
-
-    @property
-    @for_all_fits
-    def far_from_rest(self) -> BoolArray:
-        """Rows that no friction at rest reaches through the low-pass filter, shape (N, n)."""
-        reach = int(FILTER_REACH / self.band.hertz * self.segment.rate)
-        return far_from_rest(self.samples.dq, self._row_samples, reach)
-
-    @property
-    def _row_samples(self) -> IntArray:
-        """Sample of each row, shape (N,)."""
-        return np.rint((self.time - self.segment.start) * self.segment.rate).astype(int)
 
     @property
     @for_all_fits
@@ -473,29 +450,98 @@ def recorded_motions(
     segments: Sequence[RecordingSegment],
     hertz: float,
 ) -> list[RecordedMotion]:
-    """Return the motion of every segment that is long enough for the low-pass filter."""
+    """Return the motion of every segment that is long enough for the low-pass filter.
+
+    Which rows of a joint count, see `RecordedMotion.moving`, is decided for all segments together:
+    a joint may stand still throughout one of them.
+    """
+    bands = [(segment, segment.band(hertz)) for segment in segments]
+    usable = [
+        (segment, band)
+        for segment, band in bands
+        if len(segment) > 2 * band.margin + 8 * band.steps(Grid.KEPT)
+    ]
+    if not usable:
+        return []
+    samples = [low_passed_samples(segment, band) for segment, band in usable]
+    places = [_row_samples(segment, band) for segment, band in usable]
+    largest = LargestMotion.of((s.q, s.dq) for s in samples)
+    moving = _moving_rows([segment for segment, _ in usable], samples, places, largest, hertz)
     out = []
-    for segment in segments:
-        band = segment.band(hertz)
-        step, margin = band.steps(Grid.KEPT), band.margin
-        kept = slice(margin // step, -(-(len(segment) - margin) // step))
-        if len(segment) <= 2 * margin + 8 * step:
-            continue
+    for (segment, band), motion, rows, counted in zip(usable, samples, places, moving, strict=True):
+        kept = _kept_rows(segment, band)
         gamma, slopes, _ = filtered_regressor(model, segment.q, band)
-        torque = band.filter(segment.torque, Grid.KEPT)
-        time = segment.start + np.arange(len(torque)) * step / segment.rate
+        reach = int(FILTER_REACH / hertz * segment.rate)
         out.append(
             RecordedMotion(
-                segment,
-                band,
-                fitted,
-                model.widths,
-                theta,
-                torque[kept],
-                gamma[kept],
-                slopes[kept],
-                kept,
-                time[kept],
+                segment=segment,
+                band=band,
+                fitted_robot=fitted,
+                widths=model.widths,
+                theta=theta,
+                torque=band.filter(segment.torque, Grid.KEPT)[kept],
+                gamma=gamma[kept],
+                slopes=slopes[kept],
+                kept=kept,
+                time=segment.start + rows / segment.rate,
+                moving=counted,
+                far_from_rest=far_from_rest(motion.q, motion.dq, rows, largest, reach),
             )
         )
     return out
+
+
+def low_passed_samples(segment: RecordingSegment, band: LowPassFilter) -> Samples:
+    """Return the low-passed motion at every sample of a segment, shapes (M, n).
+
+    q and q̈ pass a filter of twice the bandwidth, q̇ that of `friction_speed`: it is not the
+    derivative of q.
+    """
+    position = band.transform(segment.q)
+    return Samples(
+        position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
+        friction_speed(segment.q, band, position),
+        position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO),
+    )
+
+
+def _kept_rows(segment: RecordingSegment, band: LowPassFilter) -> slice:
+    """Rows of the regression's grid that are far enough from the segment's ends."""
+    step = band.steps(Grid.KEPT)
+    return slice(band.margin // step, -(-(len(segment) - band.margin) // step))
+
+
+def _row_samples(segment: RecordingSegment, band: LowPassFilter) -> IntArray:
+    """Sample of each kept row, shape (N,)."""
+    places = np.arange(band.samples(Grid.KEPT)) * band.steps(Grid.KEPT)
+    return places[_kept_rows(segment, band)]
+
+
+def _moving_rows(
+    segments: Sequence[RecordingSegment],
+    samples: Sequence[Samples],
+    places: Sequence[IntArray],
+    largest: LargestMotion,
+    hertz: float,
+) -> list[BoolArray]:
+    """Rows of each segment at which a joint moves, shapes (N, n); see `RecordedMotion.moving`.
+
+    Args:
+        segments: The segments.
+        samples: Their low-passed motion.
+        places: Sample of each of their rows. Shapes (N,).
+        largest: Largest motion of the joints.
+        hertz: Cutoff frequency [Hz].
+    """
+    rows, n = sum(map(len, places)), samples[0].q.shape[1]
+    out = np.zeros((rows, n), bool)
+    for reach in (FILTER_REACH / hertz, 0.0):
+        few = out.mean(axis=0) <= MIN_MOVING_SHARE
+        if few.any():
+            moving = [
+                moving_rows(segment, motion.q, motion.dq, place, largest, reach=reach)
+                for segment, motion, place in zip(segments, samples, places, strict=True)
+            ]
+            out[:, few] = np.concatenate(moving)[:, few]
+    out |= out.mean(axis=0) <= HELD_SHARE
+    return np.split(out, np.cumsum([len(place) for place in places])[:-1])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters
@@ -17,7 +17,7 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from .segments import RecordingSegment, split_into_chunks, too_short
-from .standstill import MIN_STANDSTILL_COARSE, moving_rows
+from .standstill import MIN_STANDSTILL_COARSE, LargestMotion, moving_rows
 
 BLOCK_ROWS = 4096
 """Number of samples whose regressor is held in memory at a time."""
@@ -155,14 +155,14 @@ def build_equations(
     Raises:
         UnusableInput: All segments are shorter than the margins that the filter discards.
     """
-    parts, moving = list[TorqueEquations](), list[BoolArray]()
+    parts, motions = list[TorqueEquations](), list[_SegmentMotion]()
     starts, count, margins = list[tuple[int, RecordingSegment, int]](), 0, 0.0
     for segment in segments:
         band = segment.band(hertz)
         chunks = list(_chunk_equations(model, segment, band))
         if chunks:
             time = np.concatenate([chunk.time for chunk in chunks])
-            moving.append(_moving_rows(model, segment, band, time))
+            motions.append(_segment_motion(segment, band, time))
             starts.append((count, segment, sum(map(len, chunks))))
             count += starts[-1][2]
             parts += chunks
@@ -173,7 +173,7 @@ def build_equations(
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),
         slopes=np.concatenate([part.slopes for part in parts]),
-        moving=np.concatenate(moving),
+        moving=_moving_rows(model, motions),
         motion=Samples(
             *(
                 np.concatenate([getattr(part.motion, name) for part in parts])
@@ -250,24 +250,27 @@ def _chunk_equations(
         )
 
 
-def _moving_rows(
-    model: IdentificationModel, segment: RecordingSegment, band: LowPassFilter, time: FloatArray
-) -> BoolArray:
-    """Rows of a segment that count, see `TorqueEquations.moving`.
+@dataclass(frozen=True)
+class _SegmentMotion:
+    """Low-passed motion of a segment at every recorded sample.
 
-    A joint with fewer rows in motion than there are parameters counts at all times, as its torque
-    at rest says more, within ± its friction.
-
-    Args:
-        model: The model.
+    Attributes:
         segment: The segment.
-        band: Its filter.
-        time: Time of each row. Shape (N,) [s].
+        q: Positions. Shape (M, n) [rad or m].
+        dq: Velocities. Shape (M, n) [rad/s or m/s].
+        rows: Sample of each row of the equations. Shape (N,).
     """
-    out = np.ones((len(time), model.robot.n), bool)
-    joints = list(model.friction_columns().values())
-    if not joints:
-        return out
+
+    segment: RecordingSegment
+    q: FloatArray
+    dq: FloatArray
+    rows: IntArray
+
+
+def _segment_motion(
+    segment: RecordingSegment, band: LowPassFilter, time: FloatArray
+) -> _SegmentMotion:
+    """Low-pass the motion of a segment, whose rows are at given times, shape (N,) [s]."""
     position, speed = list[FloatArray](), list[FloatArray]()
     for samples, inner in split_into_chunks(segment, 3 * band.margin, band.steps(Grid.KEPT)):
         part = dataclasses.replace(band, count=samples.stop - samples.start)
@@ -275,8 +278,26 @@ def _moving_rows(
         position.append(spectrum.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO)[inner])
         speed.append(friction_speed(segment.q[samples], part, spectrum)[inner])
     rows = np.rint((time - segment.start) * segment.rate).astype(int) % len(segment)
-    motion = np.concatenate(position), np.concatenate(speed)
-    moving = moving_rows(segment, *motion, rows, MIN_STANDSTILL_COARSE)
+    return _SegmentMotion(segment, np.concatenate(position), np.concatenate(speed), rows)
+
+
+def _moving_rows(model: IdentificationModel, motions: Sequence[_SegmentMotion]) -> BoolArray:
+    """Rows of all segments that count, see `TorqueEquations.moving`. Shape (N, n).
+
+    A joint with fewer rows in motion than there are parameters counts at all times, as its torque
+    at rest says more, within ± its friction.
+    """
+    largest = LargestMotion.of((motion.q, motion.dq) for motion in motions)
+    moving = np.concatenate(
+        [
+            moving_rows(
+                motion.segment, motion.q, motion.dq, motion.rows, largest, MIN_STANDSTILL_COARSE
+            )
+            for motion in motions
+        ]
+    )
+    out = np.ones((len(moving), model.robot.n), bool)
+    joints = list(model.friction_columns().values())
     out[:, joints] = (moving | (moving.sum(axis=0) < model.base.count))[:, joints]
     return out
 

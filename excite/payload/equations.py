@@ -292,22 +292,24 @@ def build_payload_equations(
     order = {int(column): k for k, column in enumerate(columns)}
     groups = [*((i, segment) for i, group in enumerate(carrying) for segment in group)]
     groups += [(-1, segment) for segment in empty]
-    chunks, owners = list[_Chunk](), list[int]()
-    parts = list[TorqueEquations]()
-    for owner, segment in groups:
-        if not any(True for _ in kept_rows(segment, segment.band(hertz))):
-            continue
-        rows = build_equations(wide, [segment], hertz)
-        parts.append(rows)
-        owners += [owner] * len(rows)
-        chunks += _chunks(wide, segment, hertz, owner >= 0)
+    # a joint may stand still throughout a segment: all are built together
+    usable = [
+        (owner, segment)
+        for owner, segment in groups
+        if any(True for _ in kept_rows(segment, segment.band(hertz)))
+    ]
+    equations = build_equations(wide, [segment for _, segment in usable], hertz)
+    counts = [part.stop - part.start for part in equations.stretches()]
+    chunks = [
+        chunk for owner, segment in usable for chunk in _chunks(wide, segment, hertz, owner >= 0)
+    ]
     return PayloadEquations(
-        _joined(parts),
+        equations,
         len(independent),
         np.array([order[int(column)] for column in link]),
         wide,
         place,
-        np.array(owners),
+        np.repeat([owner for owner, _ in usable], counts),
         tuple(chunks),
     )
 
@@ -331,27 +333,3 @@ def _chunks(
         loads = regressor(model.robot, model.parameters, motion)[:, :, :edge]
         out.append(_Chunk(part, kept, loads, friction_speed(q, part, position), carries))
     return out
-
-
-def _joined(parts: Sequence[TorqueEquations]) -> TorqueEquations:
-    """Equations of several segments as one."""
-    starts = np.cumsum([0, *(len(part) for part in parts)])[:-1]
-    motion = Samples(
-        *(
-            np.concatenate([getattr(part.motion, name) for part in parts])
-            for name in ("q", "dq", "ddq")
-        )
-    )
-    return dataclasses.replace(
-        parts[-1],
-        torque=np.concatenate([part.torque for part in parts]),
-        regressor=np.concatenate([part.regressor for part in parts]),
-        slopes=np.concatenate([part.slopes for part in parts]),
-        moving=np.concatenate([part.moving for part in parts]),
-        time=np.concatenate([part.time for part in parts]),
-        motion=motion,
-        starts=tuple(int(start) for start in starts),
-        sources=tuple(name for part in parts for name in part.sources),
-        periods=tuple(count for part in parts for count in part.periods),
-        repeats=tuple(repeat for part in parts for repeat in part.repeats),
-    )

@@ -9,6 +9,7 @@ import pytest
 from synthetic_recordings import (
     perturbed_parameters,
     random_fourier,
+    rnea_torque,
     synthetic_recording,
 )
 
@@ -19,7 +20,7 @@ from excite.effects.recorded_motion import RecordedMotion
 from excite.identification import identification, segments
 from excite.identification.identification import Identification
 from excite.identification.regression import IdentificationModel
-from excite.recordings import Recording
+from excite.recordings import Recording, Sidecar
 
 
 def noise_and_residual(
@@ -66,6 +67,40 @@ def test_the_noise_floor_agrees_with_the_residual_of_a_correct_model(
 ):
     floor, residual = noise_and_residual(subject, change, step)
     assert (low < residual / floor).all() and (residual / floor < high).all()
+
+
+@pytest.mark.parametrize("periods", [4, 1], ids=["repeated", "once"])
+@pytest.mark.parametrize("share", [0.4, 0.25])
+def test_the_noise_floor_is_that_of_the_rows_in_motion(subject, share, periods):
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    recording = with_rests(subject, psi, share, periods)
+    done = identified(subject, recording)
+    motions = motions_of(done.model, recording, done.psi)
+    moving = np.concatenate([motion.moving for motion in motions])
+    assert (moving.mean(axis=0) < 1.1 * share).all()
+    residuals = [np.where(motion.moving, motion.residual, 0.0) for motion in motions]
+    estimate = noise.estimate_noise(done.model, motions, residuals, [recording])
+    assert (estimate.method == "periods") is (periods > 1)
+    actual = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0, where=moving))
+    np.testing.assert_allclose(estimate.floor, actual, rtol=0.2)
+
+
+def with_rests(
+    subject: IdentificationModel, psi: FloatArray, share: float, periods: int
+) -> Recording:
+    """Return a recording of 32 s whose joints stand still for most of the time, under friction."""
+    rate, period = 200.0, 32.0 / periods
+    t = np.arange(round(32.0 * rate)) / rate
+    phase = np.minimum((t % period) / (share * period), 1.0)
+    # waves of 0.5 Hz that begin and end at rest
+    window, wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * phase), np.pi * share * period * phase
+    q = window[:, None] * np.column_stack([np.sin(wave), np.cos(1.3 * wave)])
+    dq = np.gradient(q, t, axis=0)
+    held = 0.8 * (phase >= 1.0)[:, None] * psi[subject.parameters.block("coulomb")]
+    tau = rnea_torque(subject, psi, q, dq, np.gradient(dq, t, axis=0)) + held
+    tau += 0.1 * np.random.default_rng(1).normal(size=tau.shape)
+    sidecar = Sidecar(period=period, periodic=(0.0, float(t[-1]))) if periods > 1 else Sidecar()
+    return Recording("rests.csv", subject.robot.joints, t, q, tau=tau, sidecar=sidecar, row_times=t)
 
 
 def test_an_unstated_period_is_estimated(subject):

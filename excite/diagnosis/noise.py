@@ -22,6 +22,7 @@ from ..recordings import Recording, encoder_resolution, periodicity
 from ..recordings.missing_values import true_runs
 from ..recordings.padding import with_response
 from . import position_errors
+from .regression import rms
 
 Period = tuple[float, tuple[float, float]]
 """Period of a motion [s], and start and end of the window in which it repeats [s]."""
@@ -31,6 +32,11 @@ NORMAL_QUANTILES = special.ndtri((np.arange(8) + 0.5) / 8)
 """Noise of the torque over its standard deviation, for the mean of its quantisation error."""
 MIN_PERIODS = 1.2
 """Periods that a recording must contain to show its noise by repetition."""
+MIN_REPEATED_SHARE = 0.15
+"""Repeated rows that a recording must contain to show its noise by repetition, over the rows of a
+period."""
+MIN_REPEATED_ROWS = 20
+"""Repeated rows in motion that a joint needs to show its noise by repetition."""
 WINDOWS = 40
 """Windows into which a difference of periods, or noise above the cutoff, is divided."""
 USUAL_QUANTILE = 0.6
@@ -75,10 +81,16 @@ def estimate_noise(
 ) -> NoiseEstimate:
     """Estimate the noise of residuals, of shapes (N, n) [N m], from the part that does not repeat.
 
-    Where nothing repeats, the residual's spectral density above the motion gives a lower bound.
+    Only the rows at which a joint moves count. Where nothing repeats, the residual's spectral
+    density above the motion gives a lower bound.
     """
+    moving = np.concatenate([motion.moving for motion in motions])
     rows = np.concatenate(quantization_residuals(model, motions))
-    steps = np.sqrt(np.mean(rows**2, axis=0))
+    steps = rms(rows, np.tile(moving, (DRAWS, 1)))
+    residuals = [
+        np.where(motion.moving, residual, 0.0)
+        for motion, residual in zip(motions, residuals, strict=True)
+    ]
     periods = {
         recording.source: period
         for recording in recordings
@@ -90,9 +102,19 @@ def estimate_noise(
         if motion.segment.source in periods
         and (square := _noise_square(motion, residual, periods[motion.segment.source])) is not None
     ]
-    spread = np.sqrt(np.mean(squares, axis=0)) if squares else _spectral_noise(motions, residuals)
+    spread = _repetition_noise(squares, len(steps))
+    if not np.isfinite(spread).all():
+        spread = np.where(np.isfinite(spread), spread, _spectral_noise(motions, residuals))
     floor = np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2)
     return NoiseEstimate(floor, "periods" if squares else "differences", steps, periods)
+
+
+def _repetition_noise(squares: Sequence[FloatArray], joints: int) -> FloatArray:
+    """RMS of mean squares (n,) of recordings, NaN where none shows the noise of a joint; (n,)."""
+    known = np.reshape(squares, (-1, joints))
+    count = np.isfinite(known).sum(axis=0)
+    total = np.nansum(known, axis=0)
+    return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def _spectral_noise(
@@ -101,7 +123,7 @@ def _spectral_noise(
     """RMS of white noise below the lower cutoff, with the density above the motion, shape (n,)."""
     from scipy import signal  # slow to import
 
-    squares, rows = np.zeros(residuals[0].shape[1]), 0
+    squares, rows = np.zeros((2, residuals[0].shape[1]))
     for motion, residual in zip(motions, residuals, strict=True):
         rate, hertz = motion.band.rate_of(Grid.KEPT), motion.band.hertz
         length = min(len(residual), max(16, int(SPECTRUM_PERIODS * rate / hertz)))
@@ -114,25 +136,33 @@ def _spectral_noise(
             usable = density[above, j][: last + 1]
             edge = float(frequency[above][min(last, int(above.sum()) - 1)])
             squares[j] += len(residual) * edge * float(np.median(usable))
-        rows += len(residual)
-    return np.asarray(np.sqrt(np.maximum(squares / max(rows, 1), 1e-24)))
+        # rows at rest are zero, so that the power is that of the rows in motion
+        rows += motion.moving.sum(axis=0)
+    return np.asarray(np.sqrt(np.maximum(squares / np.maximum(rows, 1.0), 1e-24)))
 
 
 def _noise_square(
     motion: RecordedMotion, residual: FloatArray, period: Period
 ) -> FloatArray | None:
-    """Mean square change from a period to the next without warming, (n,); None if too short."""
-    first, later, inside = _two_periods(motion, residual, period)
+    """Mean square change from a period to the next without warming, (n,); None if too short.
+
+    NaN for joints that move in too few rows.
+    """
+    first, later, inside, moving = _two_periods(motion, residual, period)
     rows = len(residual) - len(later)
-    if inside.sum() < 0.15 * rows or inside.sum() < 20:
+    if inside.sum() < max(MIN_REPEATED_SHARE * rows, MIN_REPEATED_ROWS):
         return None
-    return _square_without_drift((later - first)[inside] / np.sqrt(2.0), motion, inside)
+    change = (later - first)[inside] / np.sqrt(2.0)
+    return _square_without_drift(change, motion, inside, moving[inside])
 
 
 def _two_periods(
     motion: RecordedMotion, residual: FloatArray, period: Period
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """A residual and that one period later, and the rows of which both lie inside the window."""
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """A residual and that one period later, and where both lie inside the window and in motion.
+
+    Shapes (m, n), (m, n), (m,) and (m, n).
+    """
     seconds, (low, high) = period
     rate = 1.0 / (motion.time[1] - motion.time[0])
     rows = int(np.floor(seconds * rate))
@@ -141,29 +171,36 @@ def _two_periods(
     inside = (motion.time[: len(later)] >= low) & (
         motion.time[rows : rows + len(later)] + 1.0 / rate <= high
     )
-    return residual[: len(later)], later, inside
+    moving = motion.moving[: len(later)] & motion.moving[rows : rows + len(later)]
+    return residual[: len(later)], later, inside, moving
 
 
 def products_of_periods(
     periods: Mapping[str, Period], motions: Sequence[RecordedMotion], residual: FloatArray
-) -> FloatArray:
-    """Return the products of a residual in two subsequent periods, shape (m, n) [(N m)²].
+) -> list[FloatArray]:
+    """Return the products of a residual in two subsequent periods, by joint, (m,) [(N m)²].
 
-    Their mean is the power that repeats; empty if nothing repeats. The residual is of shape (N, n).
+    Their mean is the power that repeats in motion; empty if nothing repeats. The residual is of
+    shape (N, n).
     """
-    out = [np.zeros((0, residual.shape[1]))]
+    out = [[np.zeros(0)] for _ in range(residual.shape[1])]
     for motion, part in zip(motions, split_by_motion(residual, motions), strict=True):
         if motion.segment.source not in periods:
             continue
-        first, later, inside = _two_periods(motion, part, periods[motion.segment.source])
-        out.append((later * first)[inside])
-    return np.concatenate(out)
+        first, later, inside, moving = _two_periods(motion, part, periods[motion.segment.source])
+        for j, products in enumerate(out):
+            counted = inside & moving[:, j]
+            products.append(later[counted, j] * first[counted, j])
+    return [np.concatenate(products) for products in out]
 
 
 def _square_without_drift(
-    change: FloatArray, motion: RecordedMotion, inside: BoolArray
+    change: FloatArray, motion: RecordedMotion, inside: BoolArray, moving: BoolArray
 ) -> FloatArray:
-    """Mean square of a difference of periods without that of friction that warms up, shape (n,)."""
+    """Mean square of a difference of periods without that of friction that warms up, shape (n,).
+
+    NaN for joints that are in motion in too few rows of both periods, `moving`, shape (m, n).
+    """
     t = np.linspace(-1.0, 1.0, len(change))[:, None]
     groups = []
     for j in range(change.shape[1]):
@@ -172,28 +209,38 @@ def _square_without_drift(
         ][inside]
         columns = np.hstack([friction, friction * t])
         groups.append(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
-    usual, remainder = np.ones(len(change), bool), np.empty(change.shape)
+    usual, remainder = np.ones(len(change), bool), np.zeros(change.shape)
+    out = np.full(change.shape[1], np.nan)
     for _ in range(WINDOW_PASSES):
         for j, columns in enumerate(groups):
+            rows = usual & moving[:, j]
             remainder[:, j] = (
                 change[:, j]
-                - columns @ np.linalg.lstsq(columns[usual], change[usual, j], rcond=1e-8)[0]
+                - columns @ np.linalg.lstsq(columns[rows], change[rows, j], rcond=1e-8)[0]
             )
-        usual = _usual_rows(np.square(remainder))
-    count = int(usual.sum())
-    freedom = max(count - groups[0].shape[1], 1)
-    return np.asarray(np.sum(np.square(remainder[usual]), axis=0) / freedom)
+        usual = _usual_rows(np.square(remainder), moving)
+    for j, columns in enumerate(groups):
+        rows = usual & moving[:, j]
+        if (count := int(rows.sum())) >= MIN_REPEATED_ROWS:
+            out[j] = np.sum(np.square(remainder[rows, j])) / (count - columns.shape[1])
+    return out
 
 
-def _usual_rows(square: FloatArray) -> BoolArray:
+def _usual_rows(square: FloatArray, moving: BoolArray) -> BoolArray:
     """Rows outside the two longest runs of windows with large power on some joint: (N, n) -> (N,).
 
     A contact happens in one period, which differs from the one before and the one after. Timestamp
-    jitter has large power wherever the motion is fast, in short windows, and is noise.
+    jitter has large power wherever the motion is fast, in short windows, and is noise. The power of
+    a joint in a window is that of its rows in motion; a window without any says nothing of it.
     """
-    parts = np.array_split(square, max(1, min(WINDOWS, len(square) // 8)))
-    means = np.array([part.mean(axis=0) for part in parts])
-    large = (means > MAX_WINDOW_RATIO * np.quantile(means, USUAL_QUANTILE, axis=0)).any(axis=1)
+    count = max(1, min(WINDOWS, len(square) // 8))
+    parts = np.array_split(np.where(moving, square, 0.0), count)
+    rows = np.array([part.sum(axis=0) for part in np.array_split(moving, count)])
+    means = np.array([part.sum(axis=0) for part in parts]) / np.maximum(rows, 1)
+    large = np.zeros(count, bool)
+    for mean, is_known in zip(means.T, rows.T > 0, strict=True):
+        if is_known.any():
+            large |= mean > MAX_WINDOW_RATIO * np.quantile(mean[is_known], USUAL_QUANTILE)
     kept = np.ones(len(parts), bool)
     for start, end in sorted(true_runs(large).tolist(), key=lambda e: e[0] - e[1])[:2]:
         kept[start:end] = False

@@ -128,11 +128,11 @@ def find(
             )
         )
     named = {entry.joint for entry in out}
-    for j in (j for j in range(model.n) if j not in named and len(products)):
+    for j in (j for j in range(model.n) if j not in named and len(products[j])):
         square = float(np.mean(residual[regression.moving[:, j], j] ** 2))
-        known = expected[:, j]
+        known = expected[j]
         known = known + max(float(estimate.steps[j]) ** 2 - float(known.mean()), 0.0)
-        share, z_score = repeated_share(products[:, j], square, known)
+        share, z_score = repeated_share(products[j], square, known)
         size = float(np.sqrt(max(share, 0.0) * square))
         probability = float(special.expit(0.5 * max(z_score, 0.0) ** 2 + LOG_ODDS))
         if probability >= 0.5 and size > MIN_SIZE * estimate.floor[j]:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 from identified_models import read_model, write_model
-from synthetic_recordings import perturbed_parameters, write_recording
+from synthetic_recordings import (
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+    write_recording,
+)
 
 import excite
 from excite._types import FloatArray
 from excite.cli.main import main
 from excite.designer.static_poses import REACH
-from excite.errors import UnusableInput
+from excite.errors import ExciteWarning, UnusableInput
+from excite.identification.identified_model import BaseCovariance
 from excite.identification.regression import IdentificationModel
 from excite.payload.equations import payload_place
-from excite.payload.static import Rests, estimate_static_payload, find_rests, model_rests
+from excite.payload.static import Rests, estimate_static_payload, find_rests
 from excite.recordings import Recording
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.robot.dynamics import regressor
@@ -232,11 +240,83 @@ def test_a_model_stands_for_the_recording_without_payload(result, problem, tmp_p
     model, place = problem
     fitted = read_model(write_model(tmp_path, ROBOT, seed=4))
     carrying = rests_of(problem, result.design.poses, True, np.random.default_rng(1), 0.02)
-    without = model_rests(fitted, [carrying])
-    expected = static_torque(problem, carrying.q, False)
-    np.testing.assert_allclose(without.torque, expected, atol=1e-9)
-    estimate = estimate_static_payload(model, place, [carrying], [without])
+    estimate = estimate_static_payload(model, place, [carrying], [], identified=fitted)
     assert estimate["mass"].value == pytest.approx(PHI[0], rel=0.02)
+
+
+def test_intervals_contain_the_uncertainty_of_the_model(result, problem, tmp_path):
+    """Models whose base parameters differ from the truth as their covariance states."""
+    model, place = problem
+    exact = read_model(write_model(tmp_path, ROBOT, seed=4))
+    columns = np.asarray(model.base.independent)
+    rng = np.random.default_rng(8)
+    root = 0.1 * rng.normal(size=(len(columns), len(columns))) / np.sqrt(len(columns))
+    exact = dataclasses.replace(exact, base_covariance=BaseCovariance(columns, root @ root.T))
+    covered, errors, deviations = [], [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        psi = exact.psi.copy()
+        psi[columns] += root @ rng.normal(size=len(columns))
+        carrying = rests_of(problem, result.design.poses, True, rng, 0.02)
+        identified = dataclasses.replace(exact, psi=psi)
+        estimate = estimate_static_payload(model, place, [carrying], [], identified=identified)
+        errors.append([estimate[name].value - x for name, x in zip(NAMES, TRUTH, strict=True)])
+        deviations.append([estimate[name].std for name in NAMES])
+        covered += [
+            estimate[name].interval[0] <= value <= estimate[name].interval[1]
+            for name, value in zip(NAMES, TRUTH, strict=True)
+        ]
+    assert np.mean(covered) > 0.9
+    # 60 draws show a standard deviation to 9 %
+    actual = np.sqrt(np.mean(np.square(errors), axis=0))
+    np.testing.assert_allclose(np.mean(deviations, axis=0), actual, rtol=0.3)
+
+
+def test_the_model_file_states_the_covariance_of_its_base_parameters(tmp_path):
+    subject = two_link_model()
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    recording = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
+    identification = excite.identify("two_link", [recording])
+    identification.save(tmp_path)
+    read = read_model(tmp_path / "model.json").base_covariance
+    identified = identification.identification
+    base = identified.model.base
+    expected = base.matrix @ identified.posterior.covariance @ base.matrix.T
+    assert read is not None and read.columns.tolist() == list(base.independent)
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs(read.matrix - expected).max() <= 1e-6 * size.max()
+    np.testing.assert_allclose(read.root @ read.root.T / size, read.matrix / size, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "matrix", "problem"),
+    [
+        (["m1", "nothing"], [[1.0, 0.0], [0.0, 1.0]], "name standard parameters, each once"),
+        (["m1", "m1"], [[1.0, 0.0], [0.0, 1.0]], "name standard parameters, each once"),
+        (["m1", "m2"], [[1.0, 0.0]], "should have 2 rows and columns"),
+        (["m1", "m2"], [[1.0, 0.5], [0.4, 1.0]], "should be symmetric"),
+        (["m1", "m2"], [[1.0, 2.0], [2.0, 1.0]], "correlation beyond"),
+        (["m1", "m2"], [[1.0, 0.0], [0.0, -1.0]], "negative variance"),
+    ],
+)
+def test_what_is_no_covariance_is_refused(parameters, matrix, problem, tmp_path):
+    path = write_model(tmp_path, "two_link")
+    content = json.loads(path.read_text(encoding="utf-8"))
+    content["base_covariance"] = {"parameters": parameters, "matrix": matrix}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(UnusableInput, match=problem):
+        read_model(path)
+
+
+def test_a_model_without_a_covariance_is_said_to_make_intervals_too_small(
+    result, problem, tmp_path
+):
+    path = write_model(tmp_path, ROBOT, seed=4)
+    carrying = recording_of(problem, result, True, 1)
+    with pytest.warns(ExciteWarning, match="states no covariance of its parameters"):
+        payload = excite.identify_payload(ROBOT, [carrying], link=LINK, model=path, static=True)
+    assert payload.rests == (10, 0)
+    assert payload.estimate["mass"].value == pytest.approx(PHI[0], rel=0.01)
 
 
 def test_a_payload_that_was_mounted_differently_is_reported(result, problem):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 
 from .. import _json
 from .._system.progress import logger
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..identification import segments
 from ..identification.identified_model import IdentifiedModel, model_file, read_model
 from ..identification.regression import IdentificationModel
@@ -20,7 +21,7 @@ from ..payload.equations import build_payload_equations, payload_place
 from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
 from ..payload.shape import PayloadShape, parse_shape
 from ..payload.snippets import snippets
-from ..payload.static import estimate_static_payload, find_rests, model_rests
+from ..payload.static import estimate_static_payload, find_rests
 from ..recordings import Recording, require_distinct
 from ..recordings.periodicity import with_detected_period
 from ..robot import base_parameters, inertial_parameters
@@ -206,12 +207,20 @@ def identify_payload(
     if static:
         rests = [find_rests(recording) for recording in loaded_recordings]
         without = [find_rests(recording) for recording in empty_recordings]
-        if model is not None:
-            without.append(model_rests(_model_of(Path(model), loaded), rests))
+        identified = None if model is None else _model_of(Path(model), loaded)
+        if identified is not None and identified.base_covariance is None:
+            warnings.warn(
+                f"{model}: states no covariance of its parameters, so that the intervals of the "
+                "payload do not contain the uncertainty of the robot; identify it again",
+                ExciteWarning,
+                stacklevel=2,
+            )
         logger.info(
             f"{sum(map(len, rests))} rests with and {sum(map(len, without))} without the payload"
         )
-        result = estimate_static_payload(identification, place, rests, without, stated, mass)
+        result = estimate_static_payload(
+            identification, place, rests, without, stated, mass, identified
+        )
         require_mass(result, [recording.source for recording in loaded_recordings])
         return PayloadResult(
             loaded,

@@ -33,7 +33,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     written = output.replace(result.contents())
     lines = [f"payload at {result.link}, 95 % intervals:"]
     if result.rests is not None:
-        lines.insert(0, f"{result.rests[0]} rests with and {result.rests[1]} without the payload")
+        without = f" and {result.rests[1]} without" if result.rests[1] else ""
+        lines.insert(0, f"{result.rests[0]} rests with{without} the payload")
     for quantity in result.estimate.quantities:
         if quantity.shown:
             half = quantity.interval[1] - quantity.value

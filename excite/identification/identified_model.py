@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from .. import __version__
-from .._types import FloatArray
+from .._types import FloatArray, IntArray
 from ..errors import ExciteWarning, UnusableInput
 from ..recordings import Recording
 from ..robot.base_parameters import Base
@@ -62,6 +62,28 @@ INERTIAL_UNITS = (
 """Units of a link's ten inertial parameters."""
 ROW_TIME_TOLERANCE = 1e-9
 """Tolerance of the times of rows at the ends of a gap-free stretch [s]: rounding."""
+COVARIANCE_TOLERANCE = 1e-6
+"""Asymmetry and excess of an element of a covariance over the standard deviations: rounding [1]."""
+
+
+@dataclass(frozen=True)
+class BaseCovariance:
+    """Covariance of the base parameters of a model.
+
+    Attributes:
+        columns: Indices in ψ of the columns of Y that are those of the base parameters. Shape (p,).
+        matrix: The covariance. Shape (p, p).
+    """
+
+    columns: IntArray
+    matrix: FloatArray
+
+    @property
+    def root(self) -> FloatArray:
+        """S with S Sᵀ the covariance. Shape (p, p)."""
+        size = np.sqrt(np.maximum(np.diag(self.matrix), 1e-300))
+        values, vectors = np.linalg.eigh(self.matrix / np.outer(size, size))
+        return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -77,6 +99,7 @@ class IdentifiedModel:
         hertz: Cutoff frequency of the fit [Hz]; motion is filtered in the same way for prediction.
         effects: Effects found by a diagnosis, as stated in the file.
         position_loop: Position loop of each servo, where it was identified.
+        base_covariance: Covariance of the base parameters, if the file states it.
     """
 
     source: str
@@ -87,6 +110,7 @@ class IdentifiedModel:
     hertz: float
     effects: tuple[EffectDocument, ...] = ()
     position_loop: Mapping[str, PositionLoopDocument] = field(default_factory=dict)
+    base_covariance: BaseCovariance | None = None
 
     @property
     def layout(self) -> Parameters:
@@ -258,6 +282,9 @@ def model_document(
         "base_parameters": base_parameter_table(
             parameters, identification.model.base, data, identification.psi
         ),
+        "base_covariance": base_covariance_entry(
+            parameters, identification.model.base, identification.posterior
+        ),
         "directions": _direction_table(identification),
         "identifiable": identification.analysis.identifiable_count,
         "threshold": identification.options.threshold,
@@ -420,6 +447,23 @@ def base_parameter_table(
     ]
 
 
+def base_covariance_entry(
+    parameters: Parameters, base: Base, posterior: ConsistentEstimate
+) -> dict[str, Any]:
+    """Return the covariance of the model's base parameters, B P Bᵀ.
+
+    Args:
+        parameters: The standard parameters.
+        base: The base parameters.
+        posterior: The estimate, whose covariance of ψ is P.
+    """
+    matrix = base.matrix @ posterior.covariance @ base.matrix.T
+    return {
+        "parameters": [parameters.names[i] for i in base.independent],
+        "matrix": matrix.tolist(),
+    }
+
+
 def _direction_table(identification: Identification) -> list[dict[str, Any]]:
     """Directions of I·H₀⁻¹: variance, and share of the value that the data determine."""
     shares = identification.data_shares()
@@ -512,7 +556,31 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
         float(document.band_hz),
         tuple(document.effects),
         document.position_loop,
+        _base_covariance(file, document),
     )
+
+
+def _base_covariance(file: DocumentFile, document: ModelDocument) -> BaseCovariance | None:
+    """Covariance of the base parameters; None if the file does not state it."""
+    stated = document.base_covariance
+    if stated is None:
+        return None
+    names = [entry.name for entry in document.standard_parameters]
+    count = len(stated.parameters)
+    if not set(stated.parameters) <= set(names) or len(set(stated.parameters)) < count:
+        raise file.error("should name standard parameters, each once", "base_covariance.parameters")
+    if len(stated.matrix) != count or any(len(row) != count for row in stated.matrix):
+        raise file.error(f"should have {count} rows and columns", "base_covariance.matrix")
+    matrix = np.array(stated.matrix, float).reshape(count, count)
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    largest = np.outer(size, size)
+    if (np.abs(matrix - matrix.T) > COVARIANCE_TOLERANCE * largest).any():
+        raise file.error("should be symmetric", "base_covariance.matrix")
+    if (np.abs(matrix) > (1.0 + COVARIANCE_TOLERANCE) * largest).any():
+        raise file.error(
+            "has a correlation beyond ±1 or a negative variance", "base_covariance.matrix"
+        )
+    return BaseCovariance(np.array([names.index(name) for name in stated.parameters]), matrix)
 
 
 @contextmanager

@@ -5,6 +5,10 @@ first moments of the payload, offsets, and friction in the direction s of the ar
 friction may differ between recordings with and without payload. What this leaves, such as
 friction at rest of another size, is the noise, independent between rests, with a variance for each
 joint. The moments of inertia do not act at rest; theirs are the prior's.
+
+An identified model may stand for the rests without payload: θ is then θ̂ + S z of its estimate θ̂
+and the root S of its covariance, with z of unit variance, as all its errors at rest are those of
+θ̂ and common to all rests.
 """
 
 from __future__ import annotations
@@ -116,25 +120,15 @@ def _arrival(before: FloatArray, pose: FloatArray, distance: FloatArray) -> Floa
     return out
 
 
-def model_rests(model: IdentifiedModel, rests: Sequence[Rests]) -> Rests:
-    """Return the rests without payload that a model predicts at the poses of others.
-
-    Args:
-        model: Identified robot without the payload.
-        rests: Rests with the payload.
-    """
-    q = np.concatenate([part.q for part in rests])
-    zero = np.zeros_like(q)
-    return Rests(model.source, q, model.torque(Samples(q, zero, zero), zero), zero)
-
-
 @dataclass(frozen=True)
 class _StaticRows:
     """Equations of all rests.
 
     Attributes:
         torque: Mean torques. Shape (R, n).
-        robot: Columns of the base parameters. Shape (R, n, p).
+        predicted: Torque of an identified model, 0 without one. Shape (R, n).
+        robot: Columns of the base parameters, or of z. Shape (R, n, p).
+        robot_is_known: True if `robot` are the columns of z, of unit variance.
         payload: Columns of mass and first moments in the link's frame, also without payload. Shape
             (R, n, 4).
         arrival: Directions of the arrivals. Shape (R, n).
@@ -142,7 +136,9 @@ class _StaticRows:
     """
 
     torque: FloatArray
+    predicted: FloatArray
     robot: FloatArray
+    robot_is_known: bool
     payload: FloatArray
     arrival: FloatArray
     recording: FloatArray
@@ -151,6 +147,11 @@ class _StaticRows:
     def carries(self) -> BoolArray:
         """True for rests with the payload. Shape (R,)."""
         return np.asarray(self.recording >= 0)
+
+    @property
+    def known(self) -> BoolArray:
+        """True for the columns of `nuisance` with coefficients of unit variance. Shape (p,)."""
+        return np.full(self.robot.shape[2], self.robot_is_known)
 
     def payload_columns(self, recording: int | None = None) -> FloatArray:
         """Return the columns of the payload, 0 without it, or of one recording alone."""
@@ -182,6 +183,7 @@ def estimate_static_payload(
     empty: Sequence[Rests],
     shape: PayloadShape | None = None,
     mass: float | None = None,
+    identified: IdentifiedModel | None = None,
 ) -> PayloadEstimate:
     """Estimate a payload from rests.
 
@@ -192,30 +194,35 @@ def estimate_static_payload(
         empty: Rests without it.
         shape: Its shape; None: unknown.
         mass: Its mass, if it was weighed [kg].
+        identified: Identified robot without the payload, in addition to `empty` or in their place;
+            exact if its file states no covariance.
 
     Raises:
         UnusableInput: There are too few rests.
     """
     for group, word in ((carrying, "with"), (empty, "without")):
+        if group is empty and identified is not None:
+            continue
         if sum(len(rests) for rests in group) < FEWEST_RESTS:
             raise UnusableInput(
                 f"{group[0].source}: has fewer than {FEWEST_RESTS} poses at rest {word} the "
                 f"payload, of {SETTLING_TIME + SHORTEST_REST:.2g} s or longer; record the motion "
                 "of 'excite design --for-payload LINK --static'"
             )
-    rows = _rows(model, place, carrying, empty)
+    rows = _rows(model, place, carrying, empty, identified)
     n = rows.torque.shape[1]
     deviation, load = np.ones(n), None
     fits_load = len(rows.torque) >= FEWEST_RESTS_FOR_LOAD
     for _ in range(ITERATIONS):
-        fit = _fit(rows.torque, rows.payload_columns(), rows.nuisance(load), deviation)
+        fit = _fit(rows.torque, rows.payload_columns(), rows.nuisance(load), deviation, rows.known)
         deviation = fit.deviation
         if fits_load:
             load = (
-                rows.robot @ fit.nuisance[: rows.robot.shape[2]]
+                rows.predicted
+                + rows.robot @ fit.nuisance[: rows.robot.shape[2]]
                 + rows.payload_columns() @ fit.theta
             )
-    fit = _fit(rows.torque, rows.payload_columns(), rows.nuisance(load), deviation)
+    fit = _fit(rows.torque, rows.payload_columns(), rows.nuisance(load), deviation, rows.known)
     information = np.zeros((LINK_PARAMETERS, LINK_PARAMETERS))
     information[:GRAVITY_PARAMETERS, :GRAVITY_PARAMETERS] = fit.information
     theta = np.append(fit.theta, np.zeros(LINK_PARAMETERS - GRAVITY_PARAMETERS))
@@ -233,19 +240,30 @@ def _rows(
     place: PayloadPlace,
     carrying: Sequence[Rests],
     empty: Sequence[Rests],
+    identified: IdentifiedModel | None,
 ) -> _StaticRows:
-    """Build the equations of all rests."""
+    """Build the equations of all rests; their torque is that beyond an identified model."""
     together = [*carrying, *empty]
     q = np.concatenate([rests.q for rests in together])
     zero = np.zeros_like(q)
-    Y = regressor(model.robot, model.parameters, Samples(q, zero, zero))
+    motion = Samples(q, zero, zero)
+    Y = regressor(model.robot, model.parameters, motion)
     start = LINK_PARAMETERS * place.body
     payload = Y[:, :, start : start + LINK_PARAMETERS] @ place.frame
     owners = [np.full(len(rests), float(k)) for k, rests in enumerate(carrying)]
     owners += [np.full(len(rests), -1.0) for rests in empty]
+    robot, predicted = Y[:, :, np.asarray(model.base.independent)], zero
+    if identified is not None:
+        predicted, stated = identified.torque(motion, zero), identified.base_covariance
+        robot = Y[:, :, :0]
+        if stated is not None:
+            of_model = regressor(identified.robot, identified.layout, motion)
+            robot = of_model[:, :, stated.columns] @ stated.root
     return _StaticRows(
-        np.concatenate([rests.torque for rests in together]),
-        Y[:, :, np.asarray(model.base.independent)],
+        np.concatenate([rests.torque for rests in together]) - predicted,
+        predicted,
+        robot,
+        identified is not None,
         payload[:, :, :GRAVITY_PARAMETERS],
         np.concatenate([rests.arrival for rests in together]),
         np.concatenate(owners),
@@ -279,7 +297,11 @@ RANK_TOLERANCE = 1e-9
 
 
 def _fit(
-    torque: FloatArray, columns: FloatArray, others: FloatArray, deviation: FloatArray
+    torque: FloatArray,
+    columns: FloatArray,
+    others: FloatArray,
+    deviation: FloatArray,
+    known: BoolArray,
 ) -> _Fit:
     """Fit the torque by columns of interest and nuisance columns, weighted by 1/deviation².
 
@@ -288,10 +310,17 @@ def _fit(
         columns: Columns of the parameters. Shape (R, n, p).
         others: Nuisance columns. Shape (R, n, k).
         deviation: Standard deviations. Shape (n,).
+        known: True for nuisance columns whose coefficients are 0 ± 1, of the first p. Shape (p,).
     """
     weighted = [x / deviation[:, None] for x in (columns, others)]
-    A, B = (x.reshape(-1, x.shape[2]) for x in weighted)
-    y = (torque / deviation).ravel()
+    prior = np.eye(others.shape[2])[np.flatnonzero(known)]
+    A, B = (
+        np.vstack([x.reshape(-1, x.shape[2]), below])
+        for x, below in zip(
+            weighted, (np.zeros((len(prior), columns.shape[2])), prior), strict=True
+        )
+    )
+    y = np.append(torque / deviation, np.zeros(len(prior)))
     basis = _range(B)
     free = A - basis @ (basis.T @ A)
     size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
@@ -299,7 +328,7 @@ def _fit(
     nuisance = np.linalg.lstsq(B, y - A @ theta, rcond=RANK_TOLERANCE)[0]
     residual = torque - columns @ theta - others @ nuisance
     hat = np.concatenate([basis, _range(free, size)], axis=1)
-    leverage = np.sum(hat.reshape(*torque.shape, -1) ** 2, axis=(0, 2))
+    leverage = np.sum(hat[: torque.size].reshape(*torque.shape, -1) ** 2, axis=(0, 2))
     freedom = np.maximum(len(torque) - leverage, 1.0)
     return _Fit(
         theta,
@@ -330,7 +359,9 @@ def _mounting_p_value(
     if count < 2:
         return None
     differences = np.concatenate([rows.payload_columns(k) for k in range(1, count)], axis=2)
-    nuisance = np.concatenate([rows.payload_columns(), rows.nuisance(load)], axis=2)
-    fit = _fit(rows.torque, differences, nuisance, deviation)
+    common = rows.payload_columns()
+    nuisance = np.concatenate([common, rows.nuisance(load)], axis=2)
+    known = np.append(np.zeros(common.shape[2], bool), rows.known)
+    fit = _fit(rows.torque, differences, nuisance, deviation, known)
     statistic = float(fit.theta @ fit.information @ fit.theta)
     return float(stats.chi2.sf(statistic, len(fit.theta)))

@@ -11,6 +11,7 @@ from .quantities import (
     Band,
     CommandDelay,
     CoulombFriction,
+    Covariance,
     FilePath,
     FrictionWidth,
     Gravity,
@@ -77,6 +78,19 @@ class ParameterDocument(msgspec.Struct):
     of: Text = Text("")
     std: Statistic | None = None
     unit: Text | None = None
+
+
+class CovarianceDocument(msgspec.Struct):
+    """Covariance of base parameters, in SI units.
+
+    Attributes:
+        parameters: Names of the standard parameters that stand for them: their columns of the
+            regressor are those of the base parameters.
+        matrix: The covariance.
+    """
+
+    parameters: list[Text]
+    matrix: list[list[Covariance]]
 
 
 class MassDocument(msgspec.Struct):
@@ -171,6 +185,7 @@ class ModelDocument(msgspec.Struct):
         links: Names of the links that they move.
         drive: Kinds of joint parameters.
         standard_parameters: Ten of each link, then those of each kind in `drive`, joint by joint.
+        base_covariance: Covariance of the base parameters.
         coulomb_width: Velocity over which Coulomb friction changes sign [rad/s or m/s].
         band_hz: Cutoff frequency of the identification [Hz].
         effects: Effects beyond the base model.
@@ -196,6 +211,7 @@ class ModelDocument(msgspec.Struct):
     coulomb_width: dict[str, FrictionWidth]
     band_hz: Band
     effects: list[EffectDocument]
+    base_covariance: CovarianceDocument | None = None
     position_loop: dict[str, PositionLoopDocument] = {}
     floating_base: FloatingBaseDocument | None = None
     recordings: list[Text] = []

@@ -331,6 +331,12 @@ class Statistic(Quantity):
     accepted = Range(-math.inf, math.inf, "1")
 
 
+class Covariance(Quantity):
+    """Covariance of two parameters."""
+
+    accepted = Range(-1e12, 1e12, "SI units")
+
+
 class Name(str):
     """Name of a robot, a joint, a link or a frame; see `name_fault`."""
 

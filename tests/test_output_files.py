@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 from conftest import text_of
+from diagnosis_cases import recording_of
+from synthetic_recordings import write_recording
 
 import excite
 from excite._system.output_files import OutputFiles, output_files, output_folder
@@ -595,6 +597,10 @@ INPUTS_AS_OUTPUTS = [
     "design robot.urdf --discriminate out/validation/trajectory.json --validation -o out",
     "identifiability robot.urdf run.csv --limits out/identifiability.json -o out",
     "payload robot.urdf --with run.csv --model out/payload.json -o out",
+    "payload robot.urdf --with run.csv --without run.csv --shape mesh:out/report.html@0,0,1 -o out",
+    "check robot.urdf.xacro --limits-template parts/arm.xacro",
+    "identify robot.urdf.xacro run.csv -o out",
+    "check scene.xml --limits-template parts/arm.xml",
     "replay out/replay.json run.csv -o out",
     "predict out/model.json run.csv -o out/model.json",
     "predict out/model.json run.csv -o run.json",
@@ -621,6 +627,17 @@ def test_commands_do_not_replace_their_inputs(capsys, tmp_path, monkeypatch, com
     robot = text_of("two_link")
     (tmp_path / "robot.urdf").write_text(robot)
     (tmp_path / "two_link.json").write_bytes(TRAJECTORY.read_bytes())
+    macros = (
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="{}"/></robot>'
+    )
+    (tmp_path / "parts").mkdir()
+    for name, text in {
+        "robot.urdf.xacro": macros.format("parts/arm.xacro"),
+        "parts/arm.xacro": macros.format("$(dirname)/../out/identified.urdf"),
+        "scene.xml": '<mujoco><include file="parts/arm.xml"/></mujoco>',
+        "parts/arm.xml": '<mujocoinclude><include file="../parts/arm.xml"/></mujocoinclude>',
+    }.items():
+        (tmp_path / name).write_text(text)
     (tmp_path / "link.csv").symlink_to(tmp_path / "out" / "report.html")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     line = refused(capsys, *command.split())
@@ -629,14 +646,21 @@ def test_commands_do_not_replace_their_inputs(capsys, tmp_path, monkeypatch, com
     assert after == before
 
 
-@pytest.mark.parametrize("name", ["robot.urdf", "two_link.toml"])
-def test_export_does_not_replace_the_robot_of_its_trajectory(capsys, tmp_path, monkeypatch, name):
+@pytest.mark.parametrize("name", ["robot.urdf", "two_link.toml", "cell.toml", "arm.srdf"])
+def test_export_does_not_replace_files_of_its_trajectory(capsys, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     table = locate("two_link").with_suffix(".toml").read_text(encoding="utf-8")
-    for file, text in (("robot.urdf", text_of("two_link")), ("two_link.toml", table)):
+    for file, text in (
+        ("robot.urdf", text_of("two_link")),
+        ("two_link.toml", table),
+        ("cell.toml", ""),
+        ("arm.srdf", '<robot name="two_link"/>'),
+    ):
         (tmp_path / file).write_text(text, encoding="utf-8")
     document = json.loads(TRAJECTORY.read_text(encoding="utf-8"))
     document["robot"]["source"] = str(tmp_path / "robot.urdf")
+    files = {"scene": str(tmp_path / "cell.toml"), "srdf": str(tmp_path / "arm.srdf")}
+    document["design"]["cell"]["recipe"] = {"packages": [], **files}
     (tmp_path / "trajectory.json").write_text(json.dumps(document), encoding="utf-8")
     before = (tmp_path / name).read_bytes()
     line = refused(
@@ -644,6 +668,33 @@ def test_export_does_not_replace_the_robot_of_its_trajectory(capsys, tmp_path, m
     )
     assert f"{name}: cannot be written (is an input of this command)" in line
     assert (tmp_path / name).read_bytes() == before
+
+
+@pytest.mark.filterwarnings("ignore:.*begins or ends in motion:excite.errors.ExciteWarning")
+def test_results_in_python_do_not_replace_what_they_were_computed_from(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = write_recording(recording_of(None, 2), Path("run.csv"))
+    excite.identify("two_link", [run]).save("model")
+    prior = {"schema": "excite.prior/1", "trust_prior": True, "joints": {}}
+    (tmp_path / "model" / "model.json").write_text(json.dumps(prior))
+    again = excite.identify("two_link", [run], prior="model/model.json")
+    again.save("other")
+    predicted = excite.predict("other/model.json", run)
+    exported = excite.export_model("other/model.json", "urdf", recording=run)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    monkeypatch.chdir(tmp_path / "other")  # the paths were relative to the other folder
+    for write in (
+        lambda: again.save("../model"),
+        lambda: again.report("../run.csv"),
+        lambda: predicted.save("../run.csv"),
+        lambda: predicted.save("model.json"),
+        lambda: exported.save("../run.json"),
+        lambda: exported.report("model.json"),
+    ):
+        with pytest.raises(UnusableInput, match="is an input of this command"):
+            write()
+    after = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert after == before
 
 
 def test_a_design_without_validation_removes_an_earlier_validation(

@@ -47,6 +47,7 @@ from ..trajectory.trajectory_file import Trajectory
 from . import identification_result
 from .discriminating_design import DiagnosisQuestions, read_questions
 from .identification_result import reference_samples, robot_of_torque, with_trajectory
+from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
 from .task_design import TaskDesign, read_task, trajectory_samples
@@ -478,7 +479,20 @@ def design(
     second = validation.design_validation(delivery, loaded, deliver) if validate else None
     analysis = _analyse(delivery, loaded, threshold, earlier)
     return DesignResult(
-        delivery, loaded, analysis, second, workcell, plan, earlier, task, questions
+        delivery,
+        loaded,
+        analysis,
+        second,
+        workcell,
+        plan,
+        earlier,
+        task,
+        questions,
+        inputs=argument_files(
+            loaded.source,
+            *(limits, cell.scene, cell.srdf, for_task, discriminate),
+            recordings=given,
+        ),
     )
 
 

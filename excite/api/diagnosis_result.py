@@ -35,6 +35,7 @@ from .identification_result import (
     recording_doubts,
     robot_of_torque,
 )
+from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
 
@@ -185,7 +186,14 @@ def diagnose(
                 report("diagnosis of the earlier recordings alone")
                 earlier = _diagnosed(setup, train[: len(recordings)], held_out, options, report)
             decided = decisions.decide(earlier, result, _expected(trajectory))
-    return DiagnosisResult(result, tuple(train), tuple(held_out), with_report, decided)
+    inputs = argument_files(
+        loaded.source,
+        *(limits, prior, before, trajectory),
+        recordings=(*recordings, *discriminating, *validate),
+    )
+    return DiagnosisResult(
+        result, tuple(train), tuple(held_out), with_report, decided, inputs=inputs
+    )
 
 
 def _earlier(path: Path, robot: Robot) -> DiagnosisDocument:

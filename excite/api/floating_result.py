@@ -24,6 +24,7 @@ from ..recordings import Recording, require_distinct
 from ..robot import floating_base
 from ..robot.floating_base import FloatingRobot, Rows
 from .identification_result import RecordingSource, read_bounds
+from .input_files import argument_files
 from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
 from .robots import RobotSource
 from .saved_identification import SavedIdentification
@@ -144,7 +145,10 @@ def identify_floating(
     result = floating_identification.identify(
         loaded, train, held_out, chosen, table, progress or logger.info
     )
-    return FloatingIdentificationResult(result, tuple(train), tuple(held_out))
+    inputs = argument_files(
+        loaded.joint_robot.source, limits, bounds, recordings=(*recordings_of_fit, *validate)
+    )
+    return FloatingIdentificationResult(result, tuple(train), tuple(held_out), inputs=inputs)
 
 
 @dataclass(frozen=True)
@@ -189,4 +193,5 @@ def predict_floating(
     if not np.isfinite(values).all():
         raise UnusableInput(f"{model.source}: its prediction is not finite; identify again")
     warn_of_unsettled_ends(motion, float(model.hertz.min()))
-    return PredictedWrench(model.columns, time, values)
+    inputs = argument_files(None, model.source, recordings=[recording])
+    return PredictedWrench(model.columns, time, values, inputs=inputs)

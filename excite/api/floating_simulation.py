@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -37,6 +37,7 @@ from ..robot.inertial_parameters import (
 from ..robot.limits import Limits
 from .floating_result import load_floating_robot, read_floating_recording
 from .identification_result import RecordingSource
+from .input_files import argument_files
 from .robots import RobotSource
 
 TRUTH_SCHEMA = "excite.floating_truth/1"
@@ -57,11 +58,13 @@ class SimulatedFloatingRecording:
         columns: Names of its columns.
         table: Its rows. Shape (N, columns).
         truth: Content of the truth file.
+        inputs: Files that it was computed from, which `save` does not replace.
     """
 
     columns: tuple[str, ...]
     table: FloatArray
     truth: Mapping[str, Any]
+    inputs: tuple[Path, ...] = field(default=(), repr=False)
 
     def csv(self) -> str:
         """Return the recording as CSV."""
@@ -82,13 +85,12 @@ class SimulatedFloatingRecording:
         """Write the recording, and next to it `<name>.truth.json`; return their paths.
 
         Raises:
-            UnusableInput: A file cannot be written.
+            UnusableInput: A file cannot be written, or is among `inputs`.
         """
         path = Path(path)
         contents = self.contents(path.name)
-        return output_files(path, [name for name in contents if name != path.name]).replace(
-            contents
-        )
+        siblings = [name for name in contents if name != path.name]
+        return output_files(path, siblings, self.inputs).replace(contents)
 
     def __repr__(self) -> str:
         return f"<SimulatedFloatingRecording of {len(self.table)} rows>"
@@ -158,7 +160,8 @@ def simulate_floating(
         loaded, recording.source, contacts, seed, model_error, parameters, true, noise
     )
     truth["offsets"] = {frame: list(map(float, values)) for frame, values in offset.items()}
-    return SimulatedFloatingRecording(names, table, truth)
+    inputs = argument_files(loaded.joint_robot.source, recordings=[motion])
+    return SimulatedFloatingRecording(names, table, truth, inputs)
 
 
 def drawn_parameters(

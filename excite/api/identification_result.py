@@ -42,6 +42,7 @@ from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..trajectory import trajectory_file
+from .input_files import argument_files
 from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_identification import SavedIdentification
@@ -348,7 +349,16 @@ def identify(
     recording_cost.require_identifiable([*train, *held_out], report)
     result = identification.identify(loaded, standard, base, train, held_out, chosen, report)
     return IdentificationResult(
-        result, tuple(train), tuple(held_out), table, _compare_lmi(result) if check_lmi else None
+        result,
+        tuple(train),
+        tuple(held_out),
+        table,
+        _compare_lmi(result) if check_lmi else None,
+        inputs=argument_files(
+            loaded.source,
+            *(limits, bounds, prior, trajectory),
+            recordings=(*recordings, *validate),
+        ),
     )
 
 
@@ -392,7 +402,8 @@ def predict(
             f"{model}: the torque that it predicts at joint '{joint}' is not finite; identify again"
         )
     warn_of_unsettled_ends(motion, fitted.hertz)
-    return PredictedTorque(fitted.robot.joints, time, torque)
+    inputs = argument_files(None, model, recordings=[recording])
+    return PredictedTorque(fitted.robot.joints, time, torque, inputs=inputs)
 
 
 def read_bounds(path: str | Path | None, standard: Parameters) -> Bounds:

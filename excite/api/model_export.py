@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os.path
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from ..identification.identified_model import model_file, model_from_document
 from ..recordings import Recording
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from .identification_result import RecordingSource, read_recording
+from .input_files import argument_files
 from .robots import resolve_limits
 
 
@@ -27,11 +28,13 @@ class ExportedModel:
         model: The robot.
         format: Name of the format.
         text: Text of the file.
+        inputs: Files that it was computed from, which `save` and `report` do not replace.
     """
 
     model: SimulatorModel
     format: str
     text: str
+    inputs: tuple[Path, ...] = field(default=(), repr=False)
 
     @property
     def remainders(self) -> list[Remainder]:
@@ -51,20 +54,22 @@ class ExportedModel:
         """Write the file; return its path.
 
         Raises:
-            UnusableInput: The file cannot be written.
+            UnusableInput: The file cannot be written, or is among `inputs`.
         """
         path = Path(path)
-        return output_files(path).replace({path.name: self.text})[0]
+        return output_files(path, inputs=self.inputs).replace({path.name: self.text})[0]
 
     def report(self, path: str | Path) -> Path:
         """Write what the format does not hold as a text file; return its path.
 
         Raises:
-            UnusableInput: The file cannot be written.
+            UnusableInput: The file cannot be written, or is among `inputs`.
         """
         path = Path(path)
         lines = [part.text for part in self.remainders] or ["the file holds everything"]
-        return output_files(path).replace({path.name: "\n".join(lines) + "\n"})[0]
+        return output_files(path, inputs=self.inputs).replace({path.name: "\n".join(lines) + "\n"})[
+            0
+        ]
 
     def __repr__(self) -> str:
         return f"<ExportedModel {self.model.model.robot.name}: {self.format}>"
@@ -158,4 +163,6 @@ def export_model(
     require_format(format)  # before anything is computed
     prepared = read_simulator_model(model, recording=recording, limits=limits)
     text = model_text(prepared, format, None if into is None else Path(into))
-    return ExportedModel(prepared, format, text)
+    measured = [] if recording is None else [recording]
+    inputs = argument_files(None, model, into, limits, recordings=measured)
+    return ExportedModel(prepared, format, text, inputs)

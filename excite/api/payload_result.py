@@ -39,6 +39,7 @@ from .identification_result import (
     with_torque_doubts,
     with_trajectory,
 )
+from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
 
@@ -185,6 +186,9 @@ def identify_payload(
     files = [trajectory] if isinstance(trajectory, str | Path) else trajectory
     static = static or any("static" in read_trajectory(Path(file)).design for file in files)
     sources = [*empty, *([] if model is None or static else _recordings_of(Path(model)))]
+    inputs = argument_files(
+        loaded.source, model, limits, trajectory, recordings=(*carrying, *sources), shape=shape
+    )
 
     def read(paths: Sequence[RecordingSource]) -> list[Recording]:
         recordings = [read_recording(p, loaded, limits=table, columns=columns) for p in paths]
@@ -232,6 +236,7 @@ def identify_payload(
             tuple(empty_recordings),
             None,
             (sum(map(len, rests)), sum(map(len, without))),
+            inputs=inputs,
         )
     groups = [list(segments.extract_segments([recording])) for recording in loaded_recordings]
     others = list(segments.extract_segments(empty_recordings))
@@ -255,6 +260,7 @@ def identify_payload(
         tuple(loaded_recordings),
         tuple(empty_recordings),
         hertz,
+        inputs=inputs,
     )
 
 

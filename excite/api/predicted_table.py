@@ -7,6 +7,7 @@ import io
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,15 @@ from ..recordings import Recording
 from ..recordings.remark import shown_time
 
 
+@dataclass(frozen=True)
 class PredictedTable(ABC):
-    """A prediction that is saved as one CSV file."""
+    """A prediction that is saved as one CSV file.
+
+    Attributes:
+        inputs: Files that it was computed from, which `save` does not replace.
+    """
+
+    inputs: tuple[Path, ...] = field(default=(), repr=False, kw_only=True)
 
     @abstractmethod
     def csv(self) -> str:
@@ -32,10 +40,10 @@ class PredictedTable(ABC):
         """Write the table as CSV; return its path.
 
         Raises:
-            UnusableInput: The file cannot be written.
+            UnusableInput: The file cannot be written, or is among `inputs`.
         """
         path = Path(path)
-        return output_files(path).replace({path.name: self.csv()})[0]
+        return output_files(path, inputs=self.inputs).replace({path.name: self.csv()})[0]
 
 
 def csv_text(columns: Sequence[str], time: FloatArray, values: FloatArray) -> str:

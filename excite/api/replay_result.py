@@ -21,6 +21,7 @@ from ..identification.identified_model import IdentifiedModel
 from ..recordings import Recording
 from ..robot.inertial_parameters import COULOMB_WIDTH, DRIVE
 from .identification_result import RecordingSource, read_recording
+from .input_files import argument_files
 from .model_export import read_simulator_model
 from .mujoco_extra import require_mujoco
 from .robots import load_robot
@@ -159,7 +160,8 @@ def replay(
         errors.append(
             mujoco_replay.replay_errors(name, Replay(machine, data, loop, with_friction), data)
         )
-    return ReplayResult(prepared, measured, data, loop, tuple(errors))
+    inputs = argument_files(robot, model, recordings=[recording])
+    return ReplayResult(prepared, measured, data, loop, tuple(errors), inputs=inputs)
 
 
 def nominal_model(model: SimulatorModel, robot: str | Path | None = None) -> SimulatorModel:

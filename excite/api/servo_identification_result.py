@@ -30,6 +30,7 @@ from .identification_result import (
     read_recording,
     recording_name,
 )
+from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_identification import SavedIdentification
 
@@ -155,4 +156,7 @@ def identify_servo(
     result = servo_identification.identify_servo(
         loaded, standard, base, train, held_out, chosen, report
     )
-    return ServoIdentificationResult(result, tuple(train), tuple(held_out))
+    inputs = argument_files(
+        loaded.source, limits, bounds, trajectory, recordings=(*recordings, *validate)
+    )
+    return ServoIdentificationResult(result, tuple(train), tuple(held_out), inputs=inputs)

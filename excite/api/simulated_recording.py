@@ -6,7 +6,7 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from ..robot.robot import locate
 from ..schemas.document_file import DocumentFile
 from ..schemas.truth import SCHEMA, TruthDocument
 from ..trajectory import trajectory_file
+from .input_files import argument_files
 from .mujoco_extra import require_mujoco
 
 
@@ -37,6 +38,7 @@ class SimulatedRecording:
             [1].
         severity_trusted: The same without a refit [1].
         units: Unit of the torque of each joint, "N m" or "N".
+        inputs: Files that it was computed from, which `save` and `report` do not replace.
     """
 
     recording: Any
@@ -46,6 +48,7 @@ class SimulatedRecording:
     severity: float
     severity_trusted: float
     units: Mapping[str, str]
+    inputs: tuple[Path, ...] = field(default=(), repr=False)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -80,10 +83,10 @@ class SimulatedRecording:
         """Write the CSV file, its sidecar, its ground truth and a plot; return their paths.
 
         Raises:
-            UnusableInput: The files cannot be written.
+            UnusableInput: A file cannot be written, or is among `inputs`.
         """
         path = checked_path(path)
-        return recording_files(path).replace(self.contents(path.name))
+        return recording_files(path, self.inputs).replace(self.contents(path.name))
 
     def report(self, path: str | Path) -> Path:
         """Write the plot alone; return its path.
@@ -92,7 +95,7 @@ class SimulatedRecording:
             UnusableInput: The file cannot be written.
         """
         path = Path(path)
-        return output_files(path).replace({path.name: self.picture()})[0]
+        return output_files(path, inputs=self.inputs).replace({path.name: self.picture()})[0]
 
     def __repr__(self) -> str:
         hidden = ", ".join(effect.name for effect in self.effects) or "nothing hidden"
@@ -237,7 +240,14 @@ def simulate(
     truth = {"schema": session.truth["schema"], **facts, **session.truth}
     units = {name: entry.unit("N m") for name, entry in description.joints.items()}
     return SimulatedRecording(
-        session.recording, truth, hidden, undisturbed, refit.value, unfitted.value, units
+        session.recording,
+        truth,
+        hidden,
+        undisturbed,
+        refit.value,
+        unfitted.value,
+        units,
+        argument_files(source, trajectory, like),
     )
 
 

@@ -34,6 +34,7 @@ from ..schemas.support_trajectory import (
 from ..trajectory.trajectory_file import load_designed_robot
 from .floating_result import read_floating_recording
 from .floating_simulation import SimulatedFloatingRecording, drawn_parameters, truth_document
+from .input_files import argument_files
 from .mujoco_extra import require_mujoco
 
 if TYPE_CHECKING:
@@ -116,7 +117,8 @@ def simulate_standing(
         ),
         "slip": record.slip,
     }
-    return SimulatedFloatingRecording(names, table, truth)
+    inputs = argument_files(loaded.joint_robot.source, path)
+    return SimulatedFloatingRecording(names, table, truth, inputs)
 
 
 def _true_robot(

@@ -23,6 +23,7 @@ from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
 from .design_result import MOTION_FILES, CellOptions, motion_files
 from .identification_result import REFERENCE_RATE
+from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
 
@@ -164,4 +165,5 @@ def design_static(
         force=force,
         progress=progress or logger.info,
     )
-    return StaticDesignResult(design, loaded, table, workcell)
+    inputs = argument_files(loaded.source, limits, cell.scene, cell.srdf)
+    return StaticDesignResult(design, loaded, table, workcell, inputs=inputs)

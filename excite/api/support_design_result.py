@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from .. import _json
-from .._system.output_files import output_folder
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..designer.certificate import CELL_KEY
@@ -29,19 +28,23 @@ from ..robot.limits import Limits
 from ..trajectory.trajectory_file import package_versions
 from .design_result import CellOptions
 from .floating_result import load_floating_robot
+from .input_files import argument_files
 from .robots import RobotSource, resolve_limits
+from .saved_result import SavedResult
 
 SUPPORT_FILES = ("trajectory.json", "trajectory.csv", "identifiability.json", "report.html")
 """Files of a design in support."""
 
 
 @dataclass(frozen=True)
-class SupportDesignResult:
+class SupportDesignResult(SavedResult):
     """Designed motions in support.
 
     Attributes:
         design: The motions with their certificate.
     """
+
+    FILES = SUPPORT_FILES
 
     design: SupportDesign
 
@@ -173,14 +176,6 @@ class SupportDesignResult:
             "report.html": self.html(),
         }
 
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write the files named in `contents`; return their paths.
-
-        Raises:
-            UnusableInput: The files cannot be written.
-        """
-        return output_folder(Path(folder), SUPPORT_FILES).replace(self.contents())
-
     def __repr__(self) -> str:
         design = self.design
         return (
@@ -233,4 +228,7 @@ def design_support(
         else None
     )
     report = logger.info if progress is None else progress
-    return SupportDesignResult(find_motions(loaded, table, options, report, surroundings))
+    return SupportDesignResult(
+        find_motions(loaded, table, options, report, surroundings),
+        inputs=argument_files(loaded.joint_robot.source, limits, cell.scene, cell.srdf),
+    )

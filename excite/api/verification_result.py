@@ -10,9 +10,10 @@ from typing import Any
 
 from .. import _json, exporters
 from .._system.output_files import output_files, output_folder
+from ..collision.scene_file import files_of_cell
 from ..designer import certificate as certificates
 from ..designer import support_trajectory
-from ..designer.certificate import Certificate, CertificateVerdict
+from ..designer.certificate import CELL_KEY, Certificate, CertificateVerdict
 from ..designer.support_trajectory import SupportTrajectory, parse_support_trajectory
 from ..errors import CheckFailed, UnusableInput
 from ..exporters import file_format
@@ -30,6 +31,7 @@ from ..trajectory.trajectory_file import (
     stated_schema,
 )
 from .design_result import nominal_torque
+from .input_files import argument_files
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ def export(
     file_format.check_options(speed, rate)
     goal.require_format(format)
     # checked before the certificate is computed, which takes time
-    inputs = [Path(name) for name in (trajectory, robot, limits) if name is not None]
+    inputs = argument_files(robot, trajectory, limits)
     output_files(Path(path), inputs=inputs)
     path_of_motion = Path(trajectory)
     document = read_document(path_of_motion)
@@ -229,7 +231,9 @@ def export(
     certificate, motion, loaded, truth = _verify_arm(
         document, path_of_motion, robot, limits, packages
     )
-    inputs += map(Path, (loaded.source, *limits_files(loaded, truth)))
+    cell = motion.design.get(CELL_KEY)
+    files = [*limits_files(loaded, truth), *([] if cell is None else files_of_cell(cell))]
+    inputs += argument_files(loaded.source, files)
     verdict, broken = list(certificate.verdict_lines()), None
     if speed != 1.0:
         broken = certificates.broken_when_slowed(motion, loaded, truth, speed)

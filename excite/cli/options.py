@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,10 @@ import numpy as np
 
 from .._types import FloatArray
 from ..api.design_result import CellOptions
+from ..api.input_files import argument_files
 from ..api.robots import load_robot, resolve_limits
 from ..designer.options import WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
-from ..recordings.sidecar import sidecar_path
 from ..robot import inertial_parameters
 from ..robot.limits import Limits
 from ..robot.robot import Payload, Robot
@@ -29,10 +29,11 @@ OF_EXCITATION = (
 )
 """Options of `excite design` for periodic excitations alone."""
 INPUT_FILES = (
-    *("robot", "limits", "prior", "bounds", "before", "trajectory", "like", "scene", "srdf"),
+    *("limits", "prior", "bounds", "before", "trajectory", "like", "scene", "srdf"),
     *("discriminate", "model", "into"),
 )
-"""Attributes of options and arguments that name files, which a command must not replace."""
+"""Attributes of options and arguments, besides the robot, that name files, which a command must not
+replace."""
 INPUT_RECORDINGS = (
     *("recordings", "validate", "discriminating", "carrying", "empty", "recording", "motion"),
     *("given", "for_task"),
@@ -119,18 +120,23 @@ def refuse_given(arguments: argparse.Namespace, options: Iterable[str], reason: 
 
 def input_files(arguments: argparse.Namespace) -> list[Path]:
     """Return the files that a command reads, which its output must not replace."""
-    files = [Path(name) for name in _stated_names(arguments, INPUT_FILES)]
-    recordings = [Path(name) for name in _stated_names(arguments, INPUT_RECORDINGS)]
-    return [*files, *recordings, *map(sidecar_path, recordings)]
+    return list(
+        argument_files(
+            getattr(arguments, "robot", None),
+            *(getattr(arguments, name, None) for name in INPUT_FILES),
+            recordings=[
+                recording
+                for name in INPUT_RECORDINGS
+                for recording in _names(getattr(arguments, name, None))
+            ],
+            shape=getattr(arguments, "shape", None),
+        )
+    )
 
 
-def _stated_names(arguments: argparse.Namespace, attributes: Iterable[str]) -> list[str]:
-    """Names of files that are the values of some attributes, where a command has them."""
-    names: list[str] = []
-    for attribute in attributes:
-        value = getattr(arguments, attribute, None) or []
-        names += [value] if isinstance(value, str) else value
-    return names
+def _names(value: str | Sequence[str] | None) -> Sequence[str]:
+    """Names that are the value of an attribute."""
+    return [value] if isinstance(value, str) else value or []
 
 
 def robot(arguments: argparse.Namespace) -> Robot:

@@ -230,6 +230,17 @@ def rebuild_cell(
     )
 
 
+def files_of_cell(document: Mapping[str, Any]) -> list[str]:
+    """Return the scene file, the SRDF and the meshes that a trajectory's cell was built from.
+
+    Args:
+        document: `Cell.document` of the cell.
+    """
+    recipe = document.get("recipe", {})
+    stated = (recipe.get("scene"), recipe.get("srdf"), *(s.get("file") for s in document["shapes"]))
+    return [str(file) for file in stated if file is not None]
+
+
 def _rebuild(
     robot: Robot,
     limits: Limits,

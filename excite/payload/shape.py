@@ -52,6 +52,16 @@ def ball_of_mass(mass: float) -> PayloadShape:
     return PayloadShape(second, None, UNKNOWN_DEVIATION, "unknown")
 
 
+def shape_mesh(text: str) -> Path | None:
+    """Return the mesh file that a stated shape names, None if it names none.
+
+    Args:
+        text: As `USAGE` says.
+    """
+    kind, _, file = text.partition("@")[0].partition(":")
+    return Path(file) if kind == "mesh" else None
+
+
 def parse_shape(text: str) -> PayloadShape:
     """Read a stated shape.
 
@@ -66,8 +76,9 @@ def parse_shape(text: str) -> PayloadShape:
     centre = None
     if place:
         centre = np.array(_lengths(text, place, 3, signed=True))
-    if kind == "mesh":
-        second, middle = _mesh_moments(Path(numbers))
+    mesh = shape_mesh(text)
+    if mesh is not None:
+        second, middle = _mesh_moments(mesh)
         return PayloadShape(second, middle if centre is None else centre, STATED_DEVIATION, text)
     if kind not in DIMENSIONS:
         raise UnusableInput(f"--shape {text}: should be {USAGE}")

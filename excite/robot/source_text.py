@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -26,6 +27,8 @@ HELD_TYPE = re.compile(rf"""(<joint\b[^>]*\stype\s*=\s*)(["'])(?:{"|".join(HELD)
 """A joint's tag up to its type, if it is one of these."""
 XACRO = "xacro"
 """Word that the prefix or the namespace of xacro's elements contains."""
+INCLUDE = "include"
+"""Name of the element by which xacro and MJCF include a file."""
 DECLARED_XACRO = re.compile(r"""\sxmlns:xacro\s*=\s*["']([^"']*)""")
 EXPANSION = (
     "import sys; from xacrodoc import XacroDoc; sys.stdout.reconfigure(encoding='utf-8'); "
@@ -45,6 +48,25 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+def included_files(path: Path) -> list[Path]:
+    """Return the files that a xacro file or an MJCF includes, directly and indirectly.
+
+    Files of ROS packages, `$(find …)`, are left out: they are looked up when xacro expands them.
+
+    Args:
+        path: The robot's file; one that cannot be read includes none, and `read_robot` says why.
+    """
+    files, unread = list[Path](), [path]
+    while unread:
+        file = unread.pop()
+        for name in _included_names(file):
+            included = Path(os.path.realpath(file.parent / name))
+            if included not in files:
+                files.append(included)
+                unread.append(included)
+    return files
 
 
 def read_urdf_text(path: Path) -> str:
@@ -91,6 +113,24 @@ def _read_version(path: Path, modified: int, size: int) -> Conversion:
         )
     namespaces = {XACRO, *DECLARED_XACRO.findall(raw)}
     return _held(path, _expanded(path) if _is_xacro(root, namespaces) else raw)
+
+
+def _included_names(path: Path) -> list[str]:
+    """Names of the files that a file includes, as it states them."""
+    if not is_file(path):
+        return []
+    try:
+        text = xml_file.read_text(path, "a URDF")
+        elements = xml_file.parse_text(path, text).iter() if INCLUDE in text else iter(())
+    except UnusableInput:
+        return []
+    names = [
+        element.get("filename") or element.get("file") or ""
+        for element in elements
+        if str(element.tag).rpartition("}")[2] == INCLUDE
+    ]
+    names = [name.replace("$(dirname)", str(path.parent.absolute())) for name in names]
+    return [name for name in names if name and not SUBSTITUTION.search(name)]
 
 
 def _held(path: Path, text: str) -> Conversion:

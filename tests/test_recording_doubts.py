@@ -45,12 +45,18 @@ def identified(robot: str, *paths: Path, validate: Path):
     return result, [str(entry.message) for entry in caught]
 
 
+def checked_with_warnings(path: Path, name: str) -> tuple[Recording, list[str]]:
+    """Return a recording after the check stage, and the texts of its warnings."""
+    robot = load(name)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_both(robot, resolve(robot), [path], [])[0][0]
+    return recording, [str(entry.message) for entry in caught]
+
+
 def checked(path: Path, name: str) -> Recording:
     """Return a recording after the check stage, without its warnings."""
-    robot = load(name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return read_both(robot, resolve(robot), [path], [])[0][0]
+    return checked_with_warnings(path, name)[0]
 
 
 # -- faults that are repaired ---------------------------------------------------------------------
@@ -331,6 +337,18 @@ def test_another_zero_of_a_position_is_named(simulated, joint, offset):
     assert f"shifted by {offset:+d}°; correct its zero" in doubts[0].text
 
 
+def test_clipped_torque_is_named_with_its_file(tmp_path):
+    recording = recordings_of(None)[0]
+    assert recording.tau is not None
+    torque = recording.tau.copy()
+    limit = float(np.quantile(torque[:, 1], 0.9))
+    torque[:, 1] = np.minimum(torque[:, 1], limit)
+    path = write_recording(dataclasses.replace(recording, tau=torque), tmp_path / "run.csv")
+    _, texts = checked_with_warnings(path, "two_link")
+    (text,) = [text for text in texts if "clipped" in text]
+    assert text.startswith(f"{path}: joint 'joint_2': tau is clipped at {limit:.5g} N m, in 10 %")
+
+
 # -- clean recordings -----------------------------------------------------------------------------
 
 
@@ -385,6 +403,7 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
             warnings.simplefilter("ignore")
             recording = recordings.read(path, robot)
             repaired = {r.kind for r in recording.remarks if r.repaired}
+            assert RemarkKind.CLIPPED not in {r.kind for r in recording.remarks}, path
             assert not repaired & {
                 *(RemarkKind.GLITCH, RemarkKind.WRAPPED, RemarkKind.CLOCK_STEP, RemarkKind.PERIOD)
             }, path

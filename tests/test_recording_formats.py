@@ -452,12 +452,50 @@ def test_suspicious_signals_are_remarked_and_kept(two_link, tmp_path):
     clipped, coarse, frozen, rounded = recording.remarks
     assert rounded.repaired and not any(r.repaired for r in (clipped, coarse, frozen))
     assert "'joint_2'" in rounded.text and "'joint_1'" not in rounded.text
-    assert "clipped at 2" in clipped.text and clipped.joint == "joint_1"
+    assert "clipped at -2 and 2 N m" in clipped.text and clipped.joint == "joint_1"
     assert "multiples of 0.002 rad" in coarse.text and coarse.joint == "joint_2"
     assert (frozen.start, frozen.end) == pytest.approx((3.0, 3.39)) and frozen.document()[
         "time"
     ] == [frozen.start, frozen.end]
     assert recording.tau is not None and (recording.tau[:, 1] == columns["tau.joint_2"]).all()
+
+
+def clipping_remarks(robot, path, torque, rows=slice(None)):
+    """Return remarks on clipping where a recording has another torque of joint_1, row by row, and
+    then some of its rows."""
+    columns = two_joint_motion(len(torque)) | {"tau.joint_1": torque}
+    columns = {name: values[rows] for name, values in columns.items()}
+    columns["t"] = 0.01 * np.arange(len(columns["t"]))
+    recording = recordings.read(write_columns(path, columns), robot)
+    return [remark for remark in recording.remarks if remark.kind is RemarkKind.CLIPPED]
+
+
+def test_noisy_torque_that_is_clipped_for_single_rows_is_remarked(two_link, tmp_path):
+    """Noise of the size of the motion: hardly two rows in a row are at the limit."""
+    rng = np.random.default_rng(1)
+    torque = two_joint_motion(1000)["tau.joint_1"]
+    torque = torque + np.std(torque) * rng.normal(size=1000)
+    low, high = np.quantile(torque, (0.03, 0.98))
+    (remark,) = clipping_remarks(two_link, tmp_path / "r.csv", np.clip(torque, low, high))
+    assert remark.joint == "joint_1" and not remark.doubt
+    assert f"tau is clipped at {low:.5g} and {high:.5g} N m, in 5 % of the rows" in remark.text
+    assert not clipping_remarks(two_link, tmp_path / "r.csv", torque)
+
+
+@pytest.mark.parametrize("steps", [30, 300, 3000])
+@pytest.mark.parametrize("held", [False, True])
+def test_coarse_held_and_resting_torque_is_not_clipped(two_link, tmp_path, steps, held):
+    """A noise-free torque in steps, some values of which are written several times, and one that
+    is largest where the robot rests."""
+    rng, torque = np.random.default_rng(steps), two_joint_motion(1000)["tau.joint_1"]
+    step = np.ptp(torque) / steps
+    torque = np.round(torque / step) * step
+    if held:
+        updated = np.where(rng.random(1000) < 0.4, np.arange(1000), 0)
+        torque = torque[np.maximum.accumulate(updated)]
+    assert not clipping_remarks(two_link, tmp_path / "r.csv", torque)
+    rows = np.sort(np.concatenate([np.arange(1000), np.full(200, np.argmax(torque))]))
+    assert not clipping_remarks(two_link, tmp_path / "r.csv", torque, rows)
 
 
 def test_still_frozen_and_outside_positions_are_remarked(two_link, tmp_path):

@@ -3,7 +3,7 @@ the torque that the nominal model expects (`nominal_comparison`).
 
 A fit absorbs such faults in part: torque with an inverted sign gives masses near 0 and no error
 message. Each finding is a doubt of the recording and a warning that states the figure it rests
-on.
+on. Clipped torque is a warning only: that of a drive at its limit is as it was measured.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recordin
         limits: Its limits.
 
     Returns:
-        The recording with a remark for each finding; each is also given as a warning.
+        The recording with a remark for each finding. Each is also given as a warning, as are
+        earlier doubts and clipped torque.
 
     Raises:
         UnusableInput: The torque of every joint is constant, or a joint has none.
@@ -54,7 +55,8 @@ def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recordin
         *_excessive_torque(recording, torque, limits),
         *(() if planned else nominal_comparison.compare_with_nominal(recording, robot)),
     ]
-    for remark in (*recording.doubts, *remarks):
+    clipped = [remark for remark in recording.remarks if remark.kind is RemarkKind.CLIPPED]
+    for remark in (*recording.doubts, *clipped, *remarks):
         warnings.warn(f"{recording.source}: {remark.text}", ExciteWarning, stacklevel=2)
     return dataclasses.replace(recording, remarks=(*recording.remarks, *remarks))
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from .block import Block
@@ -43,11 +43,16 @@ MIN_DOUBTED_SHARE = 0.1
 MIN_REVERSED_SHARE = 0.05
 """Motion in either direction from which a joint counts as reversed, over its range [1]: friction
 and acceleration have changed their sign, which no motion at constant speed does."""
-MIN_CLIPPED_RUN = 5
-"""Length of a run at the extreme value that is clipping [rows]."""
+MIN_CLIPPED_COUNT = 5
+"""Smallest number of measurements at the extreme value of a clipped signal. Where ten neighbouring
+values occur once, five by chance at the extreme are rarer than 1 in 1000."""
 MIN_CLIPPED_RATIO = 3.0
-"""Number of rows at the extreme value over the number at a neighbouring value above which the
-signal is clipped [1]."""
+"""Number of measurements at the extreme value over the number at a neighbouring value above which
+the signal is clipped [1]: at the turning point of a sine wave, it is 1/(√2 − 1) = 2.4 in steps of
+its resolution, and less with noise."""
+MIN_POSE_SHARE = 1e-3
+"""Distance of a joint, over its range, from which a pose is another than that of a robot at rest,
+whose torque may be constant [1]."""
 NEIGHBOURING_VALUES = 10
 """Number of distinct values next to the extreme that are compared."""
 MIN_DISTINCT_VALUES = 20
@@ -225,26 +230,51 @@ def _frozen_remark(block: Block, joint: str, name: str, rows: slice) -> Remark:
 
 
 def check_clipped(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
-    """Remark a torque or current that is clipped at its largest or smallest value.
-
-    It has a run of 5 rows at the extreme value, and three times as many rows there as at the most
-    frequent of the ten values next to it.
-    """
+    """Remark a torque or current that is clipped at its largest or smallest value."""
     values = block.values[name][:, i]
-    distinct, counts = np.unique(values, return_counts=True)
-    k = NEIGHBOURING_VALUES
-    for extreme, neighbours in ((-1, slice(-1 - k, -1)), (0, slice(1, 1 + k))):
-        if len(distinct) < MIN_DISTINCT_VALUES or counts[extreme] < max(
-            MIN_CLIPPED_RATIO * counts[neighbours].max(), MIN_CLIPPED_RUN
-        ):
-            continue
-        runs = true_runs(values == distinct[extreme])
-        if (runs[:, 1] - runs[:, 0]).max() >= MIN_CLIPPED_RUN:
-            joint = robot.joints[i]
-            start, end = float(block.t[runs[0, 0]]), float(block.t[runs[-1, 1] - 1])
-            text = (
-                f"joint '{joint}': {name} is clipped at {distinct[extreme]:.5g} in "
-                f"{counts[extreme]} rows"
-            )
-            return Remark(RemarkKind.CLIPPED, text, joint, start, end)
-    return None
+    rows = np.flatnonzero(_is_clipped(values, block.values["q"]))
+    if not len(rows):
+        return None
+    joint = robot.joints[i]
+    unit = "A" if name == "current" else robot.entries[i].unit("N m")
+    extremes = " and ".join(f"{value:.5g}" for value in np.unique(values[rows]))
+    text = (
+        f"joint '{joint}': {name} is clipped at {extremes} {unit}, in "
+        f"{100.0 * len(rows) / len(values):.2g} % of the rows; if that is the range of the "
+        "measurement and not the limit of the drive, cut these rows out"
+    )
+    start, end = block.t[rows[[0, -1]]].tolist()
+    return Remark(RemarkKind.CLIPPED, text, joint, start, end)
+
+
+def _is_clipped(values: FloatArray, q: FloatArray) -> BoolArray:
+    """Mark rows at which a signal is clipped at its largest or smallest value.
+
+    A clipped signal has five measurements at the extreme value, at least three times as many as at
+    the most frequent of the ten values next to it. Consecutive rows with the same value are one
+    measurement that is held, where they are no more than in the longest run at another value. Rows
+    in one pose do not count: a torque is constant at rest.
+
+    Args:
+        values: The signal. Shape (N,).
+        q: Positions of all joints. Shape (N, n) [rad or m].
+    """
+    starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+    lengths, runs = np.diff(starts, append=len(values)), values[starts]
+    distinct, counts = np.unique(runs, return_counts=True)
+    out = np.zeros(len(values), bool)
+    if len(distinct) < MIN_DISTINCT_VALUES:
+        return out
+    longest = lengths[(runs != distinct[0]) & (runs != distinct[-1])].max()
+    run_of_row, k = np.repeat(np.arange(len(runs)), lengths), NEIGHBOURING_VALUES
+    for extreme, neighbours in (
+        (distinct[0], counts[1 : 1 + k]),
+        (distinct[-1], counts[-1 - k : -1]),
+    ):
+        rows = np.flatnonzero(values == extreme)
+        distance = np.abs(q[rows] - np.median(q[rows], axis=0))
+        in_motion = (distance > MIN_POSE_SHARE * np.ptp(q, axis=0)).any(axis=1)
+        _, rows_in_run = np.unique(run_of_row[rows[in_motion]], return_counts=True)
+        count = np.ceil(rows_in_run / longest).sum()
+        out[rows] = count >= max(MIN_CLIPPED_RATIO * neighbours.max(), MIN_CLIPPED_COUNT)
+    return out

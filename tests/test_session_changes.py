@@ -26,6 +26,7 @@ from diagnosis_cases import (
 from synthetic_recordings import random_fourier, synthetic_recording
 
 from excite._types import FloatArray
+from excite.cli.diagnose import diagnosis_text
 from excite.diagnosis import session_changes
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
@@ -193,6 +194,41 @@ def test_the_uncertainty_of_a_change_is_that_of_its_recording():
         changes = session_changes.changes(held_out.motions, held_out.final, held_out.moving)
         ratios += [float(x) for change in changes for x in change.change / change.std]
     assert np.sqrt(np.mean(np.square(ratios))) < 2.0
+
+
+@pytest.mark.parametrize("seconds", [5, 8, 12])
+def test_coloured_noise_of_a_short_recording_is_no_change(seconds):
+    """Of residuals that are noise alone, averages over half a second, hardly any is a change."""
+    rng = np.random.default_rng(seconds)
+    held_out = diagnosed_sessions(None, 0.0).held_out
+    time = np.concatenate([motion.time for motion in held_out.motions])
+    moving = held_out.moving & (time - time[0] < seconds)[:, None]
+    width, significant = int(0.5 / np.median(np.diff(time))), list[bool]()
+    for _ in range(100):
+        noise = rng.normal(size=(len(time) + width - 1, moving.shape[1]))
+        noise = np.apply_along_axis(np.convolve, 0, noise, np.ones(width) / width, "valid")
+        estimates = session_changes.changes(held_out.motions, noise, moving)
+        significant += [change.is_significant for change in estimates]
+    assert len(significant) == 200 and sum(significant) <= 2
+
+
+@pytest.mark.parametrize(("change", "verdict"), [(0.0, "same"), (2.0, "undecided")])
+def test_a_change_that_a_short_recording_cannot_show_is_undecided(change, verdict):
+    """Four seconds, without the ends of the filter, are four blocks, and one more than there are
+    parameters."""
+    short = recording_of(None, 5).between(0.0, 5.0)
+    result = diagnose([recording_of(None, 2), with_friction(short, change * CHANGE)])
+    stated = document(result)
+    page = diagnosis_page(result, stated)
+    text = diagnosis_text(stated, SUBJECT.robot, [])
+    assert not stated["between_recordings"]
+    entries = [] if verdict == "same" else [("5.csv", joint, 4.0) for joint in SUBJECT.robot.joints]
+    undecided = stated["undecided_between_recordings"]
+    assert [(c["recording"], c["joint"], c["seconds"]) for c in undecided] == entries
+    words = "of 5.csv at all 2 joints, in motion for 4 s at most"
+    for report in (page, text):
+        assert (words in report) is bool(entries)
+    assert ("Is the robot the same in all recordings?" in page) is bool(entries)
 
 
 def test_a_zero_column_has_a_zero_coefficient():

@@ -12,7 +12,7 @@ from .._system.output_files import output_folder
 from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
 from ..report.decisions import HEAD, decision_rows, decisions_answer
-from ..report.formatting import capitalized, significant
+from ..report.formatting import capitalized, significant, uncapitalized
 from ..report.torque_budget import (
     change_words,
     filter_words,
@@ -24,6 +24,7 @@ from ..report.torque_budget import (
     prior_words,
     probability_words,
     sorted_findings,
+    undecided_words,
 )
 from ..robot.robot import Robot
 from ..schemas.effects import effect_words
@@ -117,6 +118,9 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
                 for c in document["between_recordings"]
             ]
         )
+    if undecided := document["undecided_between_recordings"]:
+        words = undecided_words(undecided, len(document["joints"]))
+        lines += ["", f"friction and offsets in all recordings: {uncapitalized(words)}"]
     if document["encoders"]:
         lines += ["", "two encoders:"]
         lines += _aligned([(j, _gear(gear)) for j, gear in document["encoders"].items()])

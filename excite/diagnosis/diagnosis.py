@@ -87,6 +87,7 @@ class Diagnosis:
         residual: RMS residual of the joint model on the training recordings, shape (n,) [N m].
         document: Content of the `model.json` by which the held-out errors are computed.
         rivals: Of each finding: its log Bayes factor over every effect that is not excluded.
+        session_changes: Estimated changes of friction and offset between recordings.
     """
 
     identified: Identification
@@ -101,7 +102,7 @@ class Diagnosis:
     budget: TorqueBudget
     document: Mapping[str, Any]
     rivals: Mapping[Key, Mapping[str, float]] = field(default_factory=dict)
-    changes: tuple[SessionChange, ...] = ()
+    session_changes: tuple[SessionChange, ...] = ()
     gears: tuple[GearEstimate, ...] = ()
     known: tuple[FittedEffect, ...] = ()
 
@@ -109,6 +110,16 @@ class Diagnosis:
     def findings(self) -> tuple[EffectEstimate, ...]:
         """The effects that are asserted."""
         return tuple(effect for effect in self.effects if effect.asserted)
+
+    @property
+    def changes(self) -> list[SessionChange]:
+        """The changes between recordings that are significant."""
+        return [change for change in self.session_changes if change.is_significant]
+
+    @property
+    def undecided_changes(self) -> list[SessionChange]:
+        """The changes that a recording with little motion cannot tell from chance."""
+        return [change for change in self.session_changes if change.is_undecided]
 
     @property
     def considered(self) -> tuple[EffectEstimate, ...]:
@@ -217,7 +228,7 @@ def diagnose(
         budget=budget.torque_budget(identified, motions, final, effects, held_out),
         document=document,
         rivals=rival_evidence.not_excluded(model, effects, bool(settings.trusted)),
-        changes=tuple(_changes(final, held_out)),
+        session_changes=tuple(_changes(final, held_out)),
         gears=gear_encoders.gears(motions, (train, validate)),
         known=known,
     )
@@ -304,18 +315,13 @@ def _held_out_errors(
 
 
 def _changes(final: FinalModel, held_out: HeldOutErrors) -> list[SessionChange]:
-    """Changes of friction between the recordings that are significant."""
+    """Changes of friction between the recordings, whether significant or not."""
     residual, moving = final.residual, final.regression.moving
-    changes = [
+    return [
         *(
             session_changes.changes(final.motions, residual, moving)
             if len(session_changes.sources(final.motions)) > 1
             else []
         ),
         *session_changes.changes(held_out.motions, held_out.final, held_out.moving),
-    ]
-    return [
-        change
-        for change in changes
-        if change.wald > session_changes.WALD_THRESHOLD and change.share > session_changes.MIN_SHARE
     ]

@@ -90,6 +90,14 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
         "budget": _budget(diagnosis),
         "model_check": dict(zip(joints, held_out.rmse_after.tolist(), strict=True)),
         "between_recordings": _changes(diagnosis),
+        "undecided_between_recordings": [
+            {
+                "recording": change.source,
+                "joint": _joint(diagnosis, change.joint),
+                "seconds": change.blocks * session_changes.BLOCK_SECONDS,
+            }
+            for change in diagnosis.undecided_changes
+        ],
         "encoders": {joints[gear.joint]: _gear(diagnosis, gear) for gear in diagnosis.gears},
         "parameters": _parameters(diagnosis),
         **({"decisions": [pair.document() for pair in decisions.pairs]} if decisions else {}),
@@ -155,6 +163,7 @@ def withhold_findings(
         ],
         "unknown": [],
         "between_recordings": [],
+        "undecided_between_recordings": [],
         **({"decisions": []} if "decisions" in document else {}),
         "joints": {
             joint: entry

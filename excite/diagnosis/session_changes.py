@@ -12,6 +12,10 @@ that nothing explains, which looks like a change at its own joint, does not loos
 base model holds the mean of the recordings, by which held-out torque is predicted. A recording that
 determines a parameter badly, such as the offset of a joint that creeps in one direction, counts
 less.
+
+A change is significant by its Wald statistic W over k = 3 parameters with the sandwich covariance
+of B blocks of a second. With few blocks the covariance is uncertain, too: W/k ~ F(k, B − k), which
+is exact for blocks of equal columns (Hotelling, Annals of Mathematical Statistics 2, 1931).
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, special
+from scipy import linalg, special, stats
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion, for_all_fits
@@ -39,9 +43,13 @@ MIN_FRICTION_SHARE = 0.01
 UNINFORMED = 1e-6
 """Information of a recording on a parameter that it does not show, over that of the prior [1]. Only
 for the inverse of a matrix that is singular without it."""
-WALD_THRESHOLD = 20.0
-"""Wald statistic from which a change is significant; with three degrees of freedom chance exceeds
-it twice in ten thousand times."""
+MAX_P_VALUE = 2e-4
+"""Largest p-value of a change that is significant [1]: of 100 joints and recordings, one is found
+by chance in 50 diagnoses."""
+FEW_BLOCKS = 2 * len(KINDS)
+"""Number of blocks up to which a change that is not significant is undecided [1]: the covariance
+has no more degrees of freedom than there are parameters, and W/k has no expected value or one of
+at least three times that of many blocks."""
 MIN_SHARE = 0.1
 """Share of the residual's mean square that a change must explain to be reported."""
 BLOCK_SECONDS = 1.0
@@ -59,6 +67,7 @@ class SessionChange:
         covariance: Its covariance, shape (3, 3). At uniform speeds an increase of Coulomb friction
             may compensate a decrease of viscous friction.
         share: Share of the joint's mean square residual that the change explains.
+        blocks: Number of blocks in motion that it is estimated from.
     """
 
     source: str
@@ -66,6 +75,7 @@ class SessionChange:
     change: FloatArray
     covariance: FloatArray
     share: float
+    blocks: int
 
     @property
     def std(self) -> FloatArray:
@@ -73,9 +83,25 @@ class SessionChange:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
-    def wald(self) -> float:
-        """Wald statistic of all parameters."""
-        return float(self.change @ np.linalg.pinv(self.covariance) @ self.change)
+    def p_value(self) -> float:
+        """Probability of a change as large by chance [1]; 1 where no blocks are left to judge."""
+        k = len(KINDS)
+        if self.blocks <= k:
+            return 1.0
+        wald = float(self.change @ np.linalg.pinv(self.covariance) @ self.change)
+        return float(stats.f.sf(wald / k, k, self.blocks - k))
+
+    @property
+    def is_significant(self) -> bool:
+        """True if the change is neither by chance nor small."""
+        return self.p_value < MAX_P_VALUE and self.share > MIN_SHARE
+
+    @property
+    def is_undecided(self) -> bool:
+        """True if the change would explain a part of the residual, but the joint moves for too
+        short a time to tell it from chance."""
+        is_small = self.share <= MIN_SHARE
+        return self.blocks <= FEW_BLOCKS and not is_small and not self.is_significant
 
 
 def sources(motions: Sequence[RecordedMotion]) -> list[str]:
@@ -186,7 +212,9 @@ def parameter_std(motions: Sequence[RecordedMotion]) -> FloatArray:
 def changes(
     motions: Sequence[RecordedMotion], residual: FloatArray, moving: BoolArray
 ) -> list[SessionChange]:
-    """Estimate the changes of every recording from a residual.
+    """Estimate the changes of every recording in which a joint moves from a residual.
+
+    With no more blocks than parameters the covariance is that of the prior.
 
     Args:
         motions: Motions.
@@ -207,14 +235,15 @@ def changes(
                 block = block_numbers(motion.time)[rows]
                 blocks += [(x[block == k], y[block == k]) for k in np.unique(block)]
                 power += float(y @ y)
-            if len(blocks) <= 2 * len(KINDS):
+            if not blocks:
                 continue
             error = float(np.sqrt(power / max(sum(len(y) for _, y in blocks), 1)))
             solution, covariance = sandwiched(blocks, prior[j], error)
             after = float(sum(np.sum((y - x @ solution) ** 2) for x, y in blocks))
-            covariance = covariance * len(blocks) / (len(blocks) - len(KINDS))
+            spare = len(blocks) - len(KINDS)
+            covariance = covariance * len(blocks) / spare if spare > 0 else np.diag(prior[j] ** 2)
             share = 1.0 - after / max(power, 1e-300)
-            out.append(SessionChange(source, j, solution, covariance, share))
+            out.append(SessionChange(source, j, solution, covariance, share, len(blocks)))
     return out
 
 

@@ -28,6 +28,7 @@ from .torque_budget import (
     joint_words,
     probability_words,
     small_words,
+    undecided_words,
 )
 
 DRAWN_UNKNOWN = 6
@@ -113,9 +114,14 @@ def _error_table(diagnosis: Diagnosis, budgets: Sequence[JointBudget]) -> Table:
 
 
 def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
-    """Build the section on friction and offsets that differ between recordings, if any do."""
-    changes = document["between_recordings"]
+    """Build the section on friction and offsets that differ between recordings, or may do."""
+    changes, undecided = document["between_recordings"], document["undecided_between_recordings"]
+    if not changes and not undecided:
+        return
+    question = "Is the robot the same in all recordings?"
+    unknown = undecided_words(undecided, len(document["joints"])) if undecided else ""
     if not changes:
+        yield Section("changes", question, unknown, {"table": None}, "warn")
         return
     joints = list(dict.fromkeys(change["joint"] for change in changes))
     recordings = list(dict.fromkeys(Path(change["recording"]).name for change in changes))
@@ -134,9 +140,9 @@ def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
     places = joint_words(joints, len(document["joints"]))
     answer = (
         "Perhaps not: a change of friction or torque offset would explain a part of the error of "
-        f"{listed(recordings)} at {places}."
+        f"{listed(recordings)} at {places}. {unknown}".rstrip()
     )
-    yield Section("changes", "Is the robot the same in all recordings?", answer, data, "warn")
+    yield Section("changes", question, answer, data, "warn")
 
 
 def encoders_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Iterator[Section]:

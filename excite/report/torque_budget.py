@@ -345,6 +345,23 @@ def joint_words(joints: Sequence[str], count: int) -> str:
     return some(joints, NAMED_JOINTS)
 
 
+def undecided_words(undecided: Sequence[Mapping[str, Any]], count: int) -> str:
+    """Say which recordings have too little motion to tell a change of friction from chance.
+
+    Args:
+        undecided: `undecided_between_recordings` of `diagnosis.json`.
+        count: Number of joints of the robot.
+    """
+    joints = list(dict.fromkeys(change["joint"] for change in undecided))
+    recordings = list(dict.fromkeys(Path(change["recording"]).name for change in undecided))
+    longest = max(change["seconds"] for change in undecided)
+    return (
+        f"Not known of {listed(recordings)} at {joint_words(joints, count)}, in motion for "
+        f"{longest:g} s at most: a change of friction or offset would explain a part of the error, "
+        "but cannot be told from chance. Record a longer motion."
+    )
+
+
 def probability_words(probability: float) -> str:
     """Return a probability with two decimals; certainty is not claimed."""
     if not 0.01 <= probability <= 0.99:

@@ -21,7 +21,7 @@ from excite import api, recordings
 from excite.api.identification_result import read_both
 from excite.cli.main import main
 from excite.errors import UnusableInput
-from excite.identification import nominal_comparison
+from excite.identification import nominal_comparison, torque_check
 from excite.recordings import Recording, RemarkKind
 from excite.robot.limits import resolve
 from excite.robot.robot import Robot, load
@@ -266,6 +266,35 @@ def test_exchanged_joints_are_named(simulated, first, second, quantities):
     assert robot.joints[first] in doubts[0].text and robot.joints[second] in doubts[0].text
 
 
+def test_exchanged_torques_are_named_where_the_robot_description_is_poor():
+    """The centres of mass of both links are turned by 40° in the robot description."""
+    model = SUBJECT.robot.model.copy()
+    turn = pin.exp3(np.array([0.0, np.radians(40.0), 0.0]))
+    for i in (1, 2):
+        body = model.inertias[i]
+        model.inertias[i] = pin.Inertia(body.mass, turn @ body.lever, body.inertia)
+    robot = dataclasses.replace(SUBJECT.robot, model=model)
+    recording = recordings_of(None)[0]
+    assert not torque_check.check_torque(recording, robot, resolve(robot)).remarks
+    with pytest.warns(match="if their torques are exchanged"):
+        changed = exchanged(recording, 0, 1, "tau")
+        (doubt,) = torque_check.check_torque(changed, robot, resolve(robot)).doubts
+    assert doubt.kind is RemarkKind.EXCHANGED and "'joint_1' and 'joint_2'" in doubt.text
+
+
+@pytest.mark.parametrize(("first", "second"), [(4, 5), (1, 2)])
+def test_exchanged_torques_of_a_real_robot_are_named(first, second):
+    if not (REAL / "tx40").is_dir():
+        pytest.skip(f"no real recordings at {REAL / 'tx40'}")
+    robot = load(str(REAL / "tx40" / "tx40.urdf"))
+    recording = recordings.read(REAL / "tx40" / "train.csv", robot)
+    with pytest.warns(match="if their torques are exchanged"):
+        changed = exchanged(recording, first, second, "tau")
+        (doubt,) = torque_check.check_torque(changed, robot, resolve(robot)).doubts
+    assert doubt.kind is RemarkKind.EXCHANGED
+    assert robot.joints[first] in doubt.text and robot.joints[second] in doubt.text
+
+
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, -9.81, 0.0)])
 def test_another_mounting_is_named_with_the_gravity_that_is_measured(simulated, gravity):
     recording, _ = simulated
@@ -443,6 +472,8 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
             # a payload of 150 kg that is not in the description, and servos of unknown torque
             expected = folder == "kuka_kr300" or path.name == "hold_under_gravity.csv"
             assert not remarks or expected, path
+            doubts = torque_check.check_torque(recording, robot, resolve(robot)).doubts
+            assert RemarkKind.EXCHANGED not in {doubt.kind for doubt in doubts}, path
 
 
 # -- diagnosis ------------------------------------------------------------------------------------

@@ -140,6 +140,42 @@ class NominalComparison:
         return slope, strong & (explained > MIN_EXPLAINED) & ~is_scaled
 
 
+@dataclass(frozen=True)
+class ComparedRows:
+    """Rows of a recording that are compared with a model.
+
+    Attributes:
+        motion: Motion at N rows.
+        torque: Measured torque. Shape (N, n) [N m or N].
+        independent: Number of rows that the cutoff frequency leaves independent, over N, at most 1.
+    """
+
+    motion: Samples
+    torque: FloatArray
+    independent: float
+
+
+def compared_rows(recording: Recording) -> ComparedRows | None:
+    """Return rows spread over the longest stretch of a recording without a gap.
+
+    Args:
+        recording: The recording, with torque or current of every joint.
+
+    Returns:
+        The rows; None without such a stretch, or where torque is missing in it.
+    """
+    stretch = max(recording.segments(), key=len, default=None)
+    if stretch is None:
+        return None
+    rows = np.unique(np.linspace(0, len(stretch) - 1, COMPARED_ROWS).astype(int))
+    cutoff = min(MOTION_CUTOFF_HZ, MAX_CUTOFF_SHARE * stretch.rate)
+    motion, torque = stretch.samples(cutoff).rows(rows), stretch.torque[rows]
+    if not np.isfinite(torque).all():
+        return None
+    independent = 2.0 * cutoff * len(stretch) / stretch.rate / len(rows)
+    return ComparedRows(motion, torque, min(independent, 1.0))
+
+
 def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
     """Doubt sign, scale and gravity of a recording's torque, and the names, signs and zeros of its
     joints.
@@ -152,14 +188,10 @@ def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
         Doubts and other remarks, each with the figure that shows it; none where the nominal model
         is too poor.
     """
-    stretch = max(recording.segments(), key=len, default=None)
-    if stretch is None:
+    rows = compared_rows(recording)
+    if rows is None:
         return []
-    rows = np.unique(np.linspace(0, len(stretch) - 1, COMPARED_ROWS).astype(int))
-    cutoff = min(MOTION_CUTOFF_HZ, MAX_CUTOFF_SHARE * stretch.rate)
-    motion, torque = stretch.samples(cutoff).rows(rows), stretch.torque[rows]
-    if not np.isfinite(torque).all():
-        return []
+    motion, torque = rows.motion, rows.torque
     gravity, dynamic = nominal_torque(robot, motion)
     comparison = _comparison(torque, motion, gravity, dynamic)
     remarks = [
@@ -203,7 +235,7 @@ def _comparison(
     """
     parts = [np.empty_like(torque) for _ in range(3)]
     for j, (speed, acceleration) in enumerate(zip(motion.dq.T, motion.ddq.T, strict=True)):
-        orthogonal = np.linalg.qr(np.column_stack([_friction(speed), acceleration]))[0]
+        orthogonal = np.linalg.qr(np.column_stack([friction_columns(speed), acceleration]))[0]
         for part, whole in zip(parts, (torque, gravity, dynamic), strict=True):
             part[:, j] = whole[:, j] - orthogonal @ (orthogonal.T @ whole[:, j])
     return NominalComparison(*parts)
@@ -242,7 +274,7 @@ def _friction_dissipates(torque: FloatArray, speed: FloatArray, others: FloatArr
         speed: Its speed. Shape (N,) [rad/s or m/s].
         others: What else its torque is fitted by, of whatever sign and size. Shape (N, k).
     """
-    friction = _friction(speed)
+    friction = friction_columns(speed)
     columns = np.column_stack([friction, others])
     covariance = np.linalg.pinv(columns.T @ columns)
     fitted = covariance @ columns.T @ torque
@@ -378,7 +410,9 @@ def _measured_gravity(
     normal, right, judged = np.zeros((3, 3)), np.zeros(3), np.zeros(robot.n, bool)
     shown: list[tuple[float, FloatArray, FloatArray]] = []
     for j in range(robot.n):
-        orthogonal = np.linalg.qr(np.column_stack([_friction(motion.dq[:, j]), dynamic[:, j]]))[0]
+        orthogonal = np.linalg.qr(
+            np.column_stack([friction_columns(motion.dq[:, j]), dynamic[:, j]])
+        )[0]
         X = np.column_stack([column @ spread[:, j] for column in columns])
         X -= orthogonal @ (orthogonal.T @ X)
         y = torque[:, j] - orthogonal @ (orthogonal.T @ torque[:, j])
@@ -405,8 +439,8 @@ def _measured_gravity(
     return gravity, judged, unexplained(gravity) / max(unexplained(stated), 1e-300)
 
 
-def _friction(speed: FloatArray) -> FloatArray:
-    """Columns of offset, viscous and Coulomb friction of a joint. Shape (N, 3)."""
+def friction_columns(speed: FloatArray) -> FloatArray:
+    """Return the columns of offset, viscous and Coulomb friction of a joint. Shape (N, 3)."""
     width = max(FRICTION_SPEED_SHARE * float(np.sqrt(np.mean(speed**2))), 1e-12)
     return np.column_stack([np.ones_like(speed), speed, np.tanh(speed / width)])
 

@@ -20,6 +20,7 @@ from ..recordings import Recording, Remark, RemarkKind
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from . import nominal_comparison
+from .exchanged_torque import find_exchange
 
 MAX_TORQUE_RATIO = 3.0
 """Largest |torque| over the torque limit without a remark. Recordings of ten real machines reach
@@ -55,10 +56,31 @@ def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recordin
         *_excessive_torque(recording, torque, limits),
         *(() if planned else nominal_comparison.compare_with_nominal(recording, robot)),
     ]
+    if not planned and not any(remark.doubt for remark in remarks):
+        remarks += _exchanged_torque(recording, robot)
     clipped = [remark for remark in recording.remarks if remark.kind is RemarkKind.CLIPPED]
     for remark in (*recording.doubts, *clipped, *remarks):
         warnings.warn(f"{recording.source}: {remark.text}", ExciteWarning, stacklevel=2)
     return dataclasses.replace(recording, remarks=(*recording.remarks, *remarks))
+
+
+def _exchanged_torque(recording: Recording, robot: Robot) -> Iterator[Remark]:
+    """Yield a remark for two joints whose torques are exchanged."""
+    rows = nominal_comparison.compared_rows(recording)
+    if rows is None:
+        return
+    exchange = find_exchange(robot, rows.motion, rows.torque, rows.independent)
+    if exchange is not None:
+        a, b = recording.joints[exchange.first], recording.joints[exchange.second]
+        before, after = (
+            " and ".join(f"{100.0 * max(1.0 - share, 0.0):.0f}" for share in shares)
+            for shares in (exchange.before, exchange.after)
+        )
+        text = (
+            f"joints '{a}' and '{b}': a model of all links predicts {before} % of their torque, "
+            f"and {after} % if their torques are exchanged; check the names of the columns"
+        )
+        yield Remark(RemarkKind.EXCHANGED, text, a, doubt=True)
 
 
 def _constant_torque(

@@ -17,18 +17,22 @@ BLOCK_NUMBERS = 1 << 22
 """Numbers of a regressor that are held at once (32 MiB), whatever the length of a motion."""
 
 
-def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> FloatArray:
-    """Y with τ = Y ψ at every sample (eq. 9). Shape (N, n, P) [N m per unit of ψ]."""
+def body_regressor(robot: Robot, motion: Samples) -> FloatArray:
+    """Columns of Y of the bodies' inertial parameters at every sample. Shape (N, n, 10 bodies)."""
     model, data = robot.model, robot.model.createData()
     q, dq, ddq = robot.expand(motion.q), motion.dq @ robot.spread.T, motion.ddq @ robot.spread.T
-    inertial = np.empty((len(motion), model.nv, 10 * parameters.bodies))
+    inertial = np.empty((len(motion), model.nv, 10 * (model.njoints - 1)))
     for t in range(len(motion)):
         inertial[t] = pin.computeJointTorqueRegressor(model, data, q[t], dq[t], ddq[t])
-    out = np.zeros((len(motion), robot.n, parameters.count))
     simple = model.nv == robot.n
-    out[:, :, : inertial.shape[2]] = (
-        inertial if simple else np.einsum("vi,tvp->tip", robot.spread, inertial)
-    )
+    return inertial if simple else np.einsum("vi,tvp->tip", robot.spread, inertial)
+
+
+def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> FloatArray:
+    """Y with τ = Y ψ at every sample (eq. 9). Shape (N, n, P) [N m per unit of ψ]."""
+    inertial = body_regressor(robot, motion)
+    out = np.zeros((len(motion), robot.n, parameters.count))
+    out[:, :, : inertial.shape[2]] = inertial
     columns = {
         "rotor_inertia": motion.ddq,
         "viscous": motion.dq,

@@ -13,7 +13,7 @@ but SI units is refused, as the names of columns convert no values.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..errors import UnusableInput
@@ -126,7 +126,7 @@ def _of_joint(name: str, joints: Sequence[str], effort: str) -> str | None:
     return None
 
 
-def _of_number(names: Sequence[str], joints: Sequence[str], effort: str) -> Mapping[str, str]:
+def _of_number(names: Sequence[str], joints: Sequence[str], effort: str) -> dict[str, str]:
     """Return the standard names of columns with numbers, from 0 or 1 to that of the last joint."""
     places: dict[str, tuple[str, int]] = {}
     for name in names:

@@ -32,7 +32,12 @@ from excite.report import diagnosis_page
 from excite.report.figures.diagnosis import draw_budget
 from excite.report.figures.trajectory import short_names
 from excite.report.formatting import number, significant, value_with_error
-from excite.report.torque_budget import JointBudget, joint_budgets, parameter_words
+from excite.report.torque_budget import (
+    JointBudget,
+    certainty_words,
+    joint_budgets,
+    parameter_words,
+)
 
 DOUBT = {"recording": "out/train.csv", "kind": "torque sign", "text": "the sign is inverted"}
 
@@ -328,6 +333,11 @@ def test_delay_is_said_in_words() -> None:
     assert parameter_words(early) == "torque early by 0.808 ± 0.020 ms"
     late = {"seconds": {"value": 0.004, "std": 0.001, "unit": "s"}}
     assert parameter_words(late) == "torque late by 4.0 ± 1.0 ms"
+
+
+def test_torque_that_repeats_has_no_probability_which_is_not_calibrated():
+    assert certainty_words({"probability": 0.99, "z_score": 12.3}) == "12 × its standard error"
+    assert certainty_words({"probability": 0.8, "z_score": None}) == "probability 0.80"
 
 
 def test_shortened_names_stay_different() -> None:

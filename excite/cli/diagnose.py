@@ -14,6 +14,7 @@ from ..diagnosis.session_changes import KINDS
 from ..report.decisions import HEAD, decision_rows, decisions_answer
 from ..report.formatting import capitalized, significant, uncapitalized
 from ..report.torque_budget import (
+    certainty_words,
     change_words,
     filter_words,
     finding_parameter_words,
@@ -97,7 +98,7 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
                     u["joint"],
                     f"{100 * u['share']:.0f} % of the remaining squared error, by "
                     f"{u['where']['regime']}",
-                    f"probability {probability_words(u['probability'])}",
+                    certainty_words(u),
                 )
                 for u in document["unknown"]
             ]

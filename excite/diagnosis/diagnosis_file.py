@@ -468,6 +468,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         },
         "share": entry.share,
         "probability": entry.probability,
+        "z_score": entry.z_score,
         "experiment": SINGLE_JOINT_REPETITION
         if len(diagnosis.identified.model.robot.joints) == 1
         and entry.regime == unmodelled.REPETITION

@@ -67,6 +67,8 @@ class UnmodelledTorque:
         probability: That it is physics and neither noise nor an effect of the catalogue.
         response: The torque over the quantity on which it depends.
         frequency: Frequency of a resonance [Hz]; None of anything else.
+        z_score: Power that repeats over its standard error [1], None of a flexible model. Its
+            probability is not calibrated.
     """
 
     joint: int
@@ -76,6 +78,7 @@ class UnmodelledTorque:
     probability: float
     response: ResidualResponse
     frequency: float | None = None
+    z_score: float | None = None
 
     @property
     def experiment(self) -> str:
@@ -137,7 +140,9 @@ def find(
         probability = float(special.expit(0.5 * max(z_score, 0.0) ** 2 + LOG_ODDS))
         if probability >= 0.5 and size > MIN_SIZE * estimate.floor[j]:
             curve = _curve(rows, regression.moving[:, j], residual[:, j], j, "q", j)
-            out.append(UnmodelledTorque(j, REPETITION, share, size, probability, curve))
+            out.append(
+                UnmodelledTorque(j, REPETITION, share, size, probability, curve, z_score=z_score)
+            )
     return sorted(out, key=lambda entry: entry.joint)
 
 

@@ -23,10 +23,10 @@ from .formatting import capitalized, number, significant, value_with_error
 from .torque_budget import (
     JointBudget,
     base_words,
+    certainty_words,
     change_words,
     filter_words,
     joint_words,
-    probability_words,
     small_words,
     undecided_words,
 )
@@ -180,7 +180,7 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
         return
     lines = [
         f"{entry['joint']}: {percent(entry['share'])} of the remaining squared error "
-        f"{_dependence(entry['where'])} (probability {probability_words(entry['probability'])})."
+        f"{_dependence(entry['where'])} ({certainty_words(entry)})."
         + (f" {capitalized(small_words(entry['too_small']))}." if entry["too_small"] else "")
         for entry in unknown
     ]

@@ -412,6 +412,13 @@ def origin_words(finding: Mapping[str, Any]) -> str:
     return f"{text}, {number(start)} to {number(end)} s of {recording} only"
 
 
+def certainty_words(entry: Mapping[str, Any]) -> str:
+    """Return how sure torque that no effect explains is; no probability that is not calibrated."""
+    if entry["z_score"] is not None:
+        return f"{significant(entry['z_score'])} × its standard error"
+    return f"probability {probability_words(entry['probability'])}"
+
+
 def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the findings of `diagnosis.json` by joint, the largest of each joint first."""
     joints = [None, *document["joints"]]

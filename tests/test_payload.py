@@ -162,6 +162,18 @@ def test_a_stated_mass_and_shape_are_used(empty):
     assert stated.document()["shape"] == "box:0.12,0.15,0.18"
 
 
+def test_a_stated_mass_that_the_torque_contradicts_is_said(empty, tmp_path):
+    carrying = recording_with(BODY, 2)
+    stated = BODY.mass / 1.1
+    result = excite.identify_payload(ROBOT, [carrying], empty=[empty], mass=stated)
+    by_torque = result.document()["mass_by_torque"]
+    assert abs(by_torque["value"] - BODY.mass) < 4.0 * by_torque["std"]
+    page = result.html()
+    assert "not the stated" in page and "% too large" in page
+    right = excite.identify_payload(ROBOT, [carrying], empty=[empty], mass=BODY.mass)
+    assert right.other_mass is None and "not the stated" not in right.html()
+
+
 def test_torque_without_gravity_shows_the_payload_by_its_inertia():
     carrying, bare = (
         recording_with(body, seed, effort="without gravity")

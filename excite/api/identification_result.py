@@ -492,9 +492,12 @@ def recording_doubts(read: Sequence[Recording]) -> list[dict[str, Any]]:
     ]
 
 
-def with_torque_doubts(recording: Recording, robot: Robot, limits: Limits) -> Recording:
+def with_torque_doubts(
+    recording: Recording, robot: Robot, limits: Limits, *, has_payload: bool = False
+) -> Recording:
     """Return the recording with the doubts about its torque."""
-    return torque_check.check_torque(recording, robot_of_torque(robot, [recording]), limits)
+    loaded = robot_of_torque(robot, [recording])
+    return torque_check.check_torque(recording, loaded, limits, has_payload=has_payload)
 
 
 def robot_of_torque(robot: Robot, recordings: Sequence[Recording]) -> Robot:

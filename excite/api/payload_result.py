@@ -87,6 +87,15 @@ class PayloadResult(SavedResult):
         return "different" if p_value < DIFFERENT_MOUNTING else "same"
 
     @property
+    def other_mass(self) -> tuple[float, float] | None:
+        """Mass that the torque alone shows, and its standard deviation [kg]; None unless it clearly
+        differs from the stated mass."""
+        data = self.estimate.data
+        if self.mass is None or not data.contradicts(self.mass):
+            return None
+        return float(data.theta[0]), data.mass_deviation
+
+    @property
     def doubts(self) -> list[dict[str, Any]]:
         """Unrepaired doubts about the recordings, with the recording that each is about."""
         return recording_doubts([*self.carrying, *self.empty])
@@ -102,6 +111,9 @@ class PayloadResult(SavedResult):
             "without": [recording.source for recording in self.empty],
             "shape": None if self.shape is None else self.shape.description,
             "stated_mass": self.mass,
+            "mass_by_torque": None
+            if self.other_mass is None
+            else dict(zip(("value", "std"), self.other_mass, strict=True)),
             "payload": {q.name: q.document() for q in estimate.quantities},
             "not_shown": [q.name for q in estimate.quantities if not q.shown],
             "static": None
@@ -190,15 +202,18 @@ def identify_payload(
         loaded.source, model, limits, trajectory, recordings=(*carrying, *sources), shape=shape
     )
 
-    def read(paths: Sequence[RecordingSource]) -> list[Recording]:
+    def read(paths: Sequence[RecordingSource], has_payload: bool) -> list[Recording]:
         recordings = [read_recording(p, loaded, limits=table, columns=columns) for p in paths]
         if not static:  # the rests are found in the recording
             recordings = [with_trajectory(r, trajectory, required=False) for r in recordings]
-        recordings = [with_torque_doubts(recording, loaded, table) for recording in recordings]
+        recordings = [
+            with_torque_doubts(recording, loaded, table, has_payload=has_payload)
+            for recording in recordings
+        ]
         return recordings if static else [with_detected_period(r) for r in recordings]
 
     logger.info(f"reading {len(carrying)} recordings with and {len(sources)} without the payload")
-    loaded_recordings, empty_recordings = read(carrying), read(sources)
+    loaded_recordings, empty_recordings = read(carrying, True), read(sources, False)
     for group in (loaded_recordings, empty_recordings):
         require_distinct(group, ())
     both = {r.source for r in loaded_recordings} & {r.source for r in empty_recordings}

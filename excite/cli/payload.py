@@ -8,6 +8,7 @@ from pathlib import Path
 from .. import api
 from .._system.output_files import output_folder
 from ..api.payload_result import PAYLOAD_FILES
+from ..report.payload import stated_mass_words
 from . import options as shared
 from .outcome import Outcome, doubt_line, with_files, written_lines
 
@@ -46,6 +47,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         lines.append(f"  {quantity.name:10}{text}")
     if result.mounting == "different":
         lines.append("the payload differs between the recordings: it was mounted differently")
+    lines += stated_mass_words(result.document())
     if result.doubts:
         lines.append(doubt_line(result.doubts, "payload"))
     lines += written_lines(written)

@@ -27,13 +27,17 @@ MAX_TORQUE_RATIO = 3.0
 0.9."""
 
 
-def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recording:
+def check_torque(
+    recording: Recording, robot: Robot, limits: Limits, *, has_payload: bool = False
+) -> Recording:
     """Check a recording's torque.
 
     Args:
         recording: The recording, with torque or current of every joint.
         robot: The robot with its nominal parameters.
         limits: Its limits.
+        has_payload: True if the robot carries a payload that its description lacks: then torque of
+            another scale is no remark.
 
     Returns:
         The recording with a remark for each finding. Each is also given as a warning, as are
@@ -56,6 +60,8 @@ def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recordin
         *_excessive_torque(recording, torque, limits),
         *(() if planned else nominal_comparison.compare_with_nominal(recording, robot)),
     ]
+    if has_payload:
+        remarks = [r for r in remarks if r.doubt or r.kind is not RemarkKind.TORQUE_SCALE]
     if not planned and not any(remark.doubt for remark in remarks):
         remarks += _exchanged_torque(recording, robot)
     clipped = [remark for remark in recording.remarks if remark.kind is RemarkKind.CLIPPED]

@@ -38,6 +38,8 @@ MASS_DEVIATION = 1e-3
 """Relative standard deviation of a stated mass."""
 CENTRE_DEVIATION = 5e-3
 """Standard deviation of a stated centre [m]."""
+CLEAR_DIFFERENCE = 5.0
+"""Difference of a mass from another one, over its standard deviation, from which it is clear."""
 SMALLEST_MASS = 1e-3
 """Mass that the prior has at least [kg]."""
 UNSHOWN_INFORMATION = 1e-14
@@ -124,6 +126,11 @@ class PayloadData:
         others, cross = self.information[1:, 1:], self.information[0, 1:]
         marginal = self.information[0, 0] - cross @ np.linalg.pinv(others, rcond=1e-12) @ cross
         return float(1.0 / np.sqrt(marginal)) if marginal > 0.0 else np.inf
+
+    def contradicts(self, mass: float) -> bool:
+        """Tell whether the data show clearly another mass than a stated one [kg]."""
+        std = float(np.hypot(self.mass_deviation, MASS_DEVIATION * mass))
+        return bool(abs(self.theta[0] - mass) > CLEAR_DIFFERENCE * std)
 
 
 @dataclass(frozen=True)
@@ -450,7 +457,7 @@ def require_mass(result: PayloadEstimate, names: Sequence[str]) -> None:
         UnusableInput: The mass is significantly below 0.
     """
     mass, std = float(result.data.theta[0]), result.data.mass_deviation
-    if np.isfinite(std) and mass < -5.0 * std:
+    if np.isfinite(std) and mass < -CLEAR_DIFFERENCE * std:
         raise UnusableInput(
             f"{', '.join(names)}: the payload has the mass {mass:.3g} ± {std:.2g} kg; exchange "
             "--with and --without"

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
-from .formatting import number
+from .formatting import number, value_with_error
 from .render import render
 
 NAMES = {
@@ -41,6 +41,7 @@ def payload_page(document: Mapping[str, Any]) -> str:
             *_doubts(document),
             Banner(verdict, "good" if mass["shown"] else "warn"),
             *_mounting(document),
+            *(Banner(words, "warn") for words in stated_mass_words(document)),
         ],
         cards=[
             (f"{number(mass['value'])} kg", "mass"),
@@ -69,6 +70,21 @@ def _doubts(document: Mapping[str, Any]) -> list[Banner]:
         return []
     text = "Do not use this payload: the recordings are doubted."
     return [Banner(text, "bad"), *(Banner(doubt, "warn") for doubt in doubts)]
+
+
+def stated_mass_words(document: Mapping[str, Any]) -> list[str]:
+    """Return a sentence where the torque alone shows another mass than the stated one, or none."""
+    other, stated = document["mass_by_torque"], document["stated_mass"]
+    if other is None:
+        return []
+    percentage = 100.0 * abs(other["value"] / stated - 1.0)
+    size = "large" if other["value"] > stated else "small"
+    return [
+        f"The torque alone shows {value_with_error(**other, unit='kg')} and not the stated "
+        f"{number(stated)} kg: torque is {number(percentage, 2)} % too {size}, as by a wrong "
+        "drive_gain, or the recordings differ by more than the payload. Then centre and moments "
+        "of inertia are wrong as well."
+    ]
 
 
 def _mounting(document: Mapping[str, Any]) -> list[Banner]:

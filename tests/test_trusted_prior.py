@@ -17,7 +17,6 @@ from diagnosis_cases import (
     diagnose,
     diagnosed,
     findings_of,
-    known_failures,
     noise_ratios,
     parameters,
     recordings_of,
@@ -228,12 +227,7 @@ def test_a_tilt_keeps_the_magnitude_of_gravity():
     assert estimate == pytest.approx({"roll": roll, "pitch": pitch})
 
 
-@pytest.mark.parametrize(
-    "name",
-    known_failures(
-        ["two_link", "ur10e"], {"two_link": "mass 0.25 kg, true 0.5 kg: divided among two payloads"}
-    ),
-)
+@pytest.mark.parametrize("name", ["two_link", "ur10e"])
 def test_a_payload_is_no_rotor_inertia(name, tmp_path):
     """Only a payload is hidden; the prior file states the joint actuators exactly."""
     pytest.importorskip("mujoco")

@@ -182,8 +182,10 @@ def test_recordings_of_ur_rtde(tmp_path, separator):
     assert recording.temperature is not None and recording.dq is not None
     with pytest.raises(
         UnusableInput, match=f"joint '{robot.joints[0]}' has a current but no drive gain"
-    ):
+    ) as caught:
         _ = recording.torque
+    assert all(f'"{name}": N m/A' in str(caught.value) for name in robot.joints)
+    assert "into r.json" in str(caught.value)
     gains = {name: 10.0 + i for i, name in enumerate(robot.joints)}
     (tmp_path / "r.json").write_text(
         json.dumps({"schema": "excite.recording/1", "drive_gain": gains})

@@ -7,6 +7,7 @@ import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from ..robot.samples import Samples
 from . import encoder_resolution
 from .block import QUANTITIES
 from .remark import Remark, shown_time
-from .sidecar import Sidecar
+from .sidecar import Sidecar, sidecar_path
 from .time_axis import gap_free_slices, mean_step
 
 DEFAULT_CUTOFF_HZ = 20.0
@@ -185,10 +186,17 @@ class Recording:
     def _drive_gain(self, joint: str) -> float:
         """Drive gain of a joint [N m/A]."""
         if joint not in self.sidecar.drive_gain:
+            path = sidecar_path(Path(self.source))
+            gains = ", ".join(
+                f'"{name}": N m/A'
+                for name in self.joints
+                if self.has("current", name)
+                and not self.has("tau", name)
+                and name not in self.sidecar.drive_gain
+            )
             raise UnusableInput(
                 f"{self.source}: joint '{joint}' has a current but no drive gain; put "
-                f'"drive_gain": {{"{joint}": N m/A}} into the recording\'s .json file ("schema": '
-                '"excite.recording/1")'
+                f'"drive_gain": {{{gains}}} into {path.name} ("schema": "excite.recording/1")'
             )
         return self.sidecar.drive_gain[joint]
 

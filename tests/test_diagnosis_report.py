@@ -225,6 +225,7 @@ def test_unknown_torque_and_session_changes_have_sections() -> None:
         "share": 0.3,
         "too_small": ["spring"],
         "probability": 0.8,
+        "z_score": None,
         "experiment": "a sharp stop",
     }
     change = {"value": 0.2, "std": 0.05, "unit": "N m", "relative": 0.5}

@@ -198,7 +198,7 @@ def test_the_uncertainty_of_a_change_is_that_of_its_recording():
 
 @pytest.mark.parametrize("seconds", [5, 8, 12])
 def test_coloured_noise_of_a_short_recording_is_no_change(seconds):
-    """Of residuals that are noise alone, averages over half a second, hardly any is a change."""
+    """White noise that was averaged over half a second hardly ever looks like a change."""
     rng = np.random.default_rng(seconds)
     held_out = diagnosed_sessions(None, 0.0).held_out
     time = np.concatenate([motion.time for motion in held_out.motions])

@@ -232,7 +232,7 @@ def _entry(
     }
     if shape.other is not None:
         out["from"] = _joint(diagnosis, shape.other)
-    if weaker := _weaker_waves(estimate):
+    if weaker := _weaker_waves(diagnosis, estimate):
         out["weaker_waves"] = weaker
     if hidden := sorted(set(estimate.parameters) - set(shown)):
         out["not_shown"] = hidden
@@ -247,15 +247,15 @@ def _entry(
     return out
 
 
-def _weaker_waves(estimate: EffectEstimate) -> list[dict[str, float]]:
+def _weaker_waves(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[str, float]]:
     """Order and amplitude of all waves of a ripple but the one that is reported, as it."""
     if estimate.effect != "torque_ripple" or "order" not in estimate.parameters:
         return []
-    order, _ = estimate.parameters["order"]
+    base, (reported, _) = diagnosis.model.motions[0].fitted_robot, estimate.parameters["order"]
     waves = [
-        {"order": shape.values["order"], "amplitude": float(np.hypot(*c[:2]))}
+        shape.parameters(c, base)
         for shape, c in zip(estimate.models, estimate.coefficients, strict=True)
-        if shape.values["order"] != order
+        if shape.values["order"] != reported
     ]
     return sorted(waves, key=lambda wave: -wave["amplitude"])
 

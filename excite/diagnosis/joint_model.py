@@ -480,8 +480,9 @@ def base_model(
         previous: A fit that gives the weights of the rows, the size of changes between recordings,
             and the measured torque of the motions; the base model does if None.
     """
-    free, level = free_parameters(identified), friction_level(motions)
-    variation = np.maximum(torque_variation(motions), level)
+    free = free_parameters(identified)
+    deviation = np.concatenate([motion.torque for motion in motions]).std(axis=0)
+    level = friction_level(motions, deviation)
     fixed = np.delete(np.arange(identified.model.base.count), free)
     known = np.concatenate(
         [chain.passed(m, m.gamma[:, :, fixed] @ m.theta[fixed]) for m in motions]
@@ -514,7 +515,7 @@ def base_model(
         regression=regression,
         chain=chain,
         level=level,
-        variation=variation,
+        variation=np.maximum(deviation, level),
         psi=psi,
         free=free,
         known=known,
@@ -555,19 +556,15 @@ def transient_rows(
     return np.concatenate(out)
 
 
-def friction_level(motions: Sequence[RecordedMotion]) -> FloatArray:
+def friction_level(motions: Sequence[RecordedMotion], deviation: FloatArray) -> FloatArray:
     """Return the Coulomb friction of each joint, shape (n,) [N m].
 
-    It is at least a share of the other joints' and of the variation of the joint's torque.
+    It is at least a share of the other joints' and of the standard deviation of the joint's torque,
+    shape (n,) [N m].
     """
     coulomb = np.abs(motions[0].fitted_robot.actuator_parameter("coulomb"))
     least = max(MIN_LEVEL_SHARE * float(np.median(coulomb)), 1e-12)
-    return np.maximum(coulomb, np.maximum(least, MIN_TORQUE_SHARE * torque_variation(motions)))
-
-
-def torque_variation(motions: Sequence[RecordedMotion]) -> FloatArray:
-    """Return the standard deviation of the torque of each joint, shape (n,) [N m]."""
-    return np.asarray(np.concatenate([motion.torque for motion in motions]).std(axis=0))
+    return np.maximum(coulomb, np.maximum(least, MIN_TORQUE_SHARE * deviation))
 
 
 def free_parameters(identified: Identification) -> IntArray:

@@ -316,12 +316,7 @@ class _Search:
         elif shape.nonlinear is not None and shape.interval is None:
             shape, extended = self._optimised_again(shape, extended)
         elif (richer := shape.definition.richer(shape)) is not None:
-            # without it, its own torque made the residual look correlated: few rows counted
-            other = self._fit((*self._shapes, richer))
-            if _evidence(other, shape.key) > _evidence(extended, shape.key):
-                members = posterior.effect_groups(other)[shape.key]
-                if _is_plausible(other, members):
-                    shape, extended = richer, other
+            shape, extended = self._with_more_coefficients(shape, extended, richer)
         return self._judged(extended, shape, self.model)
 
     def _chosen_again(
@@ -352,6 +347,19 @@ class _Search:
         # a difference of form explains the square of its share of the evidence
         is_better = gain > FORM_ERROR_STD**2 * present.evidence
         return (moved.model, other) if is_better else (shape, extended)
+
+    def _with_more_coefficients(
+        self, shape: CandidateModel, extended: JointModel, richer: CandidateModel
+    ) -> tuple[CandidateModel, JointModel]:
+        """Choose a form with further coefficients if there is evidence for it.
+
+        In the residual without the effect few rows looked independent, too few for them.
+        """
+        other = self._fit((*self._shapes, richer))
+        is_better = _evidence(other, shape.key) > _evidence(extended, shape.key)
+        if is_better and _is_plausible(other, posterior.effect_groups(other)[shape.key]):
+            return richer, other
+        return shape, extended
 
     def _may_be_needed(self, shape: CandidateModel) -> bool:
         """Tell whether there is evidence for an effect next to the present model."""

@@ -23,7 +23,8 @@ MAX_INDEFINITENESS = 0.05
 """Largest magnitude of a negative eigenvalue of its pseudo-inertia over the largest one: noise
 makes that of a compact load indefinite."""
 COUNTS = (4, 10)
-"""Parameters of a point mass, and of a body with inertia."""
+"""Numbers of inertial parameters [1]: mass and first moments of a point mass, and those of a body,
+which has six second moments as well."""
 ONE_LOAD = "a load that the other recordings have not"
 """Description of the residual of a load in one recording."""
 

@@ -21,7 +21,7 @@ from excite.designer.effect_columns import (
 from excite.designer.presliding import presliding_state
 from excite.effects import EFFECTS_BY_NAME
 from excite.effects.effect import CandidateModel, single_joint_columns
-from excite.effects.recorded_motion import RecordedMotion, fitted_robot, low_passed_samples
+from excite.effects.recorded_motion import RecordedMotion, fitted_robot
 from excite.identification.lowpass import Grid
 from excite.identification.segments import RecordingSegment
 from excite.robot import inertial_parameters
@@ -119,10 +119,9 @@ def recorded() -> RecordedMotion:
         recording_start=0.0,
     )
     rows = np.zeros((0, n))
-    band = segment.band(BAND)
     out = RecordedMotion(
         segment,
-        band,
+        segment.band(BAND),
         fitted_robot(c.robot, c.parameters, c.psi),
         c.widths,
         np.zeros(0),
@@ -131,7 +130,6 @@ def recorded() -> RecordedMotion:
         rows,
         slice(0, None),
         np.zeros(0),
-        low_passed_samples(segment, band),
         rows.astype(bool),
         rows.astype(bool),
     )

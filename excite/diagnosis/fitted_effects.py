@@ -153,7 +153,6 @@ def _effect_torque(
             slopes=no_rows,
             kept=slice(0),
             time=np.zeros(0),
-            samples=recorded_motion.low_passed_samples(segment, band),
             moving=no_rows.astype(bool),
             far_from_rest=no_rows.astype(bool),
         )

@@ -96,7 +96,6 @@ class RecordedMotion:
         slopes: Derivative of the torque by the logarithm of the friction width, shape (N, n).
         kept: Rows of the regression's grid that are far enough from the segment's ends.
         time: Times of the kept rows [s], shape (N,).
-        samples: Motion at every sample of the recording, of `low_passed_samples`.
         moving: Rows at which a joint moves; static friction is not modelled. Shape (N, n).
         far_from_rest: Rows that no friction at rest reaches through the low-pass filter, shape
             (N, n).
@@ -117,7 +116,6 @@ class RecordedMotion:
     slopes: FloatArray
     kept: slice
     time: FloatArray
-    samples: Samples
     moving: BoolArray
     far_from_rest: BoolArray
     grid: Grid = Grid.KEPT
@@ -195,6 +193,12 @@ class RecordedMotion:
     def sign(self, joint: int) -> FloatArray:
         """Return the smooth sign tanh(q̇/w) of the base model's Coulomb friction, shape (M,)."""
         return np.asarray(np.tanh(self.samples.dq[:, joint] / self.widths[joint]))
+
+    @property
+    @for_all_fits
+    def samples(self) -> Samples:
+        """Low-passed motion at every sample of the recording, see `low_passed_samples`."""
+        return low_passed_samples(self.segment, self.band)
 
     @property
     def temperature(self) -> FloatArray:
@@ -480,7 +484,6 @@ def recorded_motions(
                 slopes=slopes[kept],
                 kept=kept,
                 time=segment.start + rows / segment.rate,
-                samples=motion,
                 moving=counted,
                 far_from_rest=far_from_rest(motion.q, motion.dq, rows, largest, reach),
             )

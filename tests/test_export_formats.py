@@ -102,6 +102,7 @@ def test_flattened_joint_states(two_link, tmp_path, time, element):
         ("timestamp", "{joint}/{word}"),
         ("t [s]", "{word}[{joint}]"),
         ("time_s", "{joint}.{quantity} [{unit}]"),
+        ("time", "{joint}_{word}_{unit}"),
     ],
 )
 def test_names_of_joints_as_scripts_spell_them(two_link, tmp_path, time, spelling):
@@ -111,6 +112,8 @@ def test_names_of_joints_as_scripts_spell_them(two_link, tmp_path, time, spellin
     ):
         for joint in ("joint_2", "joint_1"):
             name = spelling.format(quantity=quantity, word=word, joint=joint, unit=unit)
+            if name.endswith("_N m"):
+                name = name.replace("N m", "Nm")
             columns[name] = COLUMNS[f"{quantity}.{joint}"]
     path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
     assert_same_motion(recordings.read(path, two_link))
@@ -129,6 +132,19 @@ def test_numbered_joints_are_in_the_order_of_the_robot(two_link, tmp_path, spell
     assert_same_motion(recording)
     second = spelling.format("q", first + 1)
     assert any(f"{second} = joint_2" in text for text in warned)
+
+
+@pytest.mark.parametrize("names", [("position", "torque"), ("q_rad", "tau_Nm"), ("q1", "tau1")])
+def test_columns_of_a_robot_with_a_single_joint_need_no_name(two_link, tmp_path, names):
+    robot = load("two_link", lock={"joint_2": 0.0})
+    values = [COLUMNS[f"{quantity}.joint_1"] for quantity in ("q", "tau")]
+    path = write(tmp_path / "r.csv", ["time", *names], rows(COLUMNS["t"], *values))
+    recording, warned = read_with_warnings(path, robot)
+    np.testing.assert_allclose(recording.q[:, 0], values[0])
+    np.testing.assert_allclose(recording.torque[:, 0], values[1])
+    assert not any("joint_1" in text for text in warned)
+    degrees = write(tmp_path / "r.csv", ["time", "position_deg"], rows(COLUMNS["t"], values[0]))
+    assert_refused(degrees, robot, "is in deg", "SI units")
 
 
 def test_names_that_scripts_spell_are_read_only_if_they_are_clear(two_link, tmp_path):

@@ -5,9 +5,10 @@
 | time | `time`, `timestamp`, `time_s`, `t [ms]` |
 | quantity and joint | `q_elbow`, `elbow_pos`, `elbow/velocity`, `tau[elbow]`, `elbow.effort` |
 | quantity and number, by the order of the robot | `q1`, `dq_1`, `tau[0]`, `joint1_torque` |
+| quantity alone, of a robot with a single joint | `position`, `torque` |
 
-They are renamed only if all positions and the time are found so. A unit in brackets may follow; any
-but SI units is refused, as the names of columns convert no values.
+They are renamed only if all positions and the time are found so. A unit may follow, as in `q1 [rad]`
+or `torque_Nm`; any but SI units is refused, as the names of columns convert no values.
 """
 
 from __future__ import annotations
@@ -40,9 +41,16 @@ WORDS = {
 TIMES = re.compile(r"(?:t|time|timestamp|seconds)(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?", re.I)
 """A column of time, with its unit."""
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-UNIT = re.compile(r"\s*[\[(]([^\[\]()]*[^\[\]()\d][^\[\]()]*)[\])]$")
-"""A unit in brackets at the end of a name; a number there is that of a joint."""
-SI_UNITS = {"rad", "m", "rad/s", "m/s", "nm", "n m", "n·m", "n*m", "n", "a", "°c", "degc", "c"}
+UNIT = re.compile(
+    r"\s*[\[(](?P<bracketed>[^\[\]()]*[^\[\]()\d][^\[\]()]*)[\])]$"
+    r"|_(?P<appended>rad|rad_s|rad/s|m_s|m/s|nm|n_m|amps?|deg|deg_s|deg/s|degrees|rpm|mm|ma|mnm)$",
+    re.I,
+)
+"""A unit at the end of a name; a number in brackets is that of a joint."""
+SI_UNITS = {
+    *("rad", "m", "rad/s", "rad_s", "m/s", "m_s", "nm", "n m", "n·m", "n*m", "n_m", "n"),
+    *("a", "amp", "amps", "°c", "degc", "c"),
+}
 """Units of columns, in lower case, without a conversion."""
 _WORD = "|".join(sorted(WORDS, key=len, reverse=True))
 _NUMBERED = re.compile(
@@ -95,8 +103,9 @@ def find_spelled_columns(
         places = _of_number(names, robot.joints, effort)
         if not set(positions) <= set(places.values()):
             return None
-        names_of = {place: name for name, place in places.items()}
-        numbered = tuple(names_of[place] for place in positions)
+        if len(robot.joints) > 1:
+            names_of = {place: name for name, place in places.items()}
+            numbered = tuple(names_of[place] for place in positions)
     first: dict[str, str] = {}
     for name, place in places.items():
         if first.setdefault(place, name) != name:
@@ -104,10 +113,10 @@ def find_spelled_columns(
                 f"{source}: columns '{first[place]}' and '{name}' are both {place}; choose one "
                 f"with --columns {place}=COLUMN"
             )
-        unit = UNIT.search(name)
-        if unit is not None and unit[1] not in joints and unit[1].strip().lower() not in SI_UNITS:
+        unit = _unit(name)
+        if unit and unit not in joints and unit.lower() not in SI_UNITS:
             raise UnusableInput(
-                f"{source}: column '{name}' is in {unit[1].strip()}; convert it to SI units and "
+                f"{source}: column '{name}' is in {unit}; convert it to SI units and "
                 f"name it {place}"
             )
     renamed = tuple(places.get(name, name) for name in names)
@@ -126,12 +135,24 @@ def _of_joint(name: str, joints: Sequence[str], effort: str) -> str | None:
     return None
 
 
+def _unit(name: str) -> str:
+    """Return the unit at the end of a name, empty without one."""
+    match = UNIT.search(name.strip())
+    return (match["bracketed"] or match["appended"]).strip() if match else ""
+
+
 def _of_number(names: Sequence[str], joints: Sequence[str], effort: str) -> dict[str, str]:
-    """Return the standard names of columns with numbers, from 0 or 1 to that of the last joint."""
+    """Return the standard names of columns with numbers, from 0 or 1 to that of the last joint.
+
+    That of a single joint may be missing.
+    """
     places: dict[str, tuple[str, int]] = {}
     for name in names:
-        match = _NUMBERED.fullmatch(UNIT.sub("", name.strip()))
-        if match is not None:
+        text = UNIT.sub("", name.strip())
+        match = _NUMBERED.fullmatch(text)
+        if len(joints) == 1 and text.lower() in WORDS:
+            places[name] = _prefix(text.lower(), effort), 0
+        elif match is not None:
             word = (match["word"] or match["behind"]).lower()
             number = int(match["number"] or match["first"])
             places[name] = _prefix(word, effort), number

@@ -7,8 +7,8 @@
 | quantity and number, by the order of the robot | `q1`, `dq_1`, `tau[0]`, `joint1_torque` |
 | quantity alone, of a robot with a single joint | `position`, `torque` |
 
-They are renamed only if all positions and the time are found so. A unit may follow, as in `q1 [rad]`
-or `torque_Nm`; any but SI units is refused, as the names of columns convert no values.
+They are renamed only if all positions and the time are found so. A unit may follow (`q1 [rad]`,
+`torque_Nm`); any but SI units is refused, as the names of columns convert no values.
 """
 
 from __future__ import annotations

@@ -109,6 +109,7 @@ def test_a_model_that_is_worse_than_the_nominal_robot_is_remarked(folder, capsys
         text, report = capsys.readouterr().out, (tmp_path / "report.html").read_text()
         assert ("joint_1 and joint_2: the nominal robot predicts" in text) is is_worse
         assert ("The nominal robot predicts joint_1 and joint_2 better" in report) is is_worse
+        assert "check the units" not in text
 
 
 def test_what_looks_like_a_delay_of_the_torque_may_be_friction(folder, capsys, tmp_path):

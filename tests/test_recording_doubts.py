@@ -23,8 +23,10 @@ from excite.cli.main import main
 from excite.errors import UnusableInput
 from excite.identification import nominal_comparison, torque_check
 from excite.recordings import Recording, RemarkKind
+from excite.robot.dynamics import inverse_dynamics
 from excite.robot.limits import resolve
 from excite.robot.robot import Robot, load
+from excite.robot.samples import Samples
 
 REPORTS = Path() if INPUTS is None else INPUTS / "reports"
 CLEAN_ERROR = {"two_link": (0.0051, 0.0110)}
@@ -329,6 +331,56 @@ def test_friction_tells_whether_the_torque_or_the_robot_description_is_the_wrong
     assert all(r.doubt is (sign < 0.0) for r in remarks)
     cause = "its sign is inverted" if sign < 0.0 else "wrong in the robot description"
     assert all(cause in r.text for r in remarks)
+
+
+def slow_recording(robot: Robot, seed: int, lever_error: float, folder: Path) -> Recording:
+    """A part of a slow motion in which the joints hardly turn back; links differ from nominal."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(800) / 100.0
+    phase = np.outer(2.0 * np.pi * 0.01 * t + rng.uniform(0.0, 2.0 * np.pi), np.arange(1, 6))
+    speed = 2.0 * np.pi * 0.01 * np.arange(1, 6)
+    sine, cosine = rng.normal(size=(2, 5, robot.n)) * 0.6 / np.arange(1, 6)[:, None]
+    motion = Samples(
+        np.sin(phase) @ sine + np.cos(phase) @ cosine + rng.uniform(-1.0, 1.0, robot.n),
+        (np.cos(phase) * speed) @ sine - (np.sin(phase) * speed) @ cosine,
+        -(np.sin(phase) * speed**2) @ sine - (np.cos(phase) * speed**2) @ cosine,
+    )
+    model = robot.model.copy()
+    for i in range(1, model.njoints):
+        body = model.inertias[i]
+        mass, lever = body.mass * rng.uniform(0.6, 1.4), rng.normal(0.0, lever_error, 3)
+        model.inertias[i] = pin.Inertia(mass, body.lever + lever, body.inertia)
+    torque = inverse_dynamics(robot, model, motion)
+    coulomb = 0.2 + 0.02 * np.abs(torque).max(axis=0)
+    torque += coulomb * np.tanh(motion.dq / 0.01) + rng.normal(0.0, 0.05, torque.shape)
+    columns = {"t": t}
+    for j, joint in enumerate(robot.joints):
+        columns |= {f"q.{joint}": motion.q[:, j], f"tau.{joint}": torque[:, j]}
+    return recordings.read(write_columns(folder / "slow.csv", columns), robot)
+
+
+@pytest.mark.parametrize("name", ["iiwa14", "panda", "ur5e"])
+def test_inverted_torque_of_a_slow_motion_is_not_taken_for_wrong_links(name, tmp_path):
+    """Friction of joints that hardly turn back cannot be told from errors of the links."""
+    robot = load(name)
+    for seed in range(4):
+        recording = slow_recording(robot, seed, 0.02, tmp_path)
+        assert not nominal_comparison.compare_with_nominal(recording, robot)
+        inverted = dataclasses.replace(recording, tau=-recording.tau)
+        remarks = nominal_comparison.compare_with_nominal(inverted, robot)
+        assert {r.kind for r in remarks} == {RemarkKind.TORQUE_SIGN}
+        assert all(r.doubt and "its sign is inverted" in r.text for r in remarks)
+        of_all = [r.text.endswith("probably that of all joints") for r in remarks]
+        assert all(of_all) if len(remarks) > 1 else not any(of_all)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_joints_of_a_slow_motion_are_not_exchanged_by_chance(name, tmp_path):
+    robot = load(name)
+    for seed in range(12):
+        recording = slow_recording(robot, seed, 0.06, tmp_path)
+        kinds = {d.kind for d in nominal_comparison.compare_with_nominal(recording, robot)}
+        assert not kinds & {RemarkKind.EXCHANGED, RemarkKind.POSITION}
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import api
 from .._system.output_files import OutputFiles, output_folder
+from .._types import FloatArray
 from ..api.saved_identification import IDENTIFICATION_FILES
 from ..api.servo_identification_result import lacks_torque
 from ..errors import ExciteWarning, UnusableInput
@@ -196,13 +197,10 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
             lines.append(f"{joint:25} {before:10.4g} {after:11.4g} {floor:>10} {percent:>9}")
     lines += [_summary(prediction, robot) for prediction in predictions]
     if worse := identification.worsened_joints():
-        useless = [
-            p.relative()[robot.joints.index(joint)] > 1.0 for p in predictions for joint in worse
-        ]
         advice = (
-            "its error exceeds the torque itself: check the units of all recordings (positions in "
-            "rad, not in turns or degrees)"
-            if any(useless)
+            "the error of all joints exceeds their torque: check the units of all recordings "
+            "(positions in rad, not in turns or degrees)"
+            if any(_percent_of_torque(p, p.fitted) > 100.0 for p in predictions)
             else "try a lower --band or record a motion that excites more"
         )
         lines.append(
@@ -221,15 +219,18 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
     return "\n".join([*lines, *facts, *written_lines(written)])
 
 
+def _percent_of_torque(prediction: Prediction, torque: FloatArray) -> float:
+    """Error of predicted torque over the measured torque, of all joints in motion [%]."""
+    counted = prediction.moving
+    size = float(np.linalg.norm(prediction.measured[counted]))
+    error = float(np.linalg.norm((prediction.measured - torque)[counted]))
+    return 100.0 * error / size if size else 0.0
+
+
 def _summary(prediction: Prediction, robot: Robot) -> str:
     """Error of all joints before and after, and the joint that limits it."""
-    counted = prediction.moving
-    size = np.sqrt(np.sum(prediction.measured[counted] ** 2))
     before, after = (
-        100.0 * float(np.linalg.norm((prediction.measured - values)[counted]) / size)
-        if size
-        else 0.0
-        for values in (prediction.nominal, prediction.fitted)
+        _percent_of_torque(prediction, torque) for torque in (prediction.nominal, prediction.fitted)
     )
     joint, above = prediction.limiting_joint()
     name, error = robot.joints[joint], prediction.error()[joint]

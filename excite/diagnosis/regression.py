@@ -19,12 +19,9 @@ import numpy as np
 from scipy import linalg
 
 from .._types import BoolArray, FloatArray, IntArray
+from ..identification.autocorrelation import correlation_length
 from .normal_equations import RIDGE, Elimination, Solution, System
 
-MAX_LAG = 40
-"""Lags of the autocorrelation that are summed [rows]."""
-MIN_AUTOCORRELATION = 0.02
-"""Autocorrelation at which the sum ends, about two standard errors of 10,000 rows."""
 MIN_REMAINING = 1e-6
 """Share of a squared error that is not told from rounding."""
 FIXED_STD = 1e-12
@@ -713,23 +710,14 @@ def log_error_ratio(new: FloatArray, old: FloatArray, rows: BoolArray) -> FloatA
 
 
 def independent_share(residual: FloatArray, moving: BoolArray) -> float:
-    """Return the share ρ of independent rows, 1/(1 + 2 Σ r_k), the median over the joints.
+    """Return the share ρ of independent rows, the median over the joints.
 
-    The sum over the autocorrelations r_k ends at the first that is not significant. One share for
-    all joints: weighted each by its own, a joint with a white residual would bend the rigid-body
-    parameters of its neighbours.
+    One share for all joints: weighted each by its own, a joint with a white residual would bend the
+    rigid-body parameters of its neighbours.
 
     Args:
         residual: Torque residual, shape (N, n).
         moving: Rows that count, shape (N, n).
     """
-    lengths = []
-    for x in np.where(moving, residual, 0.0).T:
-        power, total = float(x @ x), 1.0
-        for lag in range(1, min(MAX_LAG, len(x) - 1)):
-            correlation = float(x[lag:] @ x[:-lag]) / max(power, 1e-300)
-            if correlation < MIN_AUTOCORRELATION:
-                break
-            total += 2.0 * correlation
-        lengths.append(total)
+    lengths = [correlation_length(x) for x in np.where(moving, residual, 0.0).T]
     return 1.0 / float(np.median(lengths))

@@ -6,8 +6,9 @@ joint are fitted to a part of the rows and predict the others:
 
     τ_π(j) = Y_j φ + F_j f_j + e_j,   φ ~ N(φ₀, S²),   e_j ~ N(0, σ_j²),
 
-with a vague prior around the nominal parameters φ₀. Unlike a comparison with the nominal torque
-itself, this judges joints whose torque is mostly friction, and links that are poorly known.
+with the vague prior of `link_columns` around the nominal parameters φ₀. Unlike a comparison with
+the nominal torque itself, this judges joints whose torque is mostly friction, and links that are
+poorly known.
 """
 
 from __future__ import annotations
@@ -18,25 +19,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray
-from ..robot.dynamics import body_regressor
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .nominal_comparison import ROUNDING, friction_columns
+from .link_columns import friction_columns, link_columns
+from .nominal_comparison import OWN_COLUMNS, ROUNDING
 
 FOLDS = 5
 """Number of consecutive parts of the rows, each of which is predicted from the others."""
-PRIOR_SHARE = 0.5
-"""Prior standard deviation of a parameter, over its size in a body of LINK_RADIUS [1]."""
-LINK_RADIUS = 0.2
-"""Distance of a link's mass from its joint, by which its parameters are scaled [m]."""
-MIN_MASS_SHARE = 0.05
-"""Smallest mass by which a link's prior is scaled, over the largest of the robot [1]."""
 RIDGE = 1e-3
 """Regularization of the fit of a single joint, over the mean of its information's diagonal [1]."""
 MIN_NOISE_SHARE = 1e-4
 """Smallest variance of e over that of the joint's torque [1]."""
-OWN_COLUMNS = 4
-"""Columns of a joint alone: offset, viscous and Coulomb friction, and rotor inertia."""
 MAX_UNEXPLAINED = 0.3
 """Largest unexplained share of the torque of both joints, predicted with the torques exchanged [1].
 Where more remains, as at a wrist of which no model holds, neither order is shown."""
@@ -109,10 +102,7 @@ def find_exchange(
 def _joint_equations(robot: Robot, motion: Samples, torque: FloatArray) -> list[_JointEquations]:
     """Build the equations of each joint's row."""
     n, rows = robot.n, len(torque)
-    bodies = np.array([body.toDynamicParameters() for body in list(robot.model.inertias)[1:]])
-    regressor = body_regressor(robot, motion)
-    nominal = regressor @ bodies.ravel()
-    columns, out = regressor * _prior_std(bodies[:, 0]), []
+    (nominal, columns), out = link_columns(robot, motion), []
     fold = np.arange(rows) * FOLDS // rows
     for j in range(n):
         alone = np.column_stack([friction_columns(motion.dq[:, j]), motion.ddq[:, j]])
@@ -127,13 +117,6 @@ def _joint_equations(robot: Robot, motion: Samples, torque: FloatArray) -> list[
             )
         )
     return out
-
-
-def _prior_std(mass: FloatArray) -> FloatArray:
-    """Prior standard deviations of mass, first and second moments of links, shape (10 links,)."""
-    mass = np.maximum(mass, MIN_MASS_SHARE * mass.max())
-    powers = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
-    return (PRIOR_SHARE * mass[:, None] * LINK_RADIUS**powers).ravel()
 
 
 def _errors(

@@ -25,7 +25,8 @@ from ..recordings import Recording, Remark, RemarkKind
 from ..robot.dynamics import inverse_dynamics
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .dissipation import CLEARLY_NEGATIVE
+from . import friction_sign
+from .link_columns import FRICTION_SPEED_SHARE, friction_columns, link_columns
 
 COMPARED_ROWS = 600
 """Number of compared rows, spread evenly over the longest stretch without a gap."""
@@ -35,8 +36,6 @@ accelerations of an arm that cause its inertial torque lie below."""
 MAX_CUTOFF_SHARE = 0.15
 """Cutoff over the sampling rate of slow recordings [1]: second differences of positions that jitter
 against their stamps are noise above that."""
-FRICTION_SPEED_SHARE = 0.05
-"""Width of the smooth Coulomb step over the RMS speed [1]."""
 MIN_CORRELATION = 0.85
 """Correlation with the nominal torque from which the sign and the scale of a joint are judged [1].
 On ten real machines the most negative is −0.78 (joint 7 of a KUKA LWR4+, whose torque comes from
@@ -82,6 +81,8 @@ MAX_SCALE_RATIO = 2.0
 wrong zero or sign leaves the scale as it is [1]."""
 MIN_EXPLAINED_GAIN = 0.4
 """Smallest sum over the joints of the changes of the explained shares [1]."""
+OWN_COLUMNS = 4
+"""Columns of a joint that are removed: offset, viscous and Coulomb friction, and rotor inertia."""
 ZERO_OFFSETS_DEG = (90, -90, 180)
 """Offsets between the zero of an encoder and that of the URDF that are considered [°]: conventions
 of the zero pose differ by right angles."""
@@ -195,7 +196,7 @@ def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
     gravity, dynamic = nominal_torque(robot, motion)
     comparison = _comparison(torque, motion, gravity, dynamic)
     remarks = [
-        *_sign_doubts(recording, torque, motion, comparison),
+        *_sign_doubts(recording, robot, rows, comparison),
         *_scale_doubts(recording, comparison),
     ]
     if not remarks:
@@ -242,49 +243,44 @@ def _comparison(
 
 
 def _sign_doubts(
-    recording: Recording, torque: FloatArray, motion: Samples, comparison: NominalComparison
+    recording: Recording, robot: Robot, rows: ComparedRows, comparison: NominalComparison
 ) -> Iterator[Remark]:
     """Yield a doubt for each joint whose torque has the opposite sign.
 
     Where its friction takes out power the sign is right, and the nominal model is wrong.
     """
     slope, correlation = comparison.slopes()
-    for j in np.flatnonzero(correlation < -MIN_CORRELATION).tolist():
+    opposite = np.flatnonzero(correlation < -MIN_CORRELATION).tolist()
+    if not opposite:
+        return
+    nominal, links = link_columns(robot, rows.motion)
+    is_right = [
+        friction_sign.friction_dissipates(
+            rows.torque[:, j],
+            rows.motion,
+            j,
+            nominal[:, j],
+            np.abs(slope[j]) * links[:, j],
+            rows.independent,
+        )
+        for j in opposite
+    ]
+    # no joint has the nominal sign
+    of_all = len(opposite) > 1 and not any(is_right) and correlation.max() < MIN_CORRELATION
+    for j, right in zip(opposite, is_right, strict=True):
         joint = recording.joints[j]
-        others = np.column_stack([motion.ddq[:, j], comparison.nominal[:, j]])
-        is_right = _friction_dissipates(torque[:, j], motion.dq[:, j], others)
         reason = (
             "its friction takes out power, so that its sign is right, and mass or centre of mass "
             "of the links that it moves are wrong in the robot description"
-            if is_right
+            if right
             else "its sign is inverted, turn it"
+            + (", and probably that of all joints" if of_all else "")
         )
         text = (
             f"joint '{joint}': measured torque is {slope[j]:.3g} times the torque of the nominal "
             f"model, with a correlation of {correlation[j]:.2f}; {reason}"
         )
-        yield Remark(RemarkKind.TORQUE_SIGN, text, joint, doubt=not is_right)
-
-
-def _friction_dissipates(torque: FloatArray, speed: FloatArray, others: FloatArray) -> bool:
-    """Tell whether the friction of a joint clearly takes out power.
-
-    Args:
-        torque: Its measured torque. Shape (N,) [N m or N].
-        speed: Its speed. Shape (N,) [rad/s or m/s].
-        others: What else its torque is fitted by, of whatever sign and size. Shape (N, k).
-    """
-    friction = friction_columns(speed)
-    columns = np.column_stack([friction, others])
-    covariance = np.linalg.pinv(columns.T @ columns)
-    fitted = covariance @ columns.T @ torque
-    variance = np.mean((torque - columns @ fitted) ** 2)
-    power = np.zeros(len(fitted))
-    # an offset, the first column, takes out none on the way back
-    power[1 : friction.shape[1]] = friction[:, 1:].T @ speed
-    return bool(
-        power @ fitted > CLEARLY_NEGATIVE * np.sqrt(variance * (power @ covariance @ power))
-    )
+        yield Remark(RemarkKind.TORQUE_SIGN, text, joint, doubt=not right)
 
 
 def _scale_doubts(recording: Recording, comparison: NominalComparison) -> Iterator[Remark]:
@@ -439,12 +435,6 @@ def _measured_gravity(
     return gravity, judged, unexplained(gravity) / max(unexplained(stated), 1e-300)
 
 
-def friction_columns(speed: FloatArray) -> FloatArray:
-    """Return the columns of offset, viscous and Coulomb friction of a joint. Shape (N, 3)."""
-    width = max(FRICTION_SPEED_SHARE * float(np.sqrt(np.mean(speed**2))), 1e-12)
-    return np.column_stack([np.ones_like(speed), speed, np.tanh(speed / width)])
-
-
 def _exchanged_joints(
     recording: Recording,
     robot: Robot,
@@ -455,7 +445,7 @@ def _exchanged_joints(
     """Doubt the names of two joints whose exchange explains the torque of both."""
     before = _explained(comparison)
     out: list[Remark] = []
-    for first, second in itertools.combinations(range(robot.n), 2):
+    for first, second in itertools.combinations(_often_turned(motion), 2):
         unexplained = 1.0 - float(before[[first, second]].mean())
         if unexplained < MIN_UNEXPLAINED:
             continue
@@ -485,6 +475,20 @@ def _exchanged_joints(
     return out
 
 
+def _often_turned(motion: Samples) -> list[int]:
+    """Return the joints that turn back so often that more than friction explains their torque.
+
+    A motion that turns back m times has about m + 1 degrees of freedom, of which friction, offset
+    and rotor inertia take OWN_COLUMNS: what is left of a slower motion fits any other by chance.
+    """
+    out = []
+    for j, speed in enumerate(motion.dq.T):
+        moving = speed[np.abs(speed) > FRICTION_SPEED_SHARE * np.sqrt(np.mean(speed**2))]
+        if np.count_nonzero(np.diff(np.sign(moving))) >= OWN_COLUMNS:
+            out.append(j)
+    return out
+
+
 def _position_doubts(
     recording: Recording,
     robot: Robot,
@@ -493,7 +497,7 @@ def _position_doubts(
     comparison: NominalComparison,
 ) -> list[Remark]:
     """Doubt the sign or the zero of a joint's position whose change explains the torque."""
-    before = _explained(comparison)
+    before, often = _explained(comparison), _often_turned(motion)
     best: tuple[float, Remark] | None = None
     for j, joint in enumerate(recording.joints):
         for offset in (None, *ZERO_OFFSETS_DEG):
@@ -506,7 +510,8 @@ def _position_doubts(
             gain = after - before
             k = int(np.argmax(gain))
             if (
-                before[k] > MAX_EXPLAINED_AS_READ
+                k not in often
+                or before[k] > MAX_EXPLAINED_AS_READ
                 or after[k] < MIN_EXPLAINED_AS_CHANGED
                 or abs(np.log(max(compared.slopes()[0][k], 1e-9))) > np.log(MAX_SCALE_RATIO)
                 or gain.sum() < MIN_EXPLAINED_GAIN

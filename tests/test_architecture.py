@@ -143,6 +143,15 @@ def test_designing_needs_no_plots_and_no_yaml():
     assert not {"matplotlib", "yaml", "argparse"} & after("import excite.designer.pipeline")
 
 
+def test_the_interface_imports_no_packages_that_take_long():
+    """Those that few functions need are imported by them: a command would start a second later."""
+    packages = ("stats", "signal", "optimize", "interpolate", "spatial", "sparse", "ndimage")
+    slow = {"matplotlib", "mujoco", *(f"scipy.{name}" for name in packages)}
+    code = f"import sys, excite.api; print(*{slow!r} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not done.stdout.split()
+
+
 @pytest.mark.parametrize("name", ["argparse", "matplotlib", "yaml"])
 def test_the_core_does_not_import_libraries_of_the_interface(name):
     """limits.py imports yaml in the function that reads a .yaml file."""

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import linprog, minimize_scalar
-from scipy.spatial import ConvexHull, QhullError
 
 from .._types import FloatArray
 from ..collision import urdf_geometry
@@ -42,6 +40,8 @@ def find_sole(robot: Robot, frame: str, packages: Sequence[str] = ()) -> SoleSiz
     Raises:
         UnusableInput: The foot has no shapes, they are not flat, or a mesh does not exist.
     """
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     contact = robot.model.frames[robot.frame(frame)]
     remedy = "state its size with --sole LENGTH,WIDTH[,X,Y[,Z]]"
     for element in ("collision", "visual"):
@@ -114,6 +114,8 @@ def largest_rectangle(equations: FloatArray) -> tuple[FloatArray, FloatArray]:
     Returns:
         Centre and half sides. Shape (2,) each [m].
     """
+    from scipy.optimize import linprog, minimize_scalar  # slow to import
+
     A, b = equations[:, :2], -equations[:, 2]
 
     def solved(log_ratio: float) -> FloatArray:

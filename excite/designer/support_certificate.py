@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from .._types import FloatArray
 from ..collision import continuous_check
@@ -189,6 +188,8 @@ def _sampled_path(cell: Cell, samples: SupportSamples, start: float) -> SampledP
     interpolated by cubics with the rates at both ends; with their fourth derivative f they are
     within h⁴/384 |f|, some nanometres at 500 Hz.
     """
+    from scipy.interpolate import CubicHermiteSpline  # slow to import
+
     q = np.hstack([samples.base, samples.motion.q])
     rate = np.hstack([samples.base_rate, samples.joint_velocity])
     speed = continuous_check.approach_speeds(cell, q, rate)

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 
 from .._types import FloatArray
 from ..effects.effect import (
@@ -214,20 +214,27 @@ class _Resonance(Effect):
 def _oscillator(
     omega: float, damping: float, rate: float
 ) -> tuple[tuple[FloatArray, FloatArray], ...]:
-    """Return the filters (b, a) of ω² z and ω ż of an oscillator at a sampling rate [Hz]."""
-    a = 1.0, 2.0 * damping * omega, omega**2
-    return tuple(signal.bilinear(b, a, rate) for b in ((omega**2,), (omega, 0.0)))
+    """Return the filters (b, a) of ω² z and ω ż of an oscillator at a sampling rate [Hz].
+
+    They are the bilinear transform s = c (1 − 1/z)/(1 + 1/z), c twice the sampling rate.
+    """
+    c = 2.0 * rate
+    square, mixed, one = np.array([[1.0, -2.0, 1.0], [1.0, 0.0, -1.0], [1.0, 2.0, 1.0]])
+    a = c**2 * square + 2.0 * damping * omega * c * mixed + omega**2 * one
+    return (omega**2 * one / a[0], a / a[0]), (omega * c * mixed / a[0], a / a[0])
 
 
 def _driven(
     motions: Sequence[RecordedMotion], drives: Sequence[FloatArray], hertz: float, damping: float
 ) -> FloatArray:
     """States of an oscillator along some motions, shape (N, 2 + 2 motions)."""
+    from scipy.signal import lfilter  # slow to import
+
     omega = 2.0 * np.pi * hertz
     driven, free = [], []
     for motion, u in zip(motions, drives, strict=True):
         rate = motion.band.rate_of(Grid.COARSE)
-        states = [signal.lfilter(b, a, u) for b, a in _oscillator(omega, damping, rate)]
+        states = [lfilter(b, a, u) for b, a in _oscillator(omega, damping, rate)]
         driven.append(motion.at_rows(np.column_stack(states), Grid.COARSE))
         clock = motion.time - motion.time[0]
         phase = omega * np.sqrt(max(1.0 - damping**2, 0.0)) * clock

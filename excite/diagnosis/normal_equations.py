@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 from scipy.linalg import lapack
-from scipy.optimize import nnls
 
 from .._types import BoolArray, FloatArray, IntArray
 
@@ -186,6 +185,8 @@ def _active_set(
     matrix: FloatArray, target: FloatArray, used: BoolArray, bounded: BoolArray
 ) -> BoolArray:
     """Active set of `_bounded_minimum`, sought from the start by nonnegative least squares."""
+    from scipy.optimize import nnls  # slow to import
+
     on = np.flatnonzero(used)
     root = linalg.cholesky(matrix[np.ix_(on, on)])
     right = linalg.solve_triangular(root, target[on], trans=1)

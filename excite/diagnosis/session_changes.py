@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, special, stats
+from scipy import linalg, special
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion, for_all_fits
@@ -89,7 +89,7 @@ class SessionChange:
         if self.blocks <= k:
             return 1.0
         wald = float(self.change @ np.linalg.pinv(self.covariance) @ self.change)
-        return float(stats.f.sf(wald / k, k, self.blocks - k))
+        return float(special.fdtrc(k, self.blocks - k, wald / k))
 
     @property
     def is_significant(self) -> bool:

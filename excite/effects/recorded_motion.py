@@ -9,7 +9,6 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
-from scipy.interpolate import CubicSpline
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
@@ -435,6 +434,8 @@ def interpolated(at: FloatArray, times: FloatArray, x: FloatArray) -> FloatArray
 
     Linear interpolation would lose 17 % of a sine wave that is sampled four times a period.
     """
+    from scipy.interpolate import CubicSpline  # slow to import
+
     return np.asarray(CubicSpline(times, x)(np.clip(at, times[0], times[-1])))
 
 

@@ -219,9 +219,9 @@ def _oscillator(
     They are the bilinear transform s = c (1 − 1/z)/(1 + 1/z), c twice the sampling rate.
     """
     c = 2.0 * rate
-    square, mixed, one = np.array([[1.0, -2.0, 1.0], [1.0, 0.0, -1.0], [1.0, 2.0, 1.0]])
-    a = c**2 * square + 2.0 * damping * omega * c * mixed + omega**2 * one
-    return (omega**2 * one / a[0], a / a[0]), (omega * c * mixed / a[0], a / a[0])
+    square, mixed, constant = np.array([[1.0, -2.0, 1.0], [1.0, 0.0, -1.0], [1.0, 2.0, 1.0]])
+    a = c**2 * square + 2.0 * damping * omega * c * mixed + omega**2 * constant
+    return (omega**2 * constant / a[0], a / a[0]), (omega * c * mixed / a[0], a / a[0])
 
 
 def _driven(

@@ -52,8 +52,8 @@ def friction_dissipates(
     precision = np.ones(len(gram))
     precision[:OWN_COLUMNS] = np.diag(gram)[:OWN_COLUMNS] / (VAGUE**2 * (torque @ torque))
     precision = np.maximum(precision, 1e-300)
-    own = columns[:, :OWN_COLUMNS]
-    residual = torque - own @ np.linalg.lstsq(own, torque, rcond=None)[0]
+    without_links = columns[:, :OWN_COLUMNS]
+    residual = torque - without_links @ np.linalg.lstsq(without_links, torque, rcond=None)[0]
     variance = float(np.mean(residual**2))
     for _ in range(ROUNDS):
         share = min(independent, 1.0 / correlation_length(residual))

@@ -479,7 +479,8 @@ def _often_turned(motion: Samples) -> list[int]:
     """Return the joints that turn back so often that more than friction explains their torque.
 
     A motion that turns back m times has about m + 1 degrees of freedom, of which friction, offset
-    and rotor inertia take OWN_COLUMNS: what is left of a slower motion fits any other by chance.
+    and rotor inertia take OWN_COLUMNS: the residual torque of a slower motion fits any other by
+    chance.
     """
     out = []
     for j, speed in enumerate(motion.dq.T):

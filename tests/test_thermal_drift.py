@@ -22,7 +22,7 @@ from diagnosis_cases import (
     parameters,
     recordings_of,
 )
-from scipy import integrate
+from scipy import integrate, signal
 
 from excite._types import FloatArray
 from excite.diagnosis import fitted_effects
@@ -134,6 +134,22 @@ def self_heating(motion: RecordedMotion, constant: float) -> CandidateModel:
     shape = next(s for s in shapes if s.joint == 0 and "power" in s.values)
     assert shape.nonlinear is not None
     return shape.nonlinear.at(constant)
+
+
+def test_friction_that_follows_its_power_within_half_a_second_is_no_thermal_drift():
+    """Heat takes longer: the cause is not known."""
+    recordings = recordings_of(None)
+    speeds = [speed_of(recording) for recording in recordings]
+    frictions = [COULOMB[0] * friction_sign(v) + VISCOUS[0] * v for v in speeds]
+    usual = float(np.mean(np.concatenate([f * v for f, v in zip(frictions, speeds, strict=True)])))
+    changed = []
+    for recording, friction, speed in zip(recordings, frictions, speeds, strict=True):
+        decay = np.exp(-1.0 / (recording.rate * 0.5))
+        warm = signal.lfilter([0.0, 1.0 - decay], [1.0, -decay], friction * speed / usual)
+        changed.append(added_torque(recording, at_joint(0, 0.5 * warm * friction)))
+    result = diagnose(changed)
+    assert all(effect != "thermal_drift" for effect, _ in findings_of(result))
+    assert 0 in [finding.joint for finding in result.unmodelled]
 
 
 @pytest.mark.parametrize("constant", [1.0, 4.0, 15.0])

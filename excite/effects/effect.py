@@ -287,11 +287,14 @@ def within(model: CandidateModel, key: str, factor: float) -> NonlinearParameter
 
 
 def grid_candidates(
-    model: CandidateModel, key: str, grid: Sequence[float]
+    model: CandidateModel, key: str, grid: Sequence[float], least: float = 0.0
 ) -> Iterator[CandidateModel]:
-    """Yield a model with each value of a rising grid, free between the neighbouring values."""
+    """Yield a model with each value of a rising grid, free between the neighbouring values.
+
+    No value is less than `least`.
+    """
     for i, value in enumerate(grid):
-        low = grid[i - 1] if i else value**2 / grid[1]
+        low = grid[i - 1] if i else max(value**2 / grid[1], least)
         high = grid[i + 1] if i + 1 < len(grid) else value**2 / grid[-2]
         yield NonlinearParameter(model, key, value, low, high).current
 

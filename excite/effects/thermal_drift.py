@@ -20,6 +20,9 @@ MAX_WARM_EXCESS = 5.0
 """Largest growth of friction over its initial value: heat may press a bearing or a seal."""
 TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)
 """Grid of time constants, over the longest run."""
+MIN_TIME_CONSTANT = 2.0
+"""Smallest time constant [s]: the film of lubricant and the surfaces of a gear need seconds to get
+warm. What changes faster happens at a start from rest."""
 MIN_TEMPERATURE_RANGE = 1.0
 """Range of temperatures from which a dependence is fitted [°C], as sensors are quantised."""
 
@@ -52,22 +55,28 @@ class _ThermalDrift(Effect):
         friction = _base_friction(motions[0].fitted_robot, j)
         losses = [_friction_losses(motion, j, friction) for motion in motions]
         power = float(np.mean(np.concatenate(losses)))
-        constants = (np.array(TIME_CONSTANTS) * length).tolist()
+        constants = np.unique(np.maximum(np.array(TIME_CONSTANTS) * length, MIN_TIME_CONSTANT))
+        if len(constants) < 2:
+            return
         by_run_time = CandidateModel(
             self,
             j,
-            {"time_constant": constants[0], **friction, **origin},
+            {"time_constant": float(constants[0]), **friction, **origin},
             facts={"mean_speed": _mean_speed(motions, j)},
             motions=motions,
             signature="friction changes with run time",
         )
-        yield from grid_candidates(by_run_time, "time_constant", constants)
+        yield from grid_candidates(
+            by_run_time, "time_constant", constants.tolist(), MIN_TIME_CONSTANT
+        )
         if power > 0.0:
             by_losses = replace(
                 by_run_time.with_values(power=power),
                 signature="friction changes as its own power heats the joint",
             )
-            yield from grid_candidates(by_losses, "time_constant", constants)
+            yield from grid_candidates(
+                by_losses, "time_constant", constants.tolist(), MIN_TIME_CONSTANT
+            )
 
     def _by_temperature(
         self, motions: Sequence[RecordedMotion], j: int

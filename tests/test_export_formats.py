@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import pendulum
 from recording_fixtures import assert_refused, read_with_warnings, two_joint_motion
 
 from excite import recordings
@@ -102,7 +103,7 @@ def test_flattened_joint_states(two_link, tmp_path, time, element):
         ("timestamp", "{joint}/{word}"),
         ("t [s]", "{word}[{joint}]"),
         ("time_s", "{joint}.{quantity} [{unit}]"),
-        ("time", "{joint}_{word}_{unit}"),
+        ("time", "{joint}_{word}_{si}"),
     ],
 )
 def test_names_of_joints_as_scripts_spell_them(two_link, tmp_path, time, spelling):
@@ -111,9 +112,8 @@ def test_names_of_joints_as_scripts_spell_them(two_link, tmp_path, time, spellin
         *(("position", "q", "rad"), ("velocity", "dq", "rad/s"), ("torque", "tau", "N m")),
     ):
         for joint in ("joint_2", "joint_1"):
-            name = spelling.format(quantity=quantity, word=word, joint=joint, unit=unit)
-            if name.endswith("_N m"):
-                name = name.replace("N m", "Nm")
+            si = unit.replace("/", "_").replace(" ", "")
+            name = spelling.format(quantity=quantity, word=word, joint=joint, unit=unit, si=si)
             columns[name] = COLUMNS[f"{quantity}.{joint}"]
     path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
     assert_same_motion(recordings.read(path, two_link))
@@ -134,7 +134,10 @@ def test_numbered_joints_are_in_the_order_of_the_robot(two_link, tmp_path, spell
     assert any(f"{second} = joint_2" in text for text in warned)
 
 
-@pytest.mark.parametrize("names", [("position", "torque"), ("q_rad", "tau_Nm"), ("q1", "tau1")])
+@pytest.mark.parametrize(
+    "names",
+    [("position", "torque"), ("q_rad", "tau_Nm"), ("q1", "tau1"), ("q1", "torque"), ("q", "tau0")],
+)
 def test_columns_of_a_robot_with_a_single_joint_need_no_name(two_link, tmp_path, names):
     robot = load("two_link", lock={"joint_2": 0.0})
     values = [COLUMNS[f"{quantity}.joint_1"] for quantity in ("q", "tau")]
@@ -143,8 +146,34 @@ def test_columns_of_a_robot_with_a_single_joint_need_no_name(two_link, tmp_path,
     np.testing.assert_allclose(recording.q[:, 0], values[0])
     np.testing.assert_allclose(recording.torque[:, 0], values[1])
     assert not any("joint_1" in text for text in warned)
-    degrees = write(tmp_path / "r.csv", ["time", "position_deg"], rows(COLUMNS["t"], values[0]))
-    assert_refused(degrees, robot, "is in deg", "SI units")
+    for name in ("position_deg", "position_rad_s", "q [Nm]"):
+        wrong = write(tmp_path / "r.csv", ["time", name], rows(COLUMNS["t"], values[0]))
+        assert_refused(wrong, robot, "is in", "SI units, rad or m, and name it q.joint_1")
+
+
+def test_a_counter_of_rows_is_no_current(two_link, tmp_path):
+    robot = load("two_link", lock={"joint_2": 0.0})
+    values = [COLUMNS[f"{quantity}.joint_1"] for quantity in ("q", "tau")]
+    counter = np.arange(len(values[0]))
+    names = ["i", "time", "position", "torque"]
+    path = write(tmp_path / "r.csv", names, rows(counter, COLUMNS["t"], *values))
+    recording = recordings.read(path, robot)
+    assert recording.current is None and np.allclose(recording.torque[:, 0], values[1])
+
+
+@pytest.mark.parametrize("joint", ["lift_mm", "arm_deg", "j_a", "arm_rad"])
+def test_a_joint_whose_name_ends_like_a_unit(tmp_path, joint):
+    path = tmp_path / "robot.urdf"
+    path.write_text(pendulum().replace('"swing"', f'"{joint}"'))
+    robot = load(str(path))
+    values = [COLUMNS[f"{quantity}.joint_1"] for quantity in ("q", "tau")]
+    for spelling in ("{}.{}", "{}_{}", "{}_{}_unit"):
+        units = {"q": "rad", "tau": "Nm"}
+        names = [
+            spelling.format(quantity, joint).replace("unit", units[quantity]) for quantity in units
+        ]
+        file = write(tmp_path / "r.csv", ["time", *names], rows(COLUMNS["t"], *values))
+        np.testing.assert_allclose(recordings.read(file, robot).torque[:, 0], values[1])
 
 
 def test_names_that_scripts_spell_are_read_only_if_they_are_clear(two_link, tmp_path):

@@ -333,12 +333,19 @@ def test_friction_tells_whether_the_torque_or_the_robot_description_is_the_wrong
     assert all(cause in r.text for r in remarks)
 
 
-def slow_recording(robot: Robot, seed: int, lever_error: float, folder: Path) -> Recording:
+def slow_recording(
+    robot: Robot,
+    seed: int,
+    lever_error: float,
+    folder: Path,
+    hertz: float = 0.01,
+    noise: float = 0.05,
+) -> Recording:
     """A part of a slow motion in which the joints hardly turn back; links differ from nominal."""
     rng = np.random.default_rng(seed)
     t = np.arange(800) / 100.0
-    phase = np.outer(2.0 * np.pi * 0.01 * t + rng.uniform(0.0, 2.0 * np.pi), np.arange(1, 6))
-    speed = 2.0 * np.pi * 0.01 * np.arange(1, 6)
+    phase = np.outer(2.0 * np.pi * hertz * t + rng.uniform(0.0, 2.0 * np.pi), np.arange(1, 6))
+    speed = 2.0 * np.pi * hertz * np.arange(1, 6)
     sine, cosine = rng.normal(size=(2, 5, robot.n)) * 0.6 / np.arange(1, 6)[:, None]
     motion = Samples(
         np.sin(phase) @ sine + np.cos(phase) @ cosine + rng.uniform(-1.0, 1.0, robot.n),
@@ -352,7 +359,7 @@ def slow_recording(robot: Robot, seed: int, lever_error: float, folder: Path) ->
         model.inertias[i] = pin.Inertia(mass, body.lever + lever, body.inertia)
     torque = inverse_dynamics(robot, model, motion)
     coulomb = 0.2 + 0.02 * np.abs(torque).max(axis=0)
-    torque += coulomb * np.tanh(motion.dq / 0.01) + rng.normal(0.0, 0.05, torque.shape)
+    torque += coulomb * np.tanh(motion.dq / 0.01) + rng.normal(0.0, noise, torque.shape)
     columns = {"t": t}
     for j, joint in enumerate(robot.joints):
         columns |= {f"q.{joint}": motion.q[:, j], f"tau.{joint}": torque[:, j]}
@@ -360,25 +367,51 @@ def slow_recording(robot: Robot, seed: int, lever_error: float, folder: Path) ->
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "ur5e"])
-def test_inverted_torque_of_a_slow_motion_is_not_taken_for_wrong_links(name, tmp_path):
+@pytest.mark.parametrize(("hertz", "noise"), [(0.01, 0.05), (0.01, 1e-3), (0.05, 0.05)])
+def test_inverted_torque_of_a_slow_motion_is_not_taken_for_wrong_links(
+    name, hertz, noise, tmp_path
+):
     """Friction of joints that hardly turn back cannot be told from errors of the links."""
     robot = load(name)
     for seed in range(4):
-        recording = slow_recording(robot, seed, 0.02, tmp_path)
-        assert not nominal_comparison.compare_with_nominal(recording, robot)
+        recording = slow_recording(robot, seed, 0.02, tmp_path, hertz, noise)
+        assert not any(d.doubt for d in nominal_comparison.compare_with_nominal(recording, robot))
         inverted = dataclasses.replace(recording, tau=-recording.tau)
         remarks = nominal_comparison.compare_with_nominal(inverted, robot)
         assert {r.kind for r in remarks} == {RemarkKind.TORQUE_SIGN}
         assert all(r.doubt and "its sign is inverted" in r.text for r in remarks)
-        of_all = [r.text.endswith("probably that of all joints") for r in remarks]
-        assert all(of_all) if len(remarks) > 1 else not any(of_all)
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5e"])
-def test_joints_of_a_slow_motion_are_not_exchanged_by_chance(name, tmp_path):
+def test_torque_that_is_inverted_at_all_joints_is_said_to_be(simulated):
+    recording, robot = simulated
+    inverted = dataclasses.replace(recording, tau=-recording.tau)
+    doubts = nominal_comparison.compare_with_nominal(inverted, robot)
+    assert len(doubts) > 1 and all("as probably that of all joints" in d.text for d in doubts)
+
+
+def test_joints_of_the_right_sign_are_not_said_to_be_inverted(simulated):
+    """Two joints are inverted; the torque of the others is noisy."""
+    recording, robot = simulated
+    rng = np.random.default_rng(0)
+    tau = recording.tau.copy()
+    tau[:, 1:3] *= -1.0
+    others = tau[:, [0, 3, 4, 5]]
+    tau[:, [0, 3, 4, 5]] = others + 1.5 * others.std(axis=0) * rng.normal(size=others.shape)
+    changed = dataclasses.replace(recording, tau=tau)
+    doubts = [d for d in nominal_comparison.compare_with_nominal(changed, robot) if d.doubt]
+    assert {d.joint for d in doubts} == set(robot.joints[1:3])
+    assert not any("all joints" in d.text for d in doubts)
+
+
+@pytest.mark.parametrize(
+    ("name", "seeds"),
+    [("iiwa14", (5, 23, 35, 38, 39)), ("panda", (13, 16, 19, 39)), ("ur5e", (24, 32, 34))],
+)
+def test_joints_of_a_slow_motion_are_not_exchanged_by_chance(name, seeds, tmp_path):
+    """Links are poorly known; of 40 seeds, these explain the torque of exchanged joints better."""
     robot = load(name)
-    for seed in range(12):
-        recording = slow_recording(robot, seed, 0.06, tmp_path)
+    for seed in seeds:
+        recording = slow_recording(robot, seed, 0.08, tmp_path)
         kinds = {d.kind for d in nominal_comparison.compare_with_nominal(recording, robot)}
         assert not kinds & {RemarkKind.EXCHANGED, RemarkKind.POSITION}
 

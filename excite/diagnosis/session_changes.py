@@ -89,7 +89,7 @@ class SessionChange:
         if self.blocks <= k:
             return 1.0
         wald = float(self.change @ np.linalg.pinv(self.covariance) @ self.change)
-        return float(special.fdtrc(k, self.blocks - k, wald / k))
+        return float(special.fdtrc(k, self.blocks - k, max(wald, 0.0) / k))
 
     @property
     def is_significant(self) -> bool:

@@ -291,11 +291,12 @@ def grid_candidates(
 ) -> Iterator[CandidateModel]:
     """Yield a model with each value of a rising grid, free between the neighbouring values.
 
-    No value is less than `least`.
+    Values below `least`, and the range below it, are left out.
     """
-    for i, value in enumerate(grid):
-        low = grid[i - 1] if i else max(value**2 / grid[1], least)
-        high = grid[i + 1] if i + 1 < len(grid) else value**2 / grid[-2]
+    values = sorted({max(value, least) for value in grid})
+    for i, value in enumerate(values):
+        low = values[i - 1] if i else max(value * grid[0] / grid[1], least)
+        high = values[i + 1] if i + 1 < len(values) else value * grid[-1] / grid[-2]
         yield NonlinearParameter(model, key, value, low, high).current
 
 

@@ -55,28 +55,22 @@ class _ThermalDrift(Effect):
         friction = _base_friction(motions[0].fitted_robot, j)
         losses = [_friction_losses(motion, j, friction) for motion in motions]
         power = float(np.mean(np.concatenate(losses)))
-        constants = np.unique(np.maximum(np.array(TIME_CONSTANTS) * length, MIN_TIME_CONSTANT))
-        if len(constants) < 2:
-            return
+        constants = (np.array(TIME_CONSTANTS) * length).tolist()
         by_run_time = CandidateModel(
             self,
             j,
-            {"time_constant": float(constants[0]), **friction, **origin},
+            {"time_constant": constants[0], **friction, **origin},
             facts={"mean_speed": _mean_speed(motions, j)},
             motions=motions,
             signature="friction changes with run time",
         )
-        yield from grid_candidates(
-            by_run_time, "time_constant", constants.tolist(), MIN_TIME_CONSTANT
-        )
+        yield from grid_candidates(by_run_time, "time_constant", constants, MIN_TIME_CONSTANT)
         if power > 0.0:
             by_losses = replace(
                 by_run_time.with_values(power=power),
                 signature="friction changes as its own power heats the joint",
             )
-            yield from grid_candidates(
-                by_losses, "time_constant", constants.tolist(), MIN_TIME_CONSTANT
-            )
+            yield from grid_candidates(by_losses, "time_constant", constants, MIN_TIME_CONSTANT)
 
     def _by_temperature(
         self, motions: Sequence[RecordedMotion], j: int

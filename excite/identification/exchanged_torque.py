@@ -21,8 +21,8 @@ import numpy as np
 from .._types import FloatArray
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .link_columns import friction_columns, link_columns
 from .nominal_comparison import OWN_COLUMNS, ROUNDING
+from .torque_columns import friction_columns, link_columns
 
 FOLDS = 5
 """Number of consecutive parts of the rows, each of which is predicted from the others."""

@@ -26,13 +26,15 @@ from ..robot.dynamics import inverse_dynamics
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from . import friction_sign
-from .link_columns import FRICTION_SPEED_SHARE, friction_columns, link_columns
+from .torque_columns import friction_columns, link_columns
 
 COMPARED_ROWS = 600
 """Number of compared rows, spread evenly over the longest stretch without a gap."""
 MOTION_CUTOFF_HZ = 10.0
 """Cutoff frequency of the positions from which the nominal torque is computed [Hz]: the
 accelerations of an arm that cause its inertial torque lie below."""
+EDGE_PERIODS = 5.0
+"""Periods of the cutoff frequency at each end whose accelerations the filter makes wrong [1]."""
 MAX_CUTOFF_SHARE = 0.15
 """Cutoff over the sampling rate of slow recordings [1]: second differences of positions that jitter
 against their stamps are noise above that."""
@@ -41,6 +43,9 @@ MIN_CORRELATION = 0.85
 On ten real machines the most negative is −0.78 (joint 7 of a KUKA LWR4+, whose torque comes from
 cables), and the sign is wrong at none of them; inverted joints of simulated arms reach −0.96 to
 −1.00 where gravity or inertia prevails."""
+MAX_CORRELATION_OF_INVERTED = 0.3
+"""Largest correlation of a joint whose torque may be inverted as well, where that of several joints
+is [1]: joints whose torque is mostly noise have either sign."""
 PLAUSIBLE_SLOPE = (0.125, 30.0)
 """Smallest and largest plausible ratio of measured to nominal torque [1]. On the same machines it
 is 0.42 to 16 at this correlation; 16 is a wrist whose payload of 150 kg is not in the model."""
@@ -149,11 +154,13 @@ class ComparedRows:
         motion: Motion at N rows.
         torque: Measured torque. Shape (N, n) [N m or N].
         independent: Number of rows that the cutoff frequency leaves independent, over N, at most 1.
+        inner: Rows whose accelerations the ends of the filter do not reach.
     """
 
     motion: Samples
     torque: FloatArray
     independent: float
+    inner: slice
 
 
 def compared_rows(recording: Recording) -> ComparedRows | None:
@@ -168,13 +175,14 @@ def compared_rows(recording: Recording) -> ComparedRows | None:
     stretch = max(recording.segments(), key=len, default=None)
     if stretch is None:
         return None
-    rows = np.unique(np.linspace(0, len(stretch) - 1, COMPARED_ROWS).astype(int))
     cutoff = min(MOTION_CUTOFF_HZ, MAX_CUTOFF_SHARE * stretch.rate)
+    rows = np.unique(np.linspace(0, len(stretch) - 1, COMPARED_ROWS).astype(int))
     motion, torque = stretch.samples(cutoff).rows(rows), stretch.torque[rows]
     if not np.isfinite(torque).all():
         return None
     independent = 2.0 * cutoff * len(stretch) / stretch.rate / len(rows)
-    return ComparedRows(motion, torque, min(independent, 1.0))
+    edge = min(int(EDGE_PERIODS / cutoff * stretch.rate * len(rows) / len(stretch)), len(rows) // 4)
+    return ComparedRows(motion, torque, min(independent, 1.0), slice(edge, len(rows) - edge))
 
 
 def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
@@ -253,11 +261,12 @@ def _sign_doubts(
     opposite = np.flatnonzero(correlation < -MIN_CORRELATION).tolist()
     if not opposite:
         return
-    nominal, links = link_columns(robot, rows.motion)
+    motion = rows.motion.rows(rows.inner)
+    nominal, links = link_columns(robot, motion)
     is_right = [
         friction_sign.friction_dissipates(
-            rows.torque[:, j],
-            rows.motion,
+            rows.torque[rows.inner, j],
+            motion,
             j,
             nominal[:, j],
             np.abs(slope[j]) * links[:, j],
@@ -265,16 +274,18 @@ def _sign_doubts(
         )
         for j in opposite
     ]
-    # no joint has the nominal sign
-    of_all = len(opposite) > 1 and not any(is_right) and correlation.max() < MIN_CORRELATION
+    of_all = (
+        len(opposite) > 1 and not any(is_right) and correlation.max() < MAX_CORRELATION_OF_INVERTED
+    )
     for j, right in zip(opposite, is_right, strict=True):
         joint = recording.joints[j]
         reason = (
             "its friction takes out power, so that its sign is right, and mass or centre of mass "
             "of the links that it moves are wrong in the robot description"
             if right
+            else "its sign is inverted, as probably that of all joints; turn it"
+            if of_all
             else "its sign is inverted, turn it"
-            + (", and probably that of all joints" if of_all else "")
         )
         text = (
             f"joint '{joint}': measured torque is {slope[j]:.3g} times the torque of the nominal "
@@ -445,7 +456,7 @@ def _exchanged_joints(
     """Doubt the names of two joints whose exchange explains the torque of both."""
     before = _explained(comparison)
     out: list[Remark] = []
-    for first, second in itertools.combinations(_often_turned(motion), 2):
+    for first, second in itertools.combinations(_varied_joints(comparison), 2):
         unexplained = 1.0 - float(before[[first, second]].mean())
         if unexplained < MIN_UNEXPLAINED:
             continue
@@ -475,19 +486,15 @@ def _exchanged_joints(
     return out
 
 
-def _often_turned(motion: Samples) -> list[int]:
-    """Return the joints that turn back so often that more than friction explains their torque.
+def _varied_joints(comparison: NominalComparison) -> list[int]:
+    """Return the joints whose nominal torque varies by more than friction could explain.
 
-    A motion that turns back m times has about m + 1 degrees of freedom, of which friction, offset
-    and rotor inertia take OWN_COLUMNS: the residual torque of a slower motion fits any other by
-    chance.
+    A torque that crosses zero m times has about m + 1 degrees of freedom. Those without
+    OWN_COLUMNS, which are removed from it, still cross zero as many times: the residual torque of
+    a slow motion, with hardly more of them, fits any other by chance.
     """
-    out = []
-    for j, speed in enumerate(motion.dq.T):
-        moving = speed[np.abs(speed) > FRICTION_SPEED_SHARE * np.sqrt(np.mean(speed**2))]
-        if np.count_nonzero(np.diff(np.sign(moving))) >= OWN_COLUMNS:
-            out.append(j)
-    return out
+    crossings = np.count_nonzero(np.diff(np.sign(comparison.nominal), axis=0), axis=0)
+    return np.flatnonzero(crossings > 2 * OWN_COLUMNS).tolist()
 
 
 def _position_doubts(
@@ -498,7 +505,7 @@ def _position_doubts(
     comparison: NominalComparison,
 ) -> list[Remark]:
     """Doubt the sign or the zero of a joint's position whose change explains the torque."""
-    before, often = _explained(comparison), _often_turned(motion)
+    before, varied = _explained(comparison), _varied_joints(comparison)
     best: tuple[float, Remark] | None = None
     for j, joint in enumerate(recording.joints):
         for offset in (None, *ZERO_OFFSETS_DEG):
@@ -511,7 +518,7 @@ def _position_doubts(
             gain = after - before
             k = int(np.argmax(gain))
             if (
-                k not in often
+                k not in varied
                 or before[k] > MAX_EXPLAINED_AS_READ
                 or after[k] < MIN_EXPLAINED_AS_CHANGED
                 or abs(np.log(max(compared.slopes()[0][k], 1e-9))) > np.log(MAX_SCALE_RATIO)

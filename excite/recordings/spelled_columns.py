@@ -41,17 +41,29 @@ WORDS = {
 TIMES = re.compile(r"(?:t|time|timestamp|seconds)(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?", re.I)
 """A column of time, with its unit."""
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SI_UNITS = {
+    "q": {"rad", "m"},
+    "dq": {"rad/s", "m/s"},
+    "tau": {"N m", "N"},
+    "i": {"A"},
+    "temp": {"°C"},
+}
+"""SI units of each quantity."""
+SPELLINGS = {
+    **{"rad": "rad", "rad/s": "rad/s", "rad_s": "rad/s", "m": "m", "m/s": "m/s", "m_s": "m/s"},
+    **{"nm": "N m", "n m": "N m", "n_m": "N m", "n·m": "N m", "n*m": "N m", "n": "N"},
+    **{"a": "A", "amp": "A", "amps": "A", "c": "°C", "°c": "°C", "degc": "°C"},
+}
+"""Spellings of SI units, in lower case."""
+OTHER_UNITS = ("deg", "deg_s", "deg/s", "degrees", "rpm", "mm", "mm_s", "ma", "mnm", "knm", "kn")
+"""Spellings of other units behind an underscore; in brackets there may be any."""
+_APPENDED = "|".join(sorted((*SPELLINGS, *OTHER_UNITS), key=len, reverse=True))
 UNIT = re.compile(
     r"\s*[\[(](?P<bracketed>[^\[\]()]*[^\[\]()\d][^\[\]()]*)[\])]$"
-    r"|_(?P<appended>rad|rad_s|rad/s|m_s|m/s|nm|n_m|amps?|deg|deg_s|deg/s|degrees|rpm|mm|ma|mnm)$",
+    rf"|_(?P<appended>{re.escape(_APPENDED).replace(re.escape('|'), '|')})$",
     re.I,
 )
 """A unit at the end of a name; a number in brackets is that of a joint."""
-SI_UNITS = {
-    *("rad", "m", "rad/s", "rad_s", "m/s", "m_s", "nm", "n m", "n·m", "n*m", "n_m", "n"),
-    *("a", "amp", "amps", "°c", "degc", "c"),
-}
-"""Units of columns, in lower case, without a conversion."""
 _WORD = "|".join(sorted(WORDS, key=len, reverse=True))
 _NUMBERED = re.compile(
     rf"(?P<word>{_WORD})[._ /-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
@@ -97,73 +109,81 @@ def find_spelled_columns(
     joints = [*robot.joints, *(joint.name for joint in robot.locked)]
     places = {name: place for name in names if (place := _of_joint(name, joints, effort))}
     numbered: tuple[str, ...] = ()
-    if not set(positions) <= set(places.values()):
-        if set(positions) & set(places.values()):
+    columns = {column for column, _ in places.values()}
+    if not set(positions) <= columns:
+        if set(positions) & columns:
             return None  # the name of another joint is misspelled
         places = _of_number(names, robot.joints, effort)
-        if not set(positions) <= set(places.values()):
+        names_of = {column: name for name, (column, _) in places.items()}
+        if not set(positions) <= set(names_of):
             return None
         if len(robot.joints) > 1:
-            names_of = {place: name for name, place in places.items()}
-            numbered = tuple(names_of[place] for place in positions)
+            numbered = tuple(names_of[column] for column in positions)
     first: dict[str, str] = {}
-    for name, place in places.items():
-        if first.setdefault(place, name) != name:
+    for name, (column, unit) in places.items():
+        if first.setdefault(column, name) != name:
             raise UnusableInput(
-                f"{source}: columns '{first[place]}' and '{name}' are both {place}; choose one "
-                f"with --columns {place}=COLUMN"
+                f"{source}: columns '{first[column]}' and '{name}' are both {column}; choose one "
+                f"with --columns {column}=COLUMN"
             )
-        unit = _unit(name)
-        if unit and unit not in joints and unit.lower() not in SI_UNITS:
+        expected = SI_UNITS[column.partition(".")[0]]
+        if unit and SPELLINGS.get(unit.lower()) not in expected:
             raise UnusableInput(
-                f"{source}: column '{name}' is in {unit}; convert it to SI units and "
-                f"name it {place}"
+                f"{source}: column '{name}' is in {unit}; convert it to SI units, "
+                f"{' or '.join(sorted(expected, reverse=True))}, and name it {column}"
             )
-    renamed = tuple(places.get(name, name) for name in names)
+    renamed = tuple(places[name][0] if name in places else name for name in names)
     return SpelledColumns(renamed, (time, SECONDS[(match[1] or "s").lower()]), numbered)
 
 
-def _of_joint(name: str, joints: Sequence[str], effort: str) -> str | None:
-    """Return the standard name of a column with the name of a joint; None of any other."""
-    for text in (name.strip(), UNIT.sub("", name.strip())):
+def _of_joint(name: str, joints: Sequence[str], effort: str) -> tuple[str, str] | None:
+    """Return the standard name of a column with the name of a joint, and its unit; None of others.
+
+    The unit is empty without one. A name that is complete without a unit has none, as that of a
+    joint may end like a unit.
+    """
+    complete = name.strip()
+    for text, unit in ((complete, ""), (UNIT.sub("", complete), _unit(complete))):
         for joint in sorted(joints, key=len, reverse=True):
             before, middle, behind = text.partition(joint)
             if middle and not (before and behind.strip("[]()")):
                 word = (before or behind).strip("._/ -[]()").lower()
                 if word in WORDS:
-                    return f"{_prefix(word, effort)}.{joint}"
+                    return f"{_prefix(word, effort)}.{joint}", unit
     return None
 
 
 def _unit(name: str) -> str:
     """Return the unit at the end of a name, empty without one."""
-    match = UNIT.search(name.strip())
+    match = UNIT.search(name)
     return (match["bracketed"] or match["appended"]).strip() if match else ""
 
 
-def _of_number(names: Sequence[str], joints: Sequence[str], effort: str) -> dict[str, str]:
-    """Return the standard names of columns with numbers, from 0 or 1 to that of the last joint.
+def _of_number(
+    names: Sequence[str], joints: Sequence[str], effort: str
+) -> dict[str, tuple[str, str]]:
+    """Return the standard names and units of columns with numbers.
 
-    That of a single joint may be missing.
+    Numbers start from 0 or 1. A single joint needs none, except for a current `i`, which may be the
+    number of a row.
     """
-    places: dict[str, tuple[str, int]] = {}
+    read: dict[str, tuple[str, int | None]] = {}
     for name in names:
         text = UNIT.sub("", name.strip())
         match = _NUMBERED.fullmatch(text)
-        if len(joints) == 1 and text.lower() in WORDS:
-            places[name] = _prefix(text.lower(), effort), 0
-        elif match is not None:
+        if match is not None:
             word = (match["word"] or match["behind"]).lower()
-            number = int(match["number"] or match["first"])
-            places[name] = _prefix(word, effort), number
-    numbers = sorted({number for prefix, number in places.values() if prefix == "q"})
+            read[name] = _prefix(word, effort), int(match["number"] or match["first"])
+        elif len(joints) == 1 and text.lower() in WORDS and name.strip().lower() != "i":
+            read[name] = _prefix(text.lower(), effort), None
+    numbers = sorted({k for prefix, k in read.values() if prefix == "q" and k is not None})
     first = numbers[0] if numbers else 0
-    if first not in (0, 1) or numbers != list(range(first, first + len(joints))):
+    if first not in (0, 1) or (numbers and numbers != list(range(first, first + len(joints)))):
         return {}
     return {
-        name: f"{prefix}.{joints[number - first]}"
-        for name, (prefix, number) in places.items()
-        if 0 <= number - first < len(joints)
+        name: (f"{prefix}.{joints[0 if number is None else number - first]}", _unit(name.strip()))
+        for name, (prefix, number) in read.items()
+        if number is None or 0 <= number - first < len(joints)
     }
 
 

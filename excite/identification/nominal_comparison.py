@@ -88,6 +88,9 @@ MIN_EXPLAINED_GAIN = 0.4
 """Smallest sum over the joints of the changes of the explained shares [1]."""
 OWN_COLUMNS = 4
 """Columns of a joint that are removed: offset, viscous and Coulomb friction, and rotor inertia."""
+MIN_SWING_SHARE = 0.5
+"""Smallest torque on one side of zero, over its RMS, that counts as a swing [1]: not noise about
+zero."""
 ZERO_OFFSETS_DEG = (90, -90, 180)
 """Offsets between the zero of an encoder and that of the URDF that are considered [°]: conventions
 of the zero pose differ by right angles."""
@@ -489,12 +492,16 @@ def _exchanged_joints(
 def _varied_joints(comparison: NominalComparison) -> list[int]:
     """Return the joints whose nominal torque varies by more than friction could explain.
 
-    A torque that crosses zero m times has about m + 1 degrees of freedom. Those without
-    OWN_COLUMNS, which are removed from it, still cross zero as many times: the residual torque of
-    a slow motion, with hardly more of them, fits any other by chance.
+    A torque that swings m times from one side to the other has about m + 1 degrees of freedom.
+    Without OWN_COLUMNS, which are removed from it, it still swings as many times: the residual
+    torque of a slow motion, which hardly swings more often, fits any other by chance.
     """
-    crossings = np.count_nonzero(np.diff(np.sign(comparison.nominal), axis=0), axis=0)
-    return np.flatnonzero(crossings > 2 * OWN_COLUMNS).tolist()
+    out = []
+    for j, torque in enumerate(comparison.nominal.T):
+        sides = torque[np.abs(torque) > MIN_SWING_SHARE * np.sqrt(np.mean(torque**2))]
+        if np.count_nonzero(np.diff(np.sign(sides))) > 2 * OWN_COLUMNS:
+            out.append(j)
+    return out
 
 
 def _position_doubts(

@@ -494,12 +494,12 @@ def _varied_joints(comparison: NominalComparison) -> list[int]:
 
     A torque that swings m times from one side to the other has about m + 1 degrees of freedom.
     Without OWN_COLUMNS, which are removed from it, it still swings as many times: the residual
-    torque of a slow motion, which hardly swings more often, fits any other by chance.
+    torque of a slow motion, which swings about OWN_COLUMNS times, fits any other by chance.
     """
     out = []
     for j, torque in enumerate(comparison.nominal.T):
         sides = torque[np.abs(torque) > MIN_SWING_SHARE * np.sqrt(np.mean(torque**2))]
-        if np.count_nonzero(np.diff(np.sign(sides))) > 2 * OWN_COLUMNS:
+        if np.count_nonzero(np.diff(np.sign(sides))) > OWN_COLUMNS + 1:
             out.append(j)
     return out
 
@@ -512,7 +512,7 @@ def _position_doubts(
     comparison: NominalComparison,
 ) -> list[Remark]:
     """Doubt the sign or the zero of a joint's position whose change explains the torque."""
-    before, varied = _explained(comparison), _varied_joints(comparison)
+    before = _explained(comparison)
     best: tuple[float, Remark] | None = None
     for j, joint in enumerate(recording.joints):
         for offset in (None, *ZERO_OFFSETS_DEG):
@@ -525,8 +525,7 @@ def _position_doubts(
             gain = after - before
             k = int(np.argmax(gain))
             if (
-                k not in varied
-                or before[k] > MAX_EXPLAINED_AS_READ
+                before[k] > MAX_EXPLAINED_AS_READ
                 or after[k] < MIN_EXPLAINED_AS_CHANGED
                 or abs(np.log(max(compared.slopes()[0][k], 1e-9))) > np.log(MAX_SCALE_RATIO)
                 or gain.sum() < MIN_EXPLAINED_GAIN

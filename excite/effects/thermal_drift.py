@@ -21,8 +21,8 @@ MAX_WARM_EXCESS = 5.0
 TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)
 """Grid of time constants, over the longest run."""
 MIN_TIME_CONSTANT = 2.0
-"""Smallest time constant [s]: the film of lubricant and the surfaces of a gear need seconds to get
-warm. What changes faster happens at a start from rest."""
+"""Smallest time constant [s], a bound of the model's parameter: the film of lubricant and the
+surfaces of a gear need seconds to get warm; those of simulated robots are 5 to 30 s."""
 MIN_TEMPERATURE_RANGE = 1.0
 """Range of temperatures from which a dependence is fitted [°C], as sensors are quantised."""
 

@@ -21,15 +21,13 @@ import numpy as np
 from .._types import FloatArray
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .nominal_comparison import OWN_COLUMNS, ROUNDING
-from .torque_columns import friction_columns, link_columns
+from .nominal_comparison import ROUNDING
+from .torque_columns import MIN_NOISE_SHARE, OWN_COLUMNS, friction_columns, link_columns
 
 FOLDS = 5
 """Number of consecutive parts of the rows, each of which is predicted from the others."""
 RIDGE = 1e-3
 """Regularization of the fit of a single joint, over the mean of its information's diagonal [1]."""
-MIN_NOISE_SHARE = 1e-4
-"""Smallest variance of e over that of the joint's torque [1]."""
 MAX_UNEXPLAINED = 0.3
 """Largest unexplained share of the torque of both joints, predicted with the torques exchanged [1].
 Where more remains, as at a wrist of which no model holds, neither order is shown."""

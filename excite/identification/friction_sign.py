@@ -18,15 +18,13 @@ from .._types import FloatArray
 from ..robot.samples import Samples
 from .autocorrelation import correlation_length
 from .dissipation import CLEARLY_NEGATIVE
-from .torque_columns import friction_columns
+from .torque_columns import MIN_NOISE_SHARE, OWN_COLUMNS, friction_columns
 
-COLUMNS_WITHOUT_LINKS = 5
-"""Columns of a joint without those of the links: friction, rotor inertia and nominal torque."""
+COLUMNS_WITHOUT_LINKS = OWN_COLUMNS + 1
+"""Columns of a joint without those of the links: its own, and the nominal torque."""
 VAGUE_PRIOR_STD = 100.0
 """Prior standard deviation of the torque of such a column, over that of the measured torque [1]:
 the data alone decide where they tell its coefficient from the others."""
-MIN_NOISE_SHARE = 1e-4
-"""Smallest variance of e over that of the torque [1]: torque of a model has no noise."""
 VARIANCE_ROUNDS = 4
 """Rounds in which variance and autocorrelation of the residual settle."""
 

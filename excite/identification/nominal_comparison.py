@@ -26,7 +26,7 @@ from ..robot.dynamics import inverse_dynamics
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from . import friction_sign
-from .torque_columns import friction_columns, link_columns
+from .torque_columns import OWN_COLUMNS, friction_columns, link_columns
 
 COMPARED_ROWS = 600
 """Number of compared rows, spread evenly over the longest stretch without a gap."""
@@ -86,8 +86,6 @@ MAX_SCALE_RATIO = 2.0
 wrong zero or sign leaves the scale as it is [1]."""
 MIN_EXPLAINED_GAIN = 0.4
 """Smallest sum over the joints of the changes of the explained shares [1]."""
-OWN_COLUMNS = 4
-"""Columns of a joint that are removed: offset, viscous and Coulomb friction, and rotor inertia."""
 MIN_SWING_SHARE = 0.5
 """Smallest torque on one side of zero, over its RMS, that counts as a swing [1]: not noise about
 zero."""

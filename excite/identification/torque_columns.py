@@ -16,6 +16,10 @@ from ..robot.samples import Samples
 
 FRICTION_SPEED_SHARE = 0.05
 """Width of the smooth Coulomb step over the RMS speed [1]."""
+OWN_COLUMNS = 4
+"""Columns of a joint alone: offset, viscous and Coulomb friction, and rotor inertia."""
+MIN_NOISE_SHARE = 1e-4
+"""Smallest variance of the noise in a fit of these columns, over that of the joint's torque [1]."""
 PRIOR_SHARE = 0.5
 """Prior standard deviation of a parameter, over its size in a body of LINK_RADIUS [1]."""
 LINK_RADIUS = 0.2

@@ -57,10 +57,10 @@ SPELLINGS = {
 """Spellings of SI units, in lower case."""
 OTHER_UNITS = ("deg", "deg_s", "deg/s", "degrees", "rpm", "mm", "mm_s", "ma", "mnm", "knm", "kn")
 """Spellings of other units behind an underscore; in brackets there may be any."""
-_APPENDED = "|".join(sorted((*SPELLINGS, *OTHER_UNITS), key=len, reverse=True))
+_APPENDED = "|".join(map(re.escape, sorted((*SPELLINGS, *OTHER_UNITS), key=len, reverse=True)))
 UNIT = re.compile(
     r"\s*[\[(](?P<bracketed>[^\[\]()]*[^\[\]()\d][^\[\]()]*)[\])]$"
-    rf"|_(?P<appended>{re.escape(_APPENDED).replace(re.escape('|'), '|')})$",
+    rf"|_(?P<appended>{_APPENDED})$",
     re.I,
 )
 """A unit at the end of a name; a number in brackets is that of a joint."""

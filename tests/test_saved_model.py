@@ -75,6 +75,21 @@ def test_the_model_file_predicts_with_the_stated_error(folder):
     )
 
 
+def test_reported_parameters_are_those_of_the_saved_effects(folder):
+    stated = json.loads((folder / "5" / "diagnosis.json").read_text())
+    saved = json.loads((folder / "5" / "model.json").read_text())["effects"]
+    (ripple,) = (f for f in stated["findings"] if f["effect"] == "torque_ripple")
+    waves = [
+        np.hypot(*e["coefficients"][:2])
+        for e in saved
+        if (e["effect"], e["joint"]) == ("torque_ripple", ripple["joint"])
+    ]
+    amplitude = ripple["parameters"]["amplitude"]
+    assert amplitude["value"] == pytest.approx(max(waves), rel=1e-9)
+    # its curve is that of the saved coefficients, too
+    assert max(np.abs(ripple["curve"]["torque"])) <= sum(waves) + amplitude["std"]
+
+
 def test_held_out_recordings_change_neither_findings_nor_the_model(folder):
     models, documents = (
         [json.loads((folder / seed / name).read_text()) for seed in ("5", "8")]

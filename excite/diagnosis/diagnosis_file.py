@@ -253,9 +253,9 @@ def _weaker_waves(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[s
         return []
     base, (reported, _) = diagnosis.model.motions[0].fitted_robot, estimate.parameters["order"]
     waves = [
-        shape.parameters(c, base)
-        for shape, c in zip(estimate.models, estimate.coefficients, strict=True)
-        if shape.values["order"] != reported
+        wave.shape.parameters(wave.coefficients, base)
+        for wave in estimate.fitted
+        if wave.shape.values["order"] != reported
     ]
     return sorted(waves, key=lambda wave: -wave["amplitude"])
 

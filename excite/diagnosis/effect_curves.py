@@ -62,10 +62,10 @@ def effect_curve(model: JointModel, estimate: EffectEstimate, regime: str) -> di
     if abscissa is None or j is None:
         return None
     torque = np.zeros(len(rows))
-    for shape, coefficients in zip(estimate.models, estimate.coefficients, strict=True):
-        columns = model.columns(shape)
+    for effect in estimate.fitted:
+        columns = model.columns(effect.shape)
         if columns is not None and j in columns.joints:
-            torque += columns.values[columns.joints.index(j)] @ coefficients
+            torque += columns.values[columns.joints.index(j)] @ effect.coefficients
     x = abscissa.values(rows, j)
     if "origin" in estimate.models[0].values:
         x = rows.time - estimate.models[0].values["origin"]

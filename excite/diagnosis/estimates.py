@@ -20,6 +20,7 @@ from ..effects.recorded_motion import FittedRobot, position_range
 from ..effects.spring import CURVE_WAVES
 from ..schemas.effects import MIN_SEVERITY
 from . import joint_model, posterior, probability, recording_chain
+from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
 from .normal_equations import Solution
@@ -79,6 +80,7 @@ class EffectEstimate(EffectEvidence):
             effects could stand for.
         relative_std: Relative standard deviation of its torque [1].
         parameters: Value and standard deviation by name.
+        saved: Its models with the coefficients of the saved model; empty if it is not saved.
         equivalents: Names of effects that these recordings cannot tell from it.
     """
 
@@ -88,11 +90,17 @@ class EffectEstimate(EffectEvidence):
     relative_std: float = 0.0
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     equivalents: tuple[str, ...] = ()
+    saved: tuple[FittedEffect, ...] = ()
 
     @classmethod
     def of(cls, evidence: EffectEvidence, probable: Probability, **values: Any) -> EffectEstimate:
         """Return an estimate with some evidence."""
         return cls(**vars(evidence), probable=probable, **values)
+
+    @property
+    def fitted(self) -> tuple[FittedEffect, ...]:
+        """Its models with the saved coefficients, or with those of the joint model."""
+        return self.saved or tuple(map(FittedEffect, self.models, self.coefficients))
 
     @property
     def probability(self) -> float:
@@ -165,20 +173,23 @@ def estimate_effects(
     return [*out, *_clock_delay(posterior_of)]
 
 
-def on_base(
+def as_saved(
     effects: Sequence[EffectEstimate],
     model: JointModel,
     evidence: Sequence[EffectEvidence],
+    saved: Sequence[FittedEffect],
     base: FittedRobot,
 ) -> list[EffectEstimate]:
-    """Return estimates whose parameters are those on top of another base model."""
+    """Return estimates with the parameters that the saved effects have on the saved base model."""
     posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
-    return [
-        replace(effect, parameters=posterior_of.parameters(effect.members, base))
-        if effect.parameters and any(shape.definition.depends_on_base for shape in effect.models)
-        else effect
-        for effect in effects
-    ]
+    out = []
+    for effect in effects:
+        fitted = tuple(part for part in saved if part.shape.key == effect.key)
+        if effect.members and effect.parameters:
+            parameters = posterior_of.parameters(effect.members, base, fitted)
+            effect = replace(effect, parameters=parameters)
+        out.append(replace(effect, saved=fitted))
+    return out
 
 
 def _same_by_definition(model: JointModel, estimate: EffectEstimate) -> tuple[str, ...]:
@@ -390,11 +401,14 @@ class _Posterior:
         return float(np.sqrt(max(variance, 0.0)) / max(float(c @ along), 1e-300))
 
     def parameters(
-        self, effects: Sequence[int], base: FittedRobot
+        self, effects: Sequence[int], base: FittedRobot, saved: Sequence[FittedEffect] = ()
     ) -> dict[str, tuple[float, float]]:
         """Return the parameters of the largest model of an effect, with standard deviations.
 
-        There are none where its coefficients, next to those of other effects, are not plausible.
+        They are those of `saved`, if it contains that model. Its coefficients are fitted to another
+        base model: with their distance d from the posterior mean, the mean squared error of a
+        parameter is its posterior variance and d². There are no parameters where the coefficients,
+        next to those of other effects, are not plausible.
         """
         draws = self.draws(self.places(effects))
         sizes = {e: self.relative_size(e) for e in effects if len(self.places([e]))}
@@ -406,7 +420,12 @@ class _Posterior:
         c = self.solution.coefficients[part]
         if not shape.is_plausible(shape.plain(c)):
             return {}
-        values = shape.parameters(shape.plain(c), base)
+        mean = values = shape.parameters(shape.plain(c), base)
+        stated = _saved_form(shape, saved)
+        if stated is not None:
+            if not stated.shape.is_plausible(stated.coefficients):
+                return {}
+            values = stated.shape.parameters(stated.coefficients, base)
         cloud = []
         shift, log_std = self._nonlinear(shape, c, places)
         logs = log_std * np.random.default_rng(2).normal(size=len(draws))
@@ -421,10 +440,11 @@ class _Posterior:
         form = shape.definition.form_std
         out = {}
         for key, value in values.items():
-            if not np.isfinite(value):
+            if not np.isfinite([value, mean[key]]).all():
                 continue
             low, high = np.nanpercentile([p[key] for p in cloud], PERCENTILES)
-            std = np.hypot(0.5 * (high - low), form.get(key, FORM_STD) * abs(value))
+            of_form = form.get(key, FORM_STD) * abs(value)
+            std = np.linalg.norm([0.5 * (high - low), of_form, value - mean[key]])
             out[key] = (float(value), float(std))
         return out
 
@@ -461,6 +481,17 @@ class _Posterior:
         slope, information = self.model.regression.sensitivity(change, self.solution)
         slope = slope[np.searchsorted(np.flatnonzero(self.solution.active), places)]
         return slope, float(1.0 / np.sqrt(prior_std**-2.0 + max(information, 0.0)))
+
+
+def _saved_form(shape: CandidateModel, saved: Sequence[FittedEffect]) -> FittedEffect | None:
+    """Return the saved effect of the form of a model; None if there is none."""
+    exact = shape.exact or shape
+    place = exact.other, exact.interval, exact.source
+    for part in saved:
+        is_at_place = (part.shape.other, part.shape.interval, part.shape.source) == place
+        if is_at_place and part.shape.values.items() >= exact.values.items():
+            return part
+    return None
 
 
 def _likeness(posterior_of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:

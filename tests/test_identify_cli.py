@@ -112,6 +112,24 @@ def test_a_model_that_is_worse_than_the_nominal_robot_is_remarked(folder, capsys
         assert "check the units" not in text
 
 
+def test_a_recording_with_few_equations_is_refused_or_remarked(folder, capsys, tmp_path):
+    """So few equations fit the noise; those of some more can be worse than nominal."""
+    subject = two_link_model()
+    nominal = consistency.consistent_nominal(subject.parameters)
+    recording = synthetic_recording(subject, nominal, random_fourier(2, 6), 3, 0.2)
+    held_out = write_recording(recording, tmp_path / "nominal.csv")
+    lines = (folder / "train.csv").read_text().splitlines(keepends=True)
+    short, output = tmp_path / "short.csv", tmp_path / "out"
+    arguments = ("identify", "two_link", short, "--validate", held_out, "--band", 8, "-o", output)
+    short.write_text("".join(lines[:1191]))
+    line = error_line(capsys, *arguments)
+    assert "16 equations are too few for 15 parameters and the noise of 2 joints" in line
+    assert not output.exists()
+    short.write_text("".join(lines[:1251]))
+    assert run(*arguments) == 0
+    assert "20 equations are few for 13 parameters: record for longer" in capsys.readouterr().out
+
+
 def test_what_looks_like_a_delay_of_the_torque_may_be_friction(folder, capsys, tmp_path):
     rows = (folder / "train.csv").read_text().splitlines()
     cells = np.array([row.split(",") for row in rows])

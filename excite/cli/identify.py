@@ -28,6 +28,9 @@ from .outcome import Outcome, doubt_line, with_files, written_lines
 
 TORQUE_OPTIONS = ("prior", "align", "hausman", "simulate", "refine", "check_lmi", "band")
 """Options that need recorded torque."""
+USUAL_EQUATIONS = 10
+"""Equations per parameter below which a recording is short (a rule of thumb for regressions:
+Harrell, "Regression Modeling Strategies", 2015, section 4.4)."""
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
@@ -197,10 +200,15 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
             lines.append(f"{joint:25} {before:10.4g} {after:11.4g} {floor:>10} {percent:>9}")
     lines += [_summary(prediction, robot) for prediction in predictions]
     if worse := identification.worsened_joints():
+        exceeds = any(_percent_of_torque(p, p.fitted) > 100.0 for p in predictions)
+        equations = int(identification.equations.moving.sum())
+        parameters = identification.model.base.count
         advice = (
-            "the error of all joints exceeds their torque: check the units of all recordings "
+            f"{equations} equations are few for {parameters} parameters: record for longer"
+            if equations < USUAL_EQUATIONS * parameters
+            else "the error of all joints exceeds their torque: check the units of all recordings "
             "(positions in rad, not in turns or degrees)"
-            if any(_percent_of_torque(p, p.fitted) > 100.0 for p in predictions)
+            if exceeds
             else "try a lower --band or record a motion that excites more"
         )
         lines.append(

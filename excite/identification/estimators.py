@@ -40,6 +40,9 @@ TORQUE_RESOLUTION = 2.0**-16 / np.sqrt(12.0)
 """Smallest standard deviation of a joint's torque error over its largest torque: the quantisation
 error of 16 bits. A constant torque, as of a joint at rest or where it was not measured, has no
 deviation by which its rows could be weighted."""
+MIN_NOISE_FREEDOM = 2
+"""Degrees of freedom of the residual of a joint, on average, that must be exceeded: with fewer, the
+mean of 1/σ̂² by σ̂² ~ σ² χ²_ν/ν is infinite, and parameters fit the noise."""
 BLOCK_ROWS = 4096
 """Number of rows that are orthogonalised at a time."""
 CONFIDENCE_LEVEL = 0.95
@@ -307,10 +310,12 @@ def estimate(
         resolution,
     )
     rank, count = fit.half.shape[1], int(equations.moving.sum())
-    if count <= rank:
+    moving = int(equations.moving.any(axis=0).sum())
+    if count <= rank + MIN_NOISE_FREEDOM * moving:
         raise UnusableInput(
-            f"recordings: {count} equations are too few for {rank} parameters with "
-            f"a band of {equations.hertz:.3g} Hz; record for longer or give a higher --band"
+            f"recordings: {count} equations are too few for {rank} parameters and the noise of "
+            f"{moving} joints with a band of {equations.hertz:.3g} Hz; record for longer or give a "
+            "higher --band"
         )
     if method is Method.FULL:
         noise_root = covariance_root(

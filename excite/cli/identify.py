@@ -200,20 +200,9 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
             lines.append(f"{joint:25} {before:10.4g} {after:11.4g} {floor:>10} {percent:>9}")
     lines += [_summary(prediction, robot) for prediction in predictions]
     if worse := identification.worsened_joints():
-        exceeds = any(_percent_of_torque(p, p.fitted) > 100.0 for p in predictions)
-        equations = int(identification.equations.moving.sum())
-        parameters = identification.model.base.count
-        advice = (
-            f"{equations} equations are few for {parameters} parameters: record for longer"
-            if equations < USUAL_EQUATIONS * parameters
-            else "the error of all joints exceeds their torque: check the units of all recordings "
-            "(positions in rad, not in turns or degrees)"
-            if exceeds
-            else "try a lower --band or record a motion that excites more"
-        )
         lines.append(
             f"{some(worse)}: the nominal robot predicts the held-out torque better than the "
-            f"identified one; {advice}"
+            f"identified one{_advice(result, predictions)}"
         )
     common, spread = identification.delay.common
     if abs(common) > 3.0 * spread and not identification.options.align:
@@ -225,6 +214,23 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
     if result.doubts:
         lines.append(doubt_line(result.doubts, "model"))
     return "\n".join([*lines, *facts, *written_lines(written)])
+
+
+def _advice(result: api.IdentificationResult, predictions: Sequence[Prediction]) -> str:
+    """Return what may help where the nominal robot predicts better; doubts say it themselves."""
+    if result.doubts:
+        return ""
+    identification = result.identification
+    equations = int(identification.equations.moving.sum())
+    parameters = identification.model.base.count
+    if equations < USUAL_EQUATIONS * parameters:
+        return f"; {equations} equations are few for {parameters} parameters: record for longer"
+    if any(_percent_of_torque(p, p.fitted) > 100.0 for p in predictions):
+        return (
+            "; the error of all joints exceeds their torque: check the units of all recordings "
+            "(positions in rad, not in turns or degrees)"
+        )
+    return "; try a lower --band or record a motion that excites more"
 
 
 def _percent_of_torque(prediction: Prediction, torque: FloatArray) -> float:

@@ -20,6 +20,7 @@ from ..effects.recorded_motion import FittedRobot, position_range
 from ..effects.spring import CURVE_WAVES
 from ..schemas.effects import MIN_SEVERITY
 from . import joint_model, posterior, probability, recording_chain
+from .final_model import FinalModel
 from .fitted_effects import FittedEffect
 from .flexible_models import UNMODELLED
 from .joint_model import FRICTIONS, JointModel
@@ -177,18 +178,17 @@ def as_saved(
     effects: Sequence[EffectEstimate],
     model: JointModel,
     evidence: Sequence[EffectEvidence],
-    saved: Sequence[FittedEffect],
-    base: FittedRobot,
+    final: FinalModel,
 ) -> list[EffectEstimate]:
-    """Return estimates with the parameters that the saved effects have on the saved base model."""
+    """Return estimates with the parameters of the saved effects on the saved base model."""
     posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
-    out = []
+    base, out = final.motions[0].fitted_robot, []
     for effect in effects:
-        fitted = tuple(part for part in saved if part.shape.key == effect.key)
-        if effect.members and effect.parameters:
-            parameters = posterior_of.parameters(effect.members, base, fitted)
-            effect = replace(effect, parameters=parameters)
-        out.append(replace(effect, saved=fitted))
+        saved = tuple(part for part in final.effects if part.shape.key == effect.key)
+        parameters = effect.parameters
+        if effect.members and parameters:
+            parameters = posterior_of.parameters(effect.members, base, saved)
+        out.append(replace(effect, parameters=parameters, saved=saved))
     return out
 
 

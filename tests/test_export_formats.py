@@ -104,6 +104,8 @@ def test_flattened_joint_states(two_link, tmp_path, time, element):
         ("t [s]", "{word}[{joint}]"),
         ("time_s", "{joint}.{quantity} [{unit}]"),
         ("time", "{joint}_{word}_{si}"),
+        ("stamp", "{quantity}_{joint}"),
+        ("Elapsed Time [s]", "{joint}.{word}"),
     ],
 )
 def test_names_of_joints_as_scripts_spell_them(two_link, tmp_path, time, spelling):

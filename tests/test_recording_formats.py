@@ -311,6 +311,13 @@ def test_missing_joint_is_reported_with_similar_names(two_link, tmp_path):
     assert_refused(path, two_link, "'q.joint_1' occurs twice")
 
 
+@pytest.mark.parametrize("row", ["0,0,0", " 0.01\t1.8\t-2e-3", "1;2;nan"])
+def test_a_file_without_names_is_refused_with_the_names_to_write(two_link, tmp_path, row):
+    path = tmp_path / "r.csv"
+    path.write_text(f"{row}\n{row}\n{row}\n")
+    assert_refused(path, two_link, "names of its 3 columns", "t,q.joint_1,…,tau.joint_1,…")
+
+
 def test_inconsistent_archives_are_refused(two_link, tmp_path):
     columns = two_joint_motion()
     t, q = columns["t"], np.column_stack([columns["q.joint_1"], columns["q.joint_2"]])

@@ -2,7 +2,7 @@
 
 | column | examples |
 |---|---|
-| time | `time`, `timestamp`, `time_s`, `t [ms]` |
+| time | `time`, `timestamp`, `stamp`, `elapsed_time`, `time_s`, `t [ms]` |
 | quantity and joint | `q_elbow`, `elbow_pos`, `elbow/velocity`, `tau[elbow]`, `elbow.effort` |
 | quantity and number, by the order of the robot | `q1`, `dq_1`, `tau[0]`, `joint1_torque` |
 | quantity alone, of a robot with a single joint | `position`, `torque` |
@@ -38,7 +38,8 @@ WORDS = {
     "temperature": "temp",
 }
 """Words for a quantity, with the prefixes of its columns; that of an effort differs by file."""
-TIMES = re.compile(r"(?:t|time|timestamp|seconds)(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?", re.I)
+_TIME = r"(?:t|time|(?:time[ _]?)?stamp|seconds|elapsed(?:[ _]?time)?)"
+TIMES = re.compile(rf"{_TIME}(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?", re.I)
 """A column of time, with its unit."""
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 SI_UNITS = {

@@ -9,7 +9,7 @@ import numpy as np
 from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.gear_encoders import GearEstimate
 from .drawing import GREY, INK, ORANGE, limit_ticks, render_panels
-from .trajectory import short, torque_units
+from .trajectory import short_names, torque_units
 
 PANEL_HEIGHT = 1.9
 """Height of a panel's axes [in]."""
@@ -20,12 +20,12 @@ MAX_DOTS = 1500
 def draw_deflections(diagnosis: Diagnosis) -> str:
     """Draw the deflection of each gear over the torque that it transmits."""
     robot = diagnosis.identified.model.robot
-    units = torque_units(robot)
+    units, names = torque_units(robot), short_names(robot.joints, 20)
 
     def draw(axes: Any, gear: GearEstimate) -> None:
         _draw_deflection(axes, gear)
         unit = "mm" if units[gear.joint] == "N" else "mrad"
-        title = f"{short(robot.joints[gear.joint], 20)} [{unit}]"
+        title = f"{names[gear.joint]} [{unit}]"
         axes.set_title(title, loc="left", fontweight="bold", pad=3)
         axes.set_xlabel(f"transmitted torque [{units[gear.joint]}]")
 

@@ -24,7 +24,7 @@ from .drawing import (
     set_decade_ticks,
     thin_curve,
 )
-from .trajectory import short
+from .trajectory import short_names
 
 NORMAL_QUANTILE = 1.96
 """Standard errors on either side that contain 95 % of a normal distribution."""
@@ -73,7 +73,7 @@ def draw_spectra(
         else 5
     )
     rows = -(-len(joints) // columns)
-    far = min(4.0 * hertz, float(torque.frequency[-1]))
+    far, names = min(4.0 * hertz, float(torque.frequency[-1])), short_names(joints, 26)
 
     def draw(figure: Any) -> None:
         cells = axes_grid(figure, rows, columns, margins=(0.55, 0.1, 0.5, 0.42), gaps=(0.5, 0.45))
@@ -85,7 +85,7 @@ def draw_spectra(
             _joint(axes, k, torque, noise, residual, far)
             axes.axvspan(hertz, far, color="#f3f5f7", linewidth=0.0, zorder=0)
             axes.axvline(hertz, color=INK, linewidth=0.9, dashes=(4, 2))
-            axes.set_title(short(joints[k]), loc="left", fontweight="bold", pad=3)
+            axes.set_title(names[k], loc="left", fontweight="bold", pad=3)
             if k + columns >= len(joints):
                 axes.set_xlabel("frequency [Hz]")
         handles, labels = cells[0, 0].get_legend_handles_labels()
@@ -150,7 +150,7 @@ def draw_delays(
         edges: Smallest and largest candidate of these widths.
         prismatic: For each joint, whether it slides.
     """
-    names, places = [short(j, 22) for j in joints], np.arange(len(joints))
+    names, places = short_names(joints, 22), np.arange(len(joints))
     unit = "mm/s" if all(prismatic) else "mrad/s" if not any(prismatic) else "mrad/s or mm/s"
     cut = np.isclose(widths, edges[0]) | np.isclose(widths, edges[1])
     bars = {"fmt": "o", "color": BLUE, "markersize": 3.5, "capsize": 2, "linewidth": 1.0}

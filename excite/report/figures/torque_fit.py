@@ -24,7 +24,7 @@ from .drawing import (
     render_svg,
     thin_curve,
 )
-from .trajectory import short, torque_units
+from .trajectory import short_names, torque_units
 
 EXCERPT_SECONDS = 40.0
 """Longer recordings are drawn in part [s]; the tables state the error of all of it."""
@@ -32,6 +32,10 @@ NOISE_BAND_FLOORS = 2.0
 """Noise floors on either side that contain 95 % of normal noise."""
 POINTS_PER_PAGE = 60_000
 """Points of all curves of a page, so that it stays small enough for a browser."""
+
+_NAME_LETTERS = 16
+"""Letters of a row's name that leave room for its error in the title of a panel, of three in a
+line or fewer."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,8 @@ def draw_fit(
     height = 0.3 + rows * (size.torque + size.residual + size.gap)
     span = drawn_interval(prediction)
 
+    shown = short_names(names, _NAME_LETTERS if columns <= 3 else _NAME_LETTERS // 2)
+
     def draw(figure: Any) -> None:
         width = figure.get_size_inches()[0]
         cell = (width - 0.55 - 0.1 - 0.5 * (columns - 1)) / columns
@@ -133,7 +139,7 @@ def draw_fit(
             _torque(upper, prediction, joint, span, points)
             _residual(lower, prediction, joint, span, points, compared=labels.residuals)
             upper.set_title(
-                f"{short(names[joint], 22)} [{units[joint]}]",
+                f"{shown[joint]} [{units[joint]}]",
                 loc="left",
                 fontweight="bold",
                 pad=3,

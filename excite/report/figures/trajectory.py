@@ -83,8 +83,8 @@ def draw_kinematics(scene: MotionScene) -> list[tuple[str, str]]:
         return CurvePanel(title, t, curves[order][:, j], limits)
 
     names = [
-        f"{short(joint)} (m)" if slides and not all(sliding) else short(joint)
-        for joint, slides in zip(robot.joints, sliding, strict=True)
+        f"{joint} (m)" if slides and not all(sliding) else joint
+        for joint, slides in zip(short_names(robot.joints, 26), sliding, strict=True)
     ]
     if robot.n <= COMPACT_LAYOUT_JOINTS:
         cells = [
@@ -129,7 +129,8 @@ def short(name: str, length: int = 26) -> str:
 def short_names(names: Sequence[str], length: int) -> list[str]:
     """Shorten long names so that different ones stay different.
 
-    The last word that all names share, such as `_joint`, is left out first, then the middle.
+    The words that all names share are left out first, the last one, such as `_joint`, and the first
+    ones, such as the robot's name, then the middle. What stays does not begin with a digit.
 
     Args:
         names: The names.
@@ -138,10 +139,20 @@ def short_names(names: Sequence[str], length: int) -> list[str]:
     if max(map(len, names), default=0) <= length:
         return list(names)
     ends = {name.rpartition("_")[2] for name in names}
-    kept = [name.rpartition("_")[0] for name in names] if len(ends) == 1 else list(names)
+    is_word = len(ends) == 1 and ends.pop().isalpha()
+    kept = [name.rpartition("_")[0] for name in names] if is_word else list(names)
     kept = kept if all(kept) else list(names)
+    if len(kept) > 1:
+        starts = (k + 1 for k, letter in enumerate(kept[0]) if letter in "_-/.")
+        shared = [k for k in starts if all(_continues(name, kept[0][:k]) for name in kept)]
+        kept = [name[max(shared, default=0) :] for name in kept]
     shortened = [short(name, length) for name in kept]
     return shortened if len(set(shortened)) == len(set(names)) else kept
+
+
+def _continues(name: str, start: str) -> bool:
+    """Tell whether a name has a start, and then a letter."""
+    return name.startswith(start) and name[len(start) : len(start) + 1].isalpha()
 
 
 def draw_torques(t: FloatArray, nominal: FloatArray, width: FloatArray, scene: MotionScene) -> str:
@@ -158,9 +169,10 @@ def draw_torques(t: FloatArray, nominal: FloatArray, width: FloatArray, scene: M
         1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
     )
     banded, cells = bool(np.any(width > 0.0)), []
-    for j, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
+    names = short_names(robot.joints, 22)
+    for j, (joint, unit) in enumerate(zip(names, torque_units(robot), strict=True)):
         limit = float(scene.limits.torque[j])
-        title = f"{short(joint, 22)} [{unit}]"
+        title = f"{joint} [{unit}]"
         cells.append(
             CurvePanel(title, t, nominal[:, j], (-limit, limit), width[:, j] if banded else None)
         )

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .drawing import BLUE, GREY, limit_ticks, render_panels
-from .trajectory import short
+from .trajectory import short_names
 
 PANEL_HEIGHT = 1.6
 """Height of a panel's axes [in]."""
@@ -20,11 +20,13 @@ def draw_responses(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str
         units: Unit of each joint's torque.
     """
 
+    names = dict(zip(units, short_names(list(units), 24), strict=True))
+
     def draw(axes: Any, entry: Mapping[str, Any]) -> None:
         response = entry["where"]["response"]
         axes.axhline(0.0, color=GREY, linewidth=0.5)
         axes.plot(response["x"], response["y"], color=BLUE, linewidth=1.0)
-        axes.set_title(short(entry["joint"], 24), loc="left", fontweight="bold", pad=3)
+        axes.set_title(names[entry["joint"]], loc="left", fontweight="bold", pad=3)
         over, along = response["over"], ", along the motion"
         axes.set_xlabel(over.replace(along, ""))
         name = f"torque{' along the motion' if along in over else ''} [{units[entry['joint']]}]"

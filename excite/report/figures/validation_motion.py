@@ -8,7 +8,7 @@ from ...robot.robot import Robot
 from ...trajectory.trajectory_file import Trajectory
 from .drawing import COMPACT_LAYOUT_JOINTS
 from .small_multiples import PhasePlane, draw_phase_planes
-from .trajectory import is_prismatic, short
+from .trajectory import is_prismatic, short_names
 
 
 def draw_motion_pair(first: Trajectory, second: Trajectory, robot: Robot) -> str:
@@ -25,11 +25,11 @@ def draw_motion_pair(first: Trajectory, second: Trajectory, robot: Robot) -> str
     )
     apart = second.motion.fourier.offset - first.motion.fourier.offset
     curves[1][:, :, 0] -= np.where(turning, 2.0 * np.pi * np.rint(apart / (2.0 * np.pi)), 0.0)
-    panels = []
-    for j, (joint, slides) in enumerate(zip(robot.joints, sliding, strict=True)):
+    names, panels = short_names(robot.joints, 26), []
+    for j, (joint, slides) in enumerate(zip(names, sliding, strict=True)):
         lower, upper = (-np.inf, np.inf) if turning[j] else limits.position[j]
         speed = float(limits.velocity[j])
-        title = f"{short(joint)} (m)" if slides else short(joint)
+        title = f"{joint} (m)" if slides else joint
         panels.append(
             PhasePlane(
                 title,

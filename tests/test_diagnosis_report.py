@@ -346,8 +346,12 @@ def test_shortened_names_stay_different() -> None:
     assert short_names(names, 14) == ["shoulder_pan", "shoulder_lift", "elbow"]
     assert short_names(["a1", "b2"], 14) == ["a1", "b2"]
     of_robot = [f"AR5-07R_arm_joint_{i}" for i in range(3)]
-    assert short_names(of_robot, 14) == ["joint_0", "joint_1", "joint_2"]
+    assert short_names(of_robot, 14) == ["arm_joint_0", "arm_joint_1", "arm_joint_2"]
+    assert short_names(of_robot, 10) == ["joint_0", "joint_1", "joint_2"]
     assert short_names(of_robot[:1], 14) == ["AR5-07R…oint_0"]
+    assert short_names(["robot1_knee_a", "robot1_knee_b"], 10) == ["knee_a", "knee_b"]
+    legs = [f"{side}_shoulder_{way}" for side in ("left", "right") for way in ("pitch", "roll")]
+    assert max(map(len, short_names(legs, 8))) == 8
     alike = [f"arm_{side}_of_the_robot_{k}" for side in ("left", "right") for k in "12"]
     assert len(set(short_names(alike, 10))) == 4
 

@@ -109,7 +109,8 @@ def test_flattened_joint_states(two_link, tmp_path, time, element):
     ],
 )
 def test_names_of_joints_as_scripts_spell_them(two_link, tmp_path, time, spelling):
-    columns = {time: COLUMNS["t"]}
+    columns = {"stamp": 1e9 * COLUMNS["t"]} if time == "time" else {}
+    columns |= {time: COLUMNS["t"]}
     for word, quantity, unit in (
         *(("position", "q", "rad"), ("velocity", "dq", "rad/s"), ("torque", "tau", "N m")),
     ):

@@ -311,7 +311,7 @@ def test_missing_joint_is_reported_with_similar_names(two_link, tmp_path):
     assert_refused(path, two_link, "'q.joint_1' occurs twice")
 
 
-@pytest.mark.parametrize("row", ["0,0,0", " 0.01\t1.8\t-2e-3", "1;2;nan"])
+@pytest.mark.parametrize("row", ["0,0,0", " 0.01\t1.8\t-2e-3", "1;2;nan", "0,0,N/A", "0,0,"])
 def test_a_file_without_names_is_refused_with_the_names_to_write(two_link, tmp_path, row):
     path = tmp_path / "r.csv"
     path.write_text(f"{row}\n{row}\n{row}\n")

@@ -24,9 +24,10 @@ from synthetic_recordings import validated, write_recording
 
 import excite
 from excite.api.diagnosis_result import DiagnosisResult
-from excite.diagnosis import fitted_effects
+from excite.diagnosis import effect_curves, estimates, fitted_effects
 from excite.diagnosis.budget import TorqueBudget, torque_budget
 from excite.diagnosis.diagnosis_file import document
+from excite.diagnosis.estimates import EffectEstimate
 from excite.effects import torque_saturation
 from excite.errors import UnusableInput
 from excite.identification.lowpass import Grid, LowPassFilter
@@ -84,10 +85,32 @@ def test_reported_parameters_are_those_of_the_saved_effects(folder):
         for e in saved
         if (e["effect"], e["joint"]) == ("torque_ripple", ripple["joint"])
     ]
-    amplitude = ripple["parameters"]["amplitude"]
-    assert amplitude["value"] == pytest.approx(max(waves), rel=1e-9)
-    # its curve is that of the saved coefficients, too
-    assert max(np.abs(ripple["curve"]["torque"])) <= sum(waves) + amplitude["std"]
+    assert ripple["parameters"]["amplitude"]["value"] == pytest.approx(max(waves), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["torque_ripple", "spring"])
+def test_errors_contain_the_distance_of_the_saved_effect_from_the_joint_model(name):
+    """Saved coefficients of 1.5 times the fitted ones: an error of half of the joint model's."""
+    result = diagnosed(name)
+    (finding,) = (f for f in result.findings if f.effect == name)
+
+    def reported(factor: float) -> EffectEstimate:
+        effects = tuple(
+            dataclasses.replace(e, coefficients=factor * e.coefficients)
+            for e in result.final.effects
+        )
+        final = dataclasses.replace(result.final, effects=effects)
+        (out,) = estimates.as_saved([finding], result.model, result.effects, final)
+        return out
+
+    saved, larger = reported(1.0), reported(1.5)
+    (value, std), (larger_value, larger_std) = (x.parameters["amplitude"] for x in (saved, larger))
+    assert larger_value == pytest.approx(1.5 * value)
+    assert larger_std > 0.45 * value > std
+    curves = [effect_curves.effect_curve(result.model, x, "position") for x in (saved, larger)]
+    torque, larger_torque = (np.array(curve["torque"]) for curve in curves)
+    np.testing.assert_allclose(larger_torque, 1.5 * torque)
+    assert (np.array(curves[1]["std"]) >= 0.45 * np.abs(torque)).all()
 
 
 def test_held_out_recordings_change_neither_findings_nor_the_model(folder):

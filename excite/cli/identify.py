@@ -28,9 +28,9 @@ from .outcome import Outcome, doubt_line, with_files, written_lines
 
 TORQUE_OPTIONS = ("prior", "align", "hausman", "simulate", "refine", "check_lmi", "band")
 """Options that need recorded torque."""
-USUAL_EQUATIONS = 10
-"""Equations per parameter below which a recording is short (a rule of thumb for regressions:
-Harrell, "Regression Modeling Strategies", 2015, section 4.4)."""
+EQUATIONS_PER_PARAMETER = 10
+"""Equations per parameter below which a recording counts as short: the lower end of a rule of
+thumb, 10 to 20 (Harrell, "Regression Modeling Strategies", 2015, section 4.4)."""
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
@@ -217,14 +217,17 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
 
 
 def _advice(result: api.IdentificationResult, predictions: Sequence[Prediction]) -> str:
-    """Return what may help where the nominal robot predicts better; doubts say it themselves."""
+    """Return a remedy for a model that predicts worse than the nominal robot.
+
+    Where the recordings are doubted, the doubts contain it.
+    """
     if result.doubts:
         return ""
     identification = result.identification
     equations = int(identification.equations.moving.sum())
-    parameters = identification.model.base.count
-    if equations < USUAL_EQUATIONS * parameters:
-        return f"; {equations} equations are few for {parameters} parameters: record for longer"
+    excited = len(identification.data.information_root)
+    if equations < EQUATIONS_PER_PARAMETER * excited:
+        return f"; {equations} equations are few for {excited} parameters: record for longer"
     if any(_percent_of_torque(p, p.fitted) > 100.0 for p in predictions):
         return (
             "; the error of all joints exceeds their torque: check the units of all recordings "

@@ -254,7 +254,7 @@ def _weaker_waves(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[s
     base, (reported, _) = diagnosis.model.motions[0].fitted_robot, estimate.parameters["order"]
     waves = [
         wave.shape.parameters(wave.coefficients, base)
-        for wave in estimate.fitted
+        for wave in estimate.reported
         if wave.shape.values["order"] != reported
     ]
     return sorted(waves, key=lambda wave: -wave["amplitude"])

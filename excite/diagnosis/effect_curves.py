@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from .._types import FloatArray
 from .estimates import EffectEstimate
+from .fitted_effects import FittedEffect
 from .joint_model import JointModel, transient_rows
 from .motion_rows import MotionRows, binned_means
 
@@ -55,17 +56,15 @@ _ABSCISSAS: Mapping[str, _Abscissa] = {
 def effect_curve(model: JointModel, estimate: EffectEstimate, regime: str) -> dict[str, Any] | None:
     """Return the curve of a finding: its mean torque over the quantity on which it depends.
 
-    Torque and standard deviation [N m or N] are positive where the torque opposes the motion if
-    "opposes_motion". None where no single quantity, which `regime` names, shows the effect.
+    Torque [N m or N] is positive where it opposes the motion if "opposes_motion". The standard
+    deviation contains the distance of the saved effect from that of the joint model. None where no
+    single quantity, which `regime` names, shows the effect.
     """
     abscissa, j, rows = _ABSCISSAS.get(regime), estimate.joint, model.rows
     if abscissa is None or j is None:
         return None
-    torque = np.zeros(len(rows))
-    for effect in estimate.fitted:
-        columns = model.columns(effect.shape)
-        if columns is not None and j in columns.joints:
-            torque += columns.values[columns.joints.index(j)] @ effect.coefficients
+    torque = _torque(model, estimate.reported, j)
+    in_joint_model = _torque(model, estimate.in_joint_model, j)
     x = abscissa.values(rows, j)
     if "origin" in estimate.models[0].values:
         x = rows.time - estimate.models[0].values["origin"]
@@ -74,11 +73,12 @@ def effect_curve(model: JointModel, estimate: EffectEstimate, regime: str) -> di
     shown = rows.moving[:, j] & (sign != 0.0)
     if estimate.models[0].interval is not None:
         shown &= transient_rows(estimate.models, model.motions)
-    x, y = x[shown], (torque * sign)[shown]
+    x, y, fitted = x[shown], (torque * sign)[shown], (in_joint_model * sign)[shown]
     if not len(x) or np.ptp(x) <= 0.0:
         return None
     edges = _edges(x, logarithmic=abscissa.logarithmic)
     centres, means, at_rows = binned_means(x, y, edges)
+    distance = means - binned_means(x, fitted, edges)[1]
     power = float(np.sum(torque[rows.moving[:, j]] ** 2))
     if float(np.sum(at_rows**2)) < MIN_SHOWN_POWER * power:
         return None
@@ -91,8 +91,18 @@ def effect_curve(model: JointModel, estimate: EffectEstimate, regime: str) -> di
         "opposes_motion": along,
         "x": centres.tolist(),
         "torque": means.tolist(),
-        "std": (np.abs(means) * estimate.relative_std).tolist(),
+        "std": np.hypot(estimate.relative_std * means, distance).tolist(),
     }
+
+
+def _torque(model: JointModel, effects: Sequence[FittedEffect], joint: int) -> FloatArray:
+    """Torque of effects at a joint, along the motions of the joint model, shape (N,) [N m]."""
+    out = np.zeros(len(model.rows))
+    for effect in effects:
+        columns = model.columns(effect.shape)
+        if columns is not None and joint in columns.joints:
+            out += columns.values[columns.joints.index(joint)] @ effect.coefficients
+    return out
 
 
 def _edges(x: FloatArray, *, logarithmic: bool) -> FloatArray:

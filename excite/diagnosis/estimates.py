@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from ..effects import delay
+from ..effects import delay, nonlinear_viscous
 from ..effects.effect import CandidateModel, Key
-from ..effects.recorded_motion import FittedRobot, position_range
+from ..effects.recorded_motion import position_range
 from ..effects.spring import CURVE_WAVES
 from ..schemas.effects import MIN_SEVERITY
 from . import joint_model, posterior, probability, recording_chain
@@ -99,9 +99,14 @@ class EffectEstimate(EffectEvidence):
         return cls(**vars(evidence), probable=probable, **values)
 
     @property
-    def fitted(self) -> tuple[FittedEffect, ...]:
+    def in_joint_model(self) -> tuple[FittedEffect, ...]:
+        """Its models with their coefficients in the joint model."""
+        return tuple(map(FittedEffect, self.models, self.coefficients))
+
+    @property
+    def reported(self) -> tuple[FittedEffect, ...]:
         """Its models with the saved coefficients, or with those of the joint model."""
-        return self.saved or tuple(map(FittedEffect, self.models, self.coefficients))
+        return self.saved or self.in_joint_model
 
     @property
     def probability(self) -> float:
@@ -182,12 +187,12 @@ def as_saved(
 ) -> list[EffectEstimate]:
     """Return estimates with the parameters of the saved effects on the saved base model."""
     posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
-    base, out = final.motions[0].fitted_robot, []
+    out = []
     for effect in effects:
         saved = tuple(part for part in final.effects if part.shape.key == effect.key)
         parameters = effect.parameters
-        if effect.members and parameters:
-            parameters = posterior_of.parameters(effect.members, base, saved)
+        if effect.members and parameters and saved:
+            parameters = posterior_of.parameters(effect.members, final)
         out.append(replace(effect, parameters=parameters, saved=saved))
     return out
 
@@ -370,7 +375,7 @@ class _Posterior:
             coefficients=tuple(self.solution.coefficients[slices[e]] for e in effects),
             severity=severity,
             relative_std=min(float(np.hypot(self.relative_std(effects), form)), MAX_LOG_STD),
-            parameters=self.parameters(effects, self.model.motions[0].fitted_robot),
+            parameters=self.parameters(effects),
         )
 
     def draws(self, places: IntArray) -> FloatArray:
@@ -401,14 +406,14 @@ class _Posterior:
         return float(np.sqrt(max(variance, 0.0)) / max(float(c @ along), 1e-300))
 
     def parameters(
-        self, effects: Sequence[int], base: FittedRobot, saved: Sequence[FittedEffect] = ()
+        self, effects: Sequence[int], final: FinalModel | None = None
     ) -> dict[str, tuple[float, float]]:
         """Return the parameters of the largest model of an effect, with standard deviations.
 
-        They are those of `saved`, if it contains that model. Its coefficients are fitted to another
-        base model: with their distance d from the posterior mean, the mean squared error of a
-        parameter is its posterior variance and d². There are no parameters where the coefficients,
-        next to those of other effects, are not plausible.
+        They are those of the saved model `final`, if it has that model. The mean squared error of
+        a parameter is its posterior variance, at the base model of the joint fit, plus the square
+        of the distance of the saved value from the posterior mean. There are no parameters where
+        the coefficients, next to those of other effects, are not plausible.
         """
         draws = self.draws(self.places(effects))
         sizes = {e: self.relative_size(e) for e in effects if len(self.places([e]))}
@@ -420,12 +425,13 @@ class _Posterior:
         c = self.solution.coefficients[part]
         if not shape.is_plausible(shape.plain(c)):
             return {}
+        base = self.model.motions[0].fitted_robot
         mean = values = shape.parameters(shape.plain(c), base)
-        stated = _saved_form(shape, saved)
-        if stated is not None:
-            if not stated.shape.is_plausible(stated.coefficients):
+        saved = None if final is None else _saved_form(shape, final.effects)
+        if saved is not None and final is not None:
+            if not saved.shape.is_plausible(saved.coefficients):
                 return {}
-            values = stated.shape.parameters(stated.coefficients, base)
+            values = saved.shape.parameters(saved.coefficients, final.motions[0].fitted_robot)
         cloud = []
         shift, log_std = self._nonlinear(shape, c, places)
         logs = log_std * np.random.default_rng(2).normal(size=len(draws))
@@ -486,10 +492,10 @@ class _Posterior:
 def _saved_form(shape: CandidateModel, saved: Sequence[FittedEffect]) -> FittedEffect | None:
     """Return the saved effect of the form of a model; None if there is none."""
     exact = shape.exact or shape
-    place = exact.other, exact.interval, exact.source
     for part in saved:
-        is_at_place = (part.shape.other, part.shape.interval, part.shape.source) == place
-        if is_at_place and part.shape.values.items() >= exact.values.items():
+        # where it is continued beyond the recorded speeds, it has one value more
+        values = {k: v for k, v in part.shape.values.items() if k != nonlinear_viscous.LINE_SHARE}
+        if replace(part.shape, values=values).form == exact.form:
             return part
     return None
 

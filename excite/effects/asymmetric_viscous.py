@@ -41,7 +41,6 @@ ASYMMETRIC_VISCOUS = _AsymmetricViscous(
     {"positive": "N m s/rad", "negative": "N m s/rad"},
     "torque against speed has another slope in each direction",
     "constant speeds in both directions, several of them",
-    depends_on_base=True,
     form_std={"positive": 0.09, "negative": 0.09},
 )
 """Direction-dependent viscous friction."""

@@ -45,7 +45,6 @@ class Effect:
     experiment: str
     nonnegative: tuple[bool, ...] = ()
     has_candidates: bool = True
-    depends_on_base: bool = False
     prior_only: bool = False
     form_std: Mapping[str, float] = field(default_factory=dict)
     of_link: bool = False

@@ -12,6 +12,9 @@ from .friction_runtime import CONCAVE_CURVES, JointMotion, columns
 from .joint_torque import JointTorque
 from .recorded_motion import FittedRobot, RecordedMotion, for_all_fits, max_speed
 
+LINE_SHARE = "line_share"
+"""Value of a model that is continued beyond the speeds of its fit: share of the line."""
+
 
 @for_all_fits
 def _curves(motion: RecordedMotion, joint: int, *values: tuple[str, float]) -> FloatArray:
@@ -68,4 +71,6 @@ def without_falling(model: CandidateModel, c: FloatArray, viscous: float) -> Can
     """
     lines = float(c[:CONCAVE_CURVES].sum())
     made_up = viscous * model.values["top_speed"]
-    return model if made_up >= lines else model.with_values(line_share=max(made_up, 0.0) / lines)
+    return (
+        model if made_up >= lines else model.with_values(**{LINE_SHARE: max(made_up, 0.0) / lines})
+    )

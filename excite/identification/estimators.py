@@ -41,8 +41,8 @@ TORQUE_RESOLUTION = 2.0**-16 / np.sqrt(12.0)
 error of 16 bits. A constant torque, as of a joint at rest or where it was not measured, has no
 deviation by which its rows could be weighted."""
 MIN_NOISE_FREEDOM = 2
-"""Degrees of freedom of the residual of a joint, on average, that must be exceeded: with fewer, the
-mean of 1/σ̂² by σ̂² ~ σ² χ²_ν/ν is infinite, and parameters fit the noise."""
+"""Degrees of freedom ν of the residual of a joint, on average, that must be exceeded: up to 2, the
+mean of 1/σ̂², a joint's weight, is infinite for σ̂² ~ σ² χ²_ν/ν."""
 BLOCK_ROWS = 4096
 """Number of rows that are orthogonalised at a time."""
 CONFIDENCE_LEVEL = 0.95
@@ -291,8 +291,8 @@ def estimate(
             θ̂ is not biased by them and its covariance accounts for them. Shape (N, n, k).
 
     Raises:
-        UnusableInput: There are not more equations than parameters, or instruments are missing or
-            excite less than the recorded motion.
+        UnusableInput: There are not more equations than parameters and MIN_NOISE_FREEDOM for each
+            joint, or instruments are missing or excite less than the recorded motion.
     """
     if nuisance is not None:
         extended = dataclasses.replace(

@@ -115,15 +115,9 @@ def find_columns(
         floating: True if the columns of a floating base are wanted.
 
     Raises:
-        UnusableInput: All names are numbers, a name occurs twice, or time or the position of a
-            joint is missing; the message lists similar names.
+        UnusableInput: A name occurs twice, or time or the position of a joint is missing; the
+            message lists similar names.
     """
-    if header and all(map(_is_number, header)):
-        joint = robot.joints[0]
-        raise UnusableInput(
-            f"{source}: its first row holds numbers, no names; put the names of its {len(header)} "
-            f"columns in a row above it, as t,q.{joint},…,tau.{joint},…"
-        )
     repeated = sorted({name for name in header if header.count(name) > 1 and name})
     if repeated:
         raise UnusableInput(
@@ -158,15 +152,6 @@ def find_columns(
         signals,
         locked,
     )
-
-
-def _is_number(name: str) -> bool:
-    """True if the name of a column is a number, as in a file without names."""
-    try:
-        float(name)
-    except ValueError:
-        return False
-    return True
 
 
 def column_of(quantity: str, index: int, joints: Sequence[str]) -> str:

@@ -117,6 +117,7 @@ def read_blocks(
             behind, row = stream.tell(), row + 1
             first_row = _cells(separator, stream.readline(MAX_LINE))
         header = recognise(str(path), cells, first_row, robot, columns, separator, topic, effort)
+        _require_names(path, header.names, robot)
         stream.seek(behind if header.has_line else 0)
         layout = find_columns(
             str(path),
@@ -329,6 +330,27 @@ def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
             f"{path}: its header cannot be read ({error}); the first row should name the columns"
         ) from error
     return separator, [cell.strip() for cell in cells]
+
+
+def _require_names(path: Path, names: Sequence[str], robot: Robot) -> None:
+    """Check that the first row holds names: not only numbers, next to empty and missing cells."""
+    cells = [name for name in names if name and not MISSING_CELL.fullmatch(name)]
+    if not cells or not all(map(_is_number, cells)):
+        return
+    joint = robot.joints[0]
+    raise UnusableInput(
+        f"{path}: its first row holds numbers, no names; put the names of its {len(names)} columns "
+        f"above it, or in its place if it numbers the columns: t,q.{joint},…,tau.{joint},…"
+    )
+
+
+def _is_number(cell: str) -> bool:
+    """Tell whether a cell is a number."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _parse_rows(

@@ -38,9 +38,13 @@ WORDS = {
     "temperature": "temp",
 }
 """Words for a quantity, with the prefixes of its columns; that of an effort differs by file."""
-_TIME = r"(?:t|time|(?:time[ _]?)?stamp|seconds|elapsed(?:[ _]?time)?)"
-TIMES = re.compile(rf"{_TIME}(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?", re.I)
-"""A column of time, with its unit."""
+_TIME_UNIT = r"(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?"
+TIMES = tuple(
+    re.compile(names + _TIME_UNIT, re.I)
+    for names in ("(?:t|time|timestamp|seconds)", "(?:stamp|time[ _]stamp|elapsed(?:[ _]?time)?)")
+)
+"""A column of time, with its unit, and names that are taken where there is none of the first: the
+stamp of a message, or the duration of a loop, may stand next to the time."""
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 SI_UNITS = {
     "q": {"rad", "m"},
@@ -102,7 +106,9 @@ def find_spelled_columns(
     Raises:
         UnusableInput: Two columns hold the same quantity of a joint, or one has another unit.
     """
-    times = [(name, match) for name in names if (match := TIMES.fullmatch(name.strip()))]
+    times = [
+        (name, match) for kind in TIMES for name in names if (match := kind.fullmatch(name.strip()))
+    ]
     positions = [f"q.{joint}" for joint in robot.joints]
     if not times or {"t", *positions} <= set(names):
         return None

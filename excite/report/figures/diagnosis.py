@@ -16,7 +16,7 @@ from ...identification.identification import Prediction
 from ...schemas.effects import effect_words
 from ..torque_budget import BudgetPart, JointBudget
 from . import drawing
-from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT
+from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED
 from .trajectory import short_names
 
 _EFFECT_COLORS = (BLUE, ORANGE, GREEN, "#8e5ea2", "#c9a227", "#4aa8a4", "#b5651d", "#d16ba5")
@@ -40,12 +40,6 @@ _END = 1.08
 """End of the axis of the torque budget; larger errors are cut off there."""
 LOGARITHMIC_QUANTITY = "travel since the reversal"
 """Quantity of a curve that is drawn on a logarithmic axis."""
-_TITLE_LETTERS = 49
-"""Small letters in the title of a panel."""
-_BOLD_WIDTH = 1.4
-"""Width of a bold letter, over that of a small one."""
-_MIN_NAME = 10
-"""Letters of a joint's name that are shown at least."""
 _CURVE_HEIGHT = 1.35
 """Height of the axes of an effect's curve [in]."""
 
@@ -160,19 +154,16 @@ def draw_effect_curves(findings: Sequence[Mapping[str, Any]], units: Mapping[str
         units: Unit of each joint's torque.
     """
 
-    longest = max((len(effect_words(finding["effect"])) for finding in findings), default=0)
-    length = max(int((_TITLE_LETTERS - longest) / _BOLD_WIDTH), _MIN_NAME)
-    names = dict(zip(units, short_names(list(units), length), strict=True))
+    names = dict(zip(units, short_names(list(units), 26), strict=True))
 
     def draw(axes: Any, finding: Mapping[str, Any]) -> None:
-        curve, words = finding["curve"], effect_words(finding["effect"])
+        curve = finding["curve"]
         x, torque, std = (np.array(curve[key], float) for key in ("x", "torque", "std"))
         axes.axhline(0.0, color=GREY, linewidth=0.5)
         low, high = torque - QUANTILE * std, torque + QUANTILE * std
         axes.fill_between(x, low, high, color=BLUE, alpha=0.22, linewidth=0)
         axes.plot(x, torque, color=BLUE, linewidth=1.1)
-        axes.set_title(names[finding["joint"]], loc="left", fontweight="bold", pad=3)
-        axes.set_title(words, loc="right", fontsize=8, color=SOFT, pad=3)
+        drawing.set_titles(axes, names[finding["joint"]], effect_words(finding["effect"]))
         kind = "resistance" if curve["opposes_motion"] else "torque"
         axes.set_ylabel(f"{kind} [{units[finding['joint']]}]")
         axes.set_xlabel(f"{curve['over']} [{curve['unit']}]")
@@ -181,7 +172,8 @@ def draw_effect_curves(findings: Sequence[Mapping[str, Any]], units: Mapping[str
             axes.set_xscale("log")
             drawing.set_decade_ticks(axes, divided=x.max() < 100.0 * x[x > 0.0].min(initial=np.inf))
 
-    return drawing.render_panels("Torque of the effects", findings, draw, _CURVE_HEIGHT)
+    label = "Torque of the effects"
+    return drawing.render_panels(label, findings, draw, _CURVE_HEIGHT, subtitles=True)
 
 
 def held_out_predictions(diagnosis: Diagnosis, *, withheld: bool) -> Iterator[Prediction]:

@@ -41,6 +41,8 @@ SEGMENT_WORDS = {"approach": "approach and return", "ramp_in": "ramps", "fourier
 
 FIGURE_WIDTH = 10.6
 """Width of a figure [in]."""
+SUBTITLE_HEIGHT = 0.15
+"""Height of a second line below the title of a panel [in]."""
 PANELS_PER_ROW = 3
 """Small panels side by side in `render_panels`."""
 PANEL_FONT_SIZE = 9.0
@@ -136,7 +138,12 @@ def axes_grid(
 
 
 def render_panels(
-    label: str, entries: Sequence[T], draw: Callable[[Any, T], None], height: float
+    label: str,
+    entries: Sequence[T],
+    draw: Callable[[Any, T], None],
+    height: float,
+    *,
+    subtitles: bool = False,
 ) -> str:
     """Draw a small panel for each entry, three in a row.
 
@@ -145,12 +152,15 @@ def render_panels(
         entries: Data of each panel.
         draw: Draws one entry on its axes.
         height: Height of a panel's axes [in].
+        subtitles: Whether panels have a second line below their title.
     """
     rows = -(-len(entries) // PANELS_PER_ROW)
+    line = SUBTITLE_HEIGHT if subtitles else 0.0
+    gap = 0.75 + line
 
     def draw_all(figure: Any) -> None:
         cells = axes_grid(
-            figure, rows, PANELS_PER_ROW, margins=(0.7, 0.1, 0.25, 0.5), gaps=(0.75, 0.75)
+            figure, rows, PANELS_PER_ROW, margins=(0.7, 0.1, 0.25 + line, 0.5), gaps=(0.75, gap)
         ).ravel()
         for axes, entry in zip(cells, entries, strict=False):
             draw(axes, entry)
@@ -160,7 +170,16 @@ def render_panels(
         for axes in cells[len(entries) :]:
             axes.set_axis_off()
 
-    return render_svg(label, rows * (height + 0.75), draw_all)
+    return render_svg(label, rows * (height + gap), draw_all)
+
+
+def set_titles(axes: Any, title: str, subtitle: str) -> None:
+    """Write the title of a panel and below it a second line, both on the left."""
+    size = 72.0 * SUBTITLE_HEIGHT
+    axes.set_title(title, loc="left", fontweight="bold", pad=3.0 + size)
+    axes.annotate(
+        subtitle, (0.0, 1.0), (0.0, 3.0), "axes fraction", "offset points", fontsize=8, color=SOFT
+    )
 
 
 def thin_curve(t: FloatArray, y: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:

@@ -19,9 +19,10 @@ from .drawing import (
     GREY,
     INK,
     ORANGE,
-    SOFT,
+    SUBTITLE_HEIGHT,
     limit_ticks,
     render_svg,
+    set_titles,
     thin_curve,
 )
 from .trajectory import short_names, torque_units
@@ -32,10 +33,6 @@ NOISE_BAND_FLOORS = 2.0
 """Noise floors on either side that contain 95 % of normal noise."""
 POINTS_PER_PAGE = 60_000
 """Points of all curves of a page, so that it stays small enough for a browser."""
-
-_NAME_LETTERS = 16
-"""Letters of a row's name that leave room for its error in the title of a panel, of three in a
-line or fewer."""
 
 
 @dataclass(frozen=True)
@@ -117,10 +114,11 @@ def draw_fit(
     columns = 1 if count == 1 else 2 if count <= 4 else 3 if count <= COMPACT_LAYOUT_JOINTS else 5
     size = _RowHeights(1.5, 0.8) if columns <= 2 else _RowHeights(1.05, 0.55)
     rows = -(-count // columns)
-    height = 0.3 + rows * (size.torque + size.residual + size.gap)
+    step = size.torque + size.residual + size.gap + SUBTITLE_HEIGHT
+    height = 0.3 + rows * step
     span = drawn_interval(prediction)
 
-    shown = short_names(names, _NAME_LETTERS if columns <= 3 else _NAME_LETTERS // 2)
+    shown = short_names(names, 22 if columns <= 3 else 14)
 
     def draw(figure: Any) -> None:
         width = figure.get_size_inches()[0]
@@ -128,7 +126,7 @@ def draw_fit(
         for joint in range(count):
             row, column = divmod(joint, columns)
             left = 0.55 + column * (cell + 0.5)
-            top = height - 0.3 - row * (size.torque + size.residual + size.gap) - 0.16
+            top = height - 0.3 - row * step - 0.16 - SUBTITLE_HEIGHT
             upper = figure.add_axes(
                 (left / width, (top - size.torque) / height, cell / width, size.torque / height)
             )
@@ -138,14 +136,8 @@ def draw_fit(
             )
             _torque(upper, prediction, joint, span, points)
             _residual(lower, prediction, joint, span, points, compared=labels.residuals)
-            upper.set_title(
-                f"{shown[joint]} [{units[joint]}]",
-                loc="left",
-                fontweight="bold",
-                pad=3,
-            )
             error = labels.errors[joint] if labels.errors else _error_words(prediction, joint)
-            upper.set_title(error, loc="right", fontsize=8, color=SOFT, pad=3)
+            set_titles(upper, f"{shown[joint]} [{units[joint]}]", error)
             if joint + columns >= count:
                 lower.set_xlabel("time [s]")
             if column == 0:

@@ -129,8 +129,9 @@ def short(name: str, length: int = 26) -> str:
 def short_names(names: Sequence[str], length: int) -> list[str]:
     """Shorten long names so that different ones stay different.
 
-    The words that all names share are left out first, the last one, such as `_joint`, and the first
-    ones, such as the robot's name, then the middle. What stays does not begin with a digit.
+    The last word is left out first, if all names share it, such as `_joint`; then first words that
+    all names share, such as the robot's name, as few as the length needs and none in front of a
+    number; then the middle, as much as leaves different names different.
 
     Args:
         names: The names.
@@ -139,15 +140,21 @@ def short_names(names: Sequence[str], length: int) -> list[str]:
     if max(map(len, names), default=0) <= length:
         return list(names)
     ends = {name.rpartition("_")[2] for name in names}
-    is_word = len(ends) == 1 and ends.pop().isalpha()
-    kept = [name.rpartition("_")[0] for name in names] if is_word else list(names)
+    same_end = len(ends) == 1 and ends.pop().isalpha()
+    kept = [name.rpartition("_")[0] for name in names] if same_end else list(names)
     kept = kept if all(kept) else list(names)
+    longest = max(map(len, kept))
     if len(kept) > 1:
         starts = (k + 1 for k, letter in enumerate(kept[0]) if letter in "_-/.")
         shared = [k for k in starts if all(_continues(name, kept[0][:k]) for name in kept)]
-        kept = [name[max(shared, default=0) :] for name in kept]
-    shortened = [short(name, length) for name in kept]
-    return shortened if len(set(shortened)) == len(set(names)) else kept
+        enough = [k for k in shared if longest - k <= length]
+        first = min(enough, default=max(shared, default=0))
+        kept = [name[first:] for name in kept]
+    for tried in range(length, longest):
+        shortened = [short(name, tried) for name in kept]
+        if len(set(shortened)) == len(set(names)):
+            return shortened
+    return kept
 
 
 def _continues(name: str, start: str) -> bool:

@@ -142,6 +142,7 @@ def draw_fit(
                 lower.set_xlabel("time [s]")
             if column == 0:
                 lower.set_ylabel("residual")
+                lower.yaxis.set_label_coords(-0.44 / cell, 0.5)  # in the margin of 0.55 in
         _legend(figure, labels, has_floor=prediction.noise_floor is not None)
 
     return render_svg(title, height, draw)

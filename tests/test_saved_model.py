@@ -100,7 +100,7 @@ def test_errors_contain_the_distance_of_the_saved_effect_from_the_joint_model(na
             for e in result.final.effects
         )
         final = dataclasses.replace(result.final, effects=effects)
-        (out,) = estimates.as_saved([finding], result.model, result.effects, final)
+        (out,) = estimates.as_saved([finding], final)
         return out
 
     saved, larger = reported(1.0), reported(1.5)

@@ -200,10 +200,12 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
             lines.append(f"{joint:25} {before:10.4g} {after:11.4g} {floor:>10} {percent:>9}")
     lines += [_summary(prediction, robot) for prediction in predictions]
     if worse := identification.worsened_joints():
-        lines.append(
+        remark = (
             f"{some(worse)}: the nominal robot predicts the held-out torque better than the "
-            f"identified one{_advice(result, predictions)}"
+            "identified one"
         )
+        # doubts about the recordings contain the remedy
+        lines.append(remark if result.doubts else f"{remark}; {_advice(result, predictions)}")
     common, spread = identification.delay.common
     if abs(common) > 3.0 * spread and not identification.options.align:
         order = "after" if common > 0 else "before"
@@ -217,23 +219,18 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
 
 
 def _advice(result: api.IdentificationResult, predictions: Sequence[Prediction]) -> str:
-    """Return a remedy for a model that predicts worse than the nominal robot.
-
-    Where the recordings are doubted, the doubts contain it.
-    """
-    if result.doubts:
-        return ""
+    """Return a remedy for a model that predicts worse than the nominal robot."""
     identification = result.identification
     equations = int(identification.equations.moving.sum())
     excited = len(identification.data.information_root)
     if equations < EQUATIONS_PER_PARAMETER * excited:
-        return f"; {equations} equations are few for {excited} parameters: record for longer"
+        return f"{equations} equations are few for {excited} parameters: record for longer"
     if any(_percent_of_torque(p, p.fitted) > 100.0 for p in predictions):
         return (
-            "; the error of all joints exceeds their torque: check the units of all recordings "
+            "the error of all joints exceeds their torque: check the units of all recordings "
             "(positions in rad, not in turns or degrees)"
         )
-    return "; try a lower --band or record a motion that excites more"
+    return "try a lower --band or record a motion that excites more"
 
 
 def _percent_of_torque(prediction: Prediction, torque: FloatArray) -> float:

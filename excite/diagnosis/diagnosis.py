@@ -208,7 +208,7 @@ def diagnose(
     progress("base model of the recordings without the effects")
     savable, probabilities = _savable(identified, model, rare, in_model)
     final = final_model.fit(identified, savable, probabilities, train, progress)
-    effects = estimates.as_saved(effects, model, evidence, final)
+    effects = estimates.as_saved(effects, final)
     progress("held-out recordings")
     document = final.document(train, known)
     measured = _motions(identified, recorded[1], hertz) if known else motions[1]

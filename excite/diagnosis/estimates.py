@@ -16,7 +16,7 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from ..effects import delay, nonlinear_viscous
 from ..effects.effect import CandidateModel, Key
-from ..effects.recorded_motion import position_range
+from ..effects.recorded_motion import FittedRobot, position_range
 from ..effects.spring import CURVE_WAVES
 from ..schemas.effects import MIN_SEVERITY
 from . import joint_model, posterior, probability, recording_chain
@@ -81,6 +81,7 @@ class EffectEstimate(EffectEvidence):
             effects could stand for.
         relative_std: Relative standard deviation of its torque [1].
         parameters: Value and standard deviation by name.
+        main_model: The largest of its models, whose parameters they are; None if not estimated.
         saved: Its models with the coefficients of the saved model; empty if it is not saved.
         equivalents: Names of effects that these recordings cannot tell from it.
     """
@@ -90,6 +91,7 @@ class EffectEstimate(EffectEvidence):
     severity: float = 0.0
     relative_std: float = 0.0
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    main_model: CandidateModel | None = None
     equivalents: tuple[str, ...] = ()
     saved: tuple[FittedEffect, ...] = ()
 
@@ -179,21 +181,49 @@ def estimate_effects(
     return [*out, *_clock_delay(posterior_of)]
 
 
-def as_saved(
-    effects: Sequence[EffectEstimate],
-    model: JointModel,
-    evidence: Sequence[EffectEvidence],
-    final: FinalModel,
-) -> list[EffectEstimate]:
+def as_saved(effects: Sequence[EffectEstimate], final: FinalModel) -> list[EffectEstimate]:
     """Return estimates with the parameters of the saved effects on the saved base model."""
-    posterior_of = _Posterior(model, model.regression.without(posterior.left_out(evidence)))
     out = []
     for effect in effects:
         saved = tuple(part for part in final.effects if part.shape.key == effect.key)
         parameters = effect.parameters
-        if effect.members and parameters and saved:
-            parameters = posterior_of.parameters(effect.members, final)
+        main = _saved_form(effect.main_model, saved)
+        if main is not None:
+            parameters = _saved_parameters(main, final.motions[0].fitted_robot, parameters)
         out.append(replace(effect, parameters=parameters, saved=saved))
+    return out
+
+
+def _saved_form(model: CandidateModel | None, saved: Sequence[FittedEffect]) -> FittedEffect | None:
+    """Return the saved effect of the form of a model; None if there is none."""
+    if model is None:
+        return None
+    exact = model.exact or model
+    for part in saved:
+        # where it is continued beyond the recorded speeds, it has one value more
+        values = {k: v for k, v in part.shape.values.items() if k != nonlinear_viscous.LINE_SHARE}
+        if replace(part.shape, values=values).form == exact.form:
+            return part
+    return None
+
+
+def _saved_parameters(
+    saved: FittedEffect, base: FittedRobot, joint_fit: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Return the parameters of a saved effect, with standard deviations; none if not plausible.
+
+    With the distance d of a value from that of the joint fit, its mean squared error is the
+    variance of the joint fit, with the error of the form at the saved value, and d².
+    """
+    if not saved.shape.is_plausible(saved.coefficients):
+        return {}
+    values, form = saved.shape.parameters(saved.coefficients, base), saved.shape.definition.form_std
+    out = {}
+    for key, (mean, std) in joint_fit.items():
+        value = float(values[key])
+        if np.isfinite(value):
+            of_form = form.get(key, FORM_STD) ** 2 * (value**2 - mean**2)
+            out[key] = value, float(np.sqrt(max(std**2 + of_form + (value - mean) ** 2, 0.0)))
     return out
 
 
@@ -370,12 +400,14 @@ class _Posterior:
         torque = self.torque_beyond_base(change)
         severity = float((torque / self.model.regression.sigma).max())
         form = posterior.SIZE_SPREAD if estimate.effect in EXCHANGEABLE else FORM_STD
+        main = max((e for e in effects if len(self.places([e]))), key=self.relative_size)
         return replace(
             estimate,
             coefficients=tuple(self.solution.coefficients[slices[e]] for e in effects),
             severity=severity,
             relative_std=min(float(np.hypot(self.relative_std(effects), form)), MAX_LOG_STD),
-            parameters=self.parameters(effects),
+            main_model=self.model.models[main],
+            parameters=self.parameters(effects, main),
         )
 
     def draws(self, places: IntArray) -> FloatArray:
@@ -405,33 +437,20 @@ class _Posterior:
         variance = float(along @ self.solution.covariance(places, places) @ along)
         return float(np.sqrt(max(variance, 0.0)) / max(float(c @ along), 1e-300))
 
-    def parameters(
-        self, effects: Sequence[int], final: FinalModel | None = None
-    ) -> dict[str, tuple[float, float]]:
-        """Return the parameters of the largest model of an effect, with standard deviations.
+    def parameters(self, effects: Sequence[int], main: int) -> dict[str, tuple[float, float]]:
+        """Return the parameters of a model of an effect, with standard deviations.
 
-        They are those of the saved model `final`, if it has that model. The mean squared error of
-        a parameter is its posterior variance, at the base model of the joint fit, plus the square
-        of the distance of the saved value from the posterior mean. There are no parameters where
-        the coefficients, next to those of other effects, are not plausible.
+        There are none where its coefficients, next to those of other effects, are not plausible.
         """
         draws = self.draws(self.places(effects))
-        sizes = {e: self.relative_size(e) for e in effects if len(self.places([e]))}
-        largest = max(sizes, key=lambda e: sizes[e])
-        shape = self.model.models[largest]
-        part = self.model.regression.slices[largest]
-        places = self.places([largest])
+        shape, base = self.model.models[main], self.model.motions[0].fitted_robot
+        part = self.model.regression.slices[main]
+        places = self.places([main])
         columns = np.searchsorted(self.places(effects), places)
         c = self.solution.coefficients[part]
         if not shape.is_plausible(shape.plain(c)):
             return {}
-        base = self.model.motions[0].fitted_robot
-        mean = values = shape.parameters(shape.plain(c), base)
-        saved = None if final is None else _saved_form(shape, final.effects)
-        if saved is not None and final is not None:
-            if not saved.shape.is_plausible(saved.coefficients):
-                return {}
-            values = saved.shape.parameters(saved.coefficients, final.motions[0].fitted_robot)
+        values = shape.parameters(shape.plain(c), base)
         cloud = []
         shift, log_std = self._nonlinear(shape, c, places)
         logs = log_std * np.random.default_rng(2).normal(size=len(draws))
@@ -446,11 +465,10 @@ class _Posterior:
         form = shape.definition.form_std
         out = {}
         for key, value in values.items():
-            if not np.isfinite([value, mean[key]]).all():
+            if not np.isfinite(value):
                 continue
             low, high = np.nanpercentile([p[key] for p in cloud], PERCENTILES)
-            of_form = form.get(key, FORM_STD) * abs(value)
-            std = np.linalg.norm([0.5 * (high - low), of_form, value - mean[key]])
+            std = np.hypot(0.5 * (high - low), form.get(key, FORM_STD) * abs(value))
             out[key] = (float(value), float(std))
         return out
 
@@ -487,17 +505,6 @@ class _Posterior:
         slope, information = self.model.regression.sensitivity(change, self.solution)
         slope = slope[np.searchsorted(np.flatnonzero(self.solution.active), places)]
         return slope, float(1.0 / np.sqrt(prior_std**-2.0 + max(information, 0.0)))
-
-
-def _saved_form(shape: CandidateModel, saved: Sequence[FittedEffect]) -> FittedEffect | None:
-    """Return the saved effect of the form of a model; None if there is none."""
-    exact = shape.exact or shape
-    for part in saved:
-        # where it is continued beyond the recorded speeds, it has one value more
-        values = {k: v for k, v in part.shape.values.items() if k != nonlinear_viscous.LINE_SHARE}
-        if replace(part.shape, values=values).form == exact.form:
-            return part
-    return None
 
 
 def _likeness(posterior_of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:

@@ -194,6 +194,9 @@ def test_base_parameters_that_were_fitted_jointly_are_a_part_of_the_budget() -> 
     assert "no effect is found" in banners and "lacks nothing" not in banners
     assert "more than 1.2 times the noise at joint_2" in banners
     assert "each joint alone" in banners and "nothing is needed" not in banners
+    assert answer(page, "what") == "No finding: no known effect explains the error that remains."
+    printed = diagnosis_text(stated, result.identified.model.robot, [])
+    assert "more than 1.2 times the noise at joint_2" in printed
     assert "base parameters fitted jointly" in draw_budget([mostly])
     assert "base parameters fitted jointly" not in draw_budget([against])
 
@@ -359,12 +362,17 @@ def test_shortened_names_stay_different() -> None:
 def test_text_of_the_command() -> None:
     result = diagnosis_of(2.0)
     lines = diagnosis_text(document(result), result.identified.model.robot, [Path("report.html")])
-    assert lines.startswith("verdict: ")
-    joints, findings = (part.splitlines()[1:] for part in lines.split("\n\n")[1:3])
+    verdict, summary, *parts = lines.split("\n\n")
+    assert verdict == f"verdict: {document(result)['verdict']}"
+    assert summary.startswith("The effects below explain") and "\nNext: " in summary
+    joints, findings = (part.splitlines()[1:] for part in parts[:2])
     assert [line.split()[0] for line in joints] == ["joint_1", "joint_2"]
     stated = {(f["joint"] or "whole") for f in document(result)["findings"]}
     assert stated == {line.split()[0] for line in findings}
     assert any("Stribeck" in line and "× residual" in line for line in findings)
+    withheld = withhold_findings(document(result), [DOUBT])
+    doubted = diagnosis_text(withheld, result.identified.model.robot, [Path("report.html")])
+    assert "The effects below" not in doubted and "train.csv: the sign is inverted" in doubted
 
 
 def test_remarks_are_listed_and_markup_is_escaped() -> None:

@@ -225,7 +225,7 @@ def test_a_change_that_a_short_recording_cannot_show_is_undecided(change, verdic
     entries = [] if verdict == "same" else [("5.csv", joint, 4.0) for joint in SUBJECT.robot.joints]
     undecided = stated["undecided_between_recordings"]
     assert [(c["recording"], c["joint"], c["seconds"]) for c in undecided] == entries
-    words = "of 5.csv at all 2 joints, in motion for 4 s at most"
+    words = "of 5.csv at both joints, with 4 s of motion to judge by at most"
     for report in (page, text):
         assert (words in report) is bool(entries)
     assert ("Is the robot the same in all recordings?" in page) is bool(entries)

@@ -11,6 +11,7 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
+from ..report import verdict
 from ..report.decisions import HEAD, decision_rows, decisions_answer
 from ..report.formatting import capitalized, significant, uncapitalized
 from ..report.torque_budget import (
@@ -22,7 +23,6 @@ from ..report.torque_budget import (
     known_words,
     origin_words,
     parameter_words,
-    prior_words,
     probability_words,
     sorted_findings,
     undecided_words,
@@ -64,24 +64,28 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
         robot: The robot.
         written: Files that were written.
     """
-    lines = [f"verdict: {document['verdict']}"]
+    lines, budgets = [f"verdict: {document['verdict']}"], joint_budgets(document, robot)
     doubts = document.get("doubts", [])
     if doubts:
         lines += ["", "the recordings are in doubt, so findings at single joints are withheld:"]
         lines += [f"  {Path(doubt['recording']).name}: {doubt['text']}" for doubt in doubts]
+    else:
+        lines += [
+            "",
+            f"{capitalized(verdict.verdict_words(document, budgets))}.",
+            f"Use: {verdict.use_words(budgets)}.",
+            f"Next: {verdict.next_words(document, budgets)}.",
+        ]
     if "decisions" in document:
         lines += ["", f"further recordings: {decisions_answer(document)[0]}"]
         rows = decision_rows(document)
         lines += _aligned([HEAD, *rows]) if rows else []
-    budgets = joint_budgets(document, robot)
     lines += [
         "",
         "torque error on the held-out recordings (root mean square, joints in motion), "
         "and its causes:",
     ]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
-    if doubted := prior_words(budgets):
-        lines += ["", f"{capitalized(doubted)}."]
     for words in filter_words(document), known_words(document):
         lines += ["", words] if words else []
     if document["findings"]:

@@ -19,7 +19,6 @@ from ..effects.recorded_motion import RecordedMotion
 from ..errors import UnusableInput
 from ..identification import identification, segments
 from ..identification.identification import Identification
-from ..identification.lowpass import settling_time
 from ..identification.prior import TrustedPrior
 from ..identification.segments import RecordingSegment
 from ..recordings import Recording
@@ -240,7 +239,9 @@ def _motions(
     """Motions of some segments; an error if all are too short for the cutoff frequency."""
     motions = joint_model.identified_motions(identified, pieces, hertz)
     if not motions:
-        raise segments.too_short(pieces[0].source, 2.0 * settling_time(hertz), hertz)
+        longest = max(pieces, key=lambda segment: len(segment) / segment.rate)
+        needed = recorded_motion.needed_samples(longest.band(hertz)) / longest.rate
+        raise segments.too_short(longest.source, needed, hertz)
     return motions
 
 

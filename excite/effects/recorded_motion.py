@@ -32,6 +32,8 @@ MIN_MOVING_SHARE = 0.3
 its stops as well, as little would remain."""
 MIN_SPEED = 1e-9
 """Smallest speed that scales others, above the rounding errors of filters [rad/s or m/s]."""
+MIN_KEPT_ROWS = 8
+"""Rows that the low-pass filter must leave of a motion."""
 HELD_SHARE = 0.03
 """Share of the time of all motions that a joint moves up to which it counts as held and is judged
 at all times, as nothing would remain [1]: 1/33, so that 30 joints that move one after the other are
@@ -444,6 +446,15 @@ def split_by_motion(rows: FloatArray, motions: Sequence[RecordedMotion]) -> list
     return np.split(rows, np.cumsum([len(motion) for motion in motions])[:-1])
 
 
+def needed_samples(band: LowPassFilter) -> int:
+    """Return the samples of an aperiodic segment of which the low-pass filter leaves enough rows.
+
+    Args:
+        band: The filter.
+    """
+    return 2 * band.margin + MIN_KEPT_ROWS * band.steps(Grid.KEPT)
+
+
 def recorded_motions(
     model: IdentificationModel,
     fitted: FittedRobot,
@@ -457,11 +468,7 @@ def recorded_motions(
     a joint may stand still throughout one of them.
     """
     bands = [(segment, segment.band(hertz)) for segment in segments]
-    usable = [
-        (segment, band)
-        for segment, band in bands
-        if len(segment) > 2 * band.margin + 8 * band.steps(Grid.KEPT)
-    ]
+    usable = [(segment, band) for segment, band in bands if len(segment) > needed_samples(band)]
     if not usable:
         return []
     samples = [low_passed_samples(segment, band) for segment, band in usable]

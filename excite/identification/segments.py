@@ -106,17 +106,17 @@ def usable_segments(
     return out
 
 
-def too_short(source: str, discarded: float, hertz: float) -> UnusableInput:
+def too_short(source: str, needed: float, hertz: float) -> UnusableInput:
     """Return the error for recordings of which the low-pass filter leaves nothing.
 
     Args:
         source: Name of the recordings.
-        discarded: Time that the filter discards at both ends of a stretch [s].
+        needed: Length of a stretch of which the filter leaves something [s].
         hertz: Cutoff frequency [Hz].
     """
     return UnusableInput(
-        f"{source}: no gap-free stretch is longer than the {discarded:.2g} s that a band of "
-        f"{hertz:.3g} Hz discards at its ends; record for longer or give a higher --band"
+        f"{source}: no gap-free stretch is longer than the {needed:.2g} s that a band of "
+        f"{hertz:.3g} Hz needs; record for longer or give a higher --band"
     )
 
 

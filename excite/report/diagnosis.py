@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
+from ..diagnosis.diagnosis import Diagnosis
 from ..diagnosis.estimates import MIN_PROBABILITY
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed
 from ..schemas.effects import effect_words
 from ..trajectory.trajectory_file import package_versions
+from . import verdict
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .decisions import decisions_section
 from .diagnosis_evidence import (
@@ -37,7 +38,6 @@ from .torque_budget import (
     joint_words,
     known_words,
     origin_words,
-    prior_words,
     probability_words,
     sorted_findings,
 )
@@ -53,20 +53,6 @@ CURVE_LEVEL = 0.1
 """Part of the largest torque of a curve above which it is not near zero."""
 CURVE_POINTS = 3
 """Bins not near zero that a curve needs to be drawn."""
-SURE_PROBABILITY = 0.9
-"""Probability from which no experiment to confirm a finding is proposed."""
-_VERDICTS = {
-    "no-mismatch": ("the base model lacks nothing that these recordings show", "good"),
-    "explained": ("the effects below explain what the base model lacks", "good"),
-    "partly-explained": ("the effects below explain a part of what the base model lacks", "warn"),
-    "unexplained": ("the base model lacks something that no known effect explains", "bad"),
-}
-_ONE_SESSION = (
-    "warm up alike, or record temp.<joint>, and record training and validation again in one session"
-)
-_WITHOUT_PRIOR = "diagnose without --prior, or with a prior that states only what is known"
-_ALONE = "record twice, each joint alone at several speeds in both directions"
-_AS_FAST = "record training motion as fast as the motion that is to be predicted"
 _NOISE_FLOORS = {
     "periods": "the difference between repeated periods",
     "differences": "estimated from the torque's spectrum above that of the motion; no period was "
@@ -95,7 +81,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
         sections=[
             *decisions_section(document),
             _budget_section(diagnosis, document, budgets),
-            _findings_section(document, units),
+            _findings_section(document, budgets, units),
             *unknown_section(document, units),
             *session_changes_section(document),
             prediction_section(diagnosis, document, budgets),
@@ -121,94 +107,15 @@ def _banners(document: Document, budgets: Sequence[JointBudget]) -> list[Banner]
         )
         doubts = [f"{Path(d['recording']).name}: {d['text']}" for d in document["doubts"]]
         return [Banner(text, "bad"), *(Banner(doubt, "warn") for doubt in doubts)]
-    verdict, (text, tone) = document["verdict"], _VERDICTS[document["verdict"]]
-    unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
-    changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
-    extrapolated = [b.joint for b in budgets if b.is_extrapolated]
-    above = _unforeseen(budgets)
-    if above and verdict == "no-mismatch":
-        text, tone = "no effect is found that the base model lacks", "warn"
-    if unknown:
-        places = joint_words(unknown, len(budgets))
-        remains = f"torque at {places} repeats with the motion and no known effect explains it"
-        text = remains if verdict == "unexplained" else f"{text}; {remains}"
-    if changed:
-        text += (
-            f"; most of the error of {joint_words(changed, len(budgets))} is friction or offset "
-            "that changed between the recordings"
-        )
-    if doubted := prior_words(budgets):
-        text += f"; {doubted}"
-    if extrapolated:
-        text += (
-            f"; friction is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
-            "held-out motion is faster than the fitted recordings"
-        )
-    if above:
-        ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
-        places = joint_words(above, len(budgets))
-        text += f"; the error of the held-out motion is still more than {ratio} at {places}"
+    head = capitalized(document["verdict"].replace("-", " "))
+    next_action = verdict.next_words(document, budgets)
     return [
-        Banner(f"{capitalized(verdict.replace('-', ' '))}: {text}.", tone),
-        Banner(f"Use: {_use(budgets)}. Next: {_next_action(document, budgets)}.", ""),
+        Banner(
+            f"{head}: {verdict.verdict_words(document, budgets)}.",
+            verdict.tone(document, budgets),
+        ),
+        Banner(f"Use: {verdict.use_words(budgets)}. Next: {next_action}.", ""),
     ]
-
-
-def _unforeseen(budgets: Sequence[JointBudget]) -> list[str]:
-    """Joints with an error whose cause is not known."""
-    return [b.joint for b in budgets if b.is_unforeseen]
-
-
-def _use(budgets: Sequence[JointBudget]) -> str:
-    """Say whether the saved model is of use, and which file to load."""
-    improved = [b.joint for b in budgets if b.is_improved]
-    worse = [b.joint for b in budgets if b.is_worse]
-    spoiled = [b.joint for b in budgets if b.is_spoiled]
-    if spoiled:
-        return (
-            f"model.json with care; it predicts {joint_words(spoiled, len(budgets))} worse than "
-            "the base model, its field without_effects"
-        )
-    if improved:
-        text = (
-            "load model.json; it predicts unseen motion better than the base model at "
-            f"{joint_words(improved, len(budgets))}"
-        )
-        if worse:
-            places = joint_words(worse, len(budgets))
-            return f"{text}, worse only by what changed between the recordings at {places}"
-        return text + (", worse at none" if budgets[1:] else "")
-    if all(b.is_explained for b in budgets):
-        return "load model.json; it predicts unseen motion down to the noise"
-    worst = max(budgets, key=lambda b: b.noise_ratio)
-    text = (
-        f"model.json is no better than the base model, with errors up to "
-        f"{significant(worst.noise_ratio)} × noise ({worst.joint})"
-    )
-    if any(b.is_changed for b in budgets):
-        text += "; its friction holds only in the session that it was fitted to"
-    return text
-
-
-def _next_action(document: Document, budgets: Sequence[JointBudget]) -> str:
-    """First actions on what these recordings leave open."""
-    if any(b.is_misled for b in budgets):
-        return _WITHOUT_PRIOR  # what else there is shows without it
-    actions = [_ONE_SESSION] if any(b.is_changed for b in budgets) else []
-    if any(b.is_extrapolated for b in budgets):
-        actions.append(_AS_FAST)
-    actions += [
-        f"for the unknown torque at {entry['joint']}, {entry['experiment']}"
-        for entry in document["unknown"][:1]
-    ]
-    if not actions and any(len(names) > 1 for names in _open_effects(document)):
-        actions = [
-            "excite design ROBOT --discriminate diagnosis.json designs the motion that decides "
-            "between the effects that resemble each other"
-        ]
-    if not actions and (places := _unforeseen(budgets)):
-        actions = [f"{_ALONE} ({joint_words(places, len(budgets))})"]
-    return "; ".join(actions) or "nothing is needed"
 
 
 def _budget_section(
@@ -266,7 +173,9 @@ def _budget_section(
 # -- findings --------------------------------------------------------------------------------------
 
 
-def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
+def _findings_section(
+    document: Document, budgets: Sequence[JointBudget], units: Mapping[str, str]
+) -> Section:
     """The findings: how sure, how large, and with what they may be confused."""
     findings, rows = sorted_findings(document), []
     for k, finding in enumerate(findings):
@@ -296,11 +205,11 @@ def _findings_section(document: Document, units: Mapping[str, str]) -> Section:
         "effects": Table(("effect", "how it shows", "equation"), signatures),
         "curves": Markup(diagnosis_figures.draw_effect_curves(curves, units)) if curves else "",
     }
-    answer, tone = _findings_answer(document)
+    answer, tone = _findings_answer(document, budgets)
     return Section("what", "Which effects are there, and how sure is that?", answer, data, tone)
 
 
-def _findings_answer(document: Document) -> tuple[str, str]:
+def _findings_answer(document: Document, budgets: Sequence[JointBudget]) -> tuple[str, str]:
     """The findings in a sentence, and its tone."""
     groups: dict[str, list[str]] = {}
     for finding in sorted_findings(document):
@@ -316,6 +225,8 @@ def _findings_answer(document: Document) -> tuple[str, str]:
         return "Not stated: findings at single joints are withheld; see above.", "warn"
     if document["unknown"]:
         return "No finding: no known effect explains the torque that is missing.", "warn"
+    if verdict.unforeseen(budgets):
+        return "No finding: no known effect explains the error that remains.", "warn"
     return "No finding: no known effect is needed to explain these recordings.", "good"
 
 
@@ -337,22 +248,11 @@ def _is_drawn(finding: Document) -> bool:
 # -- next experiment -------------------------------------------------------------------------------
 
 
-def _open_effects(document: Document) -> dict[tuple[str, ...], list[str]]:
-    """Findings that are unsure or resemble others: the joints of each group of effects."""
-    groups: dict[tuple[str, ...], list[str]] = {}
-    for finding in sorted_findings(document):
-        rivals = (rival["effect"] for rival in finding.get("rivals", ()))
-        key = tuple(sorted({finding["effect"], *finding["equivalents"], *rivals}))
-        if key[1:] or finding["probability"] < SURE_PROBABILITY:
-            groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
-    return groups
-
-
 def _next_section(
     diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
 ) -> Section:
     """Experiments that separate or confirm effects."""
-    groups, count = _open_effects(document), len(document["joints"])
+    groups, count = verdict.open_effects(document), len(document["joints"])
     fast = [b.joint for b in budgets if b.is_extrapolated]
     changed = [
         joint
@@ -360,9 +260,9 @@ def _next_section(
         if joint not in fast
     ]
     causes = {
-        f"{_ONE_SESSION}: friction or offset changed": changed,
-        f"{_AS_FAST}: friction is extrapolated": fast,
-        f"{_ALONE}: the cause of what remains is not known": _unforeseen(budgets),
+        f"{verdict.ONE_SESSION}: friction or offset changed": changed,
+        f"{verdict.AS_FAST}: friction is extrapolated": fast,
+        f"{verdict.ALONE}: the cause of what remains is not known": verdict.unforeseen(budgets),
     }
     lines = [
         f"{capitalized(cause)} at {joint_words(joints, count)}."

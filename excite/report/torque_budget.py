@@ -341,7 +341,7 @@ def joint_words(joints: Sequence[str], count: int) -> str:
         count: Number of joints of the robot.
     """
     if len(joints) == count > 1:
-        return f"all {count} joints"
+        return "both joints" if count == 2 else f"all {count} joints"
     return some(joints, NAMED_JOINTS)
 
 
@@ -356,9 +356,9 @@ def undecided_words(undecided: Sequence[Mapping[str, Any]], count: int) -> str:
     recordings = list(dict.fromkeys(Path(change["recording"]).name for change in undecided))
     longest = max(change["seconds"] for change in undecided)
     return (
-        f"Not known of {listed(recordings)} at {joint_words(joints, count)}, in motion for "
-        f"{longest:g} s at most: a change of friction or offset would explain a part of the error, "
-        "but cannot be told from chance. Record a longer motion."
+        f"Not known of {listed(recordings)} at {joint_words(joints, count)}, with {longest:g} s "
+        "of motion to judge by at most: a change of friction or offset would explain a part of "
+        "the error, but cannot be told from chance. Record a longer motion."
     )
 
 

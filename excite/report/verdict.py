@@ -1,0 +1,169 @@
+"""Verdict of a diagnosis in words: what is missing, of what use the saved model is, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
+from .formatting import significant
+from .torque_budget import JointBudget, joint_words, prior_words, sorted_findings
+
+Document = Mapping[str, Any]
+"""The diagnosis as in `diagnosis.json`."""
+
+SURE_PROBABILITY = 0.9
+"""Probability from which no experiment to confirm a finding is proposed."""
+_VERDICTS = {
+    "no-mismatch": "the base model lacks nothing that these recordings show",
+    "explained": "the effects below explain what the base model lacks",
+    "partly-explained": "the effects below explain a part of what the base model lacks",
+    "unexplained": "the base model lacks something that no known effect explains",
+}
+ONE_SESSION = (
+    "warm up alike, or record temp.<joint>, and record training and validation again in one session"
+)
+"""Action on friction that changed between recordings."""
+ALONE = "record twice, each joint alone at several speeds in both directions"
+"""Action on an error whose cause is not known."""
+AS_FAST = "record training motion as fast as the motion that is to be predicted"
+"""Action on friction that is extrapolated."""
+_WITHOUT_PRIOR = "diagnose without --prior, or with a prior that states only what is known"
+
+
+def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
+    """Say whether the base model lacks something, and what of the error is not explained.
+
+    Args:
+        document: The diagnosis, without doubts about its recordings.
+        budgets: The torque budget of each joint.
+    """
+    verdict = document["verdict"]
+    text = _VERDICTS[verdict]
+    unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
+    changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
+    extrapolated = [b.joint for b in budgets if b.is_extrapolated]
+    above = unforeseen(budgets)
+    if above and verdict == "no-mismatch":
+        text = "no effect is found that the base model lacks"
+    if unknown:
+        places = joint_words(unknown, len(budgets))
+        remains = f"torque at {places} repeats with the motion and no known effect explains it"
+        text = remains if verdict == "unexplained" else f"{text}; {remains}"
+    if changed:
+        text += (
+            f"; most of the error of {joint_words(changed, len(budgets))} is friction or offset "
+            "that changed between the recordings"
+        )
+    if doubted := prior_words(budgets):
+        text += f"; {doubted}"
+    if extrapolated:
+        text += (
+            f"; friction is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
+            "held-out motion is faster than the fitted recordings"
+        )
+    if above:
+        ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
+        if document["joints"][above[0]]["noise_floor_method"] != "periods":
+            ratio += ", which is only estimated,"
+        places = joint_words(above, len(budgets))
+        text += f"; the error of the held-out motion is still more than {ratio} at {places}"
+    return text
+
+
+def tone(document: Document, budgets: Sequence[JointBudget]) -> str:
+    """Return "good" where nothing is left to explain, else "warn" or "bad".
+
+    Args:
+        document: The diagnosis.
+        budgets: The torque budget of each joint.
+    """
+    if document["verdict"] == "unexplained":
+        return "bad"
+    is_left = document["verdict"] == "partly-explained" or unforeseen(budgets)
+    return "warn" if is_left else "good"
+
+
+def unforeseen(budgets: Sequence[JointBudget]) -> list[str]:
+    """Return joints with an error whose cause is not known.
+
+    Args:
+        budgets: The torque budget of each joint.
+    """
+    return [b.joint for b in budgets if b.is_unforeseen]
+
+
+def use_words(budgets: Sequence[JointBudget]) -> str:
+    """Say whether the saved model is of use, and which file to load.
+
+    Args:
+        budgets: The torque budget of each joint.
+    """
+    improved = [b.joint for b in budgets if b.is_improved]
+    worse = [b.joint for b in budgets if b.is_worse]
+    spoiled = [b.joint for b in budgets if b.is_spoiled]
+    if spoiled:
+        return (
+            f"model.json with care; it predicts {joint_words(spoiled, len(budgets))} worse than "
+            "the base model, which is its field without_effects"
+        )
+    if improved:
+        text = (
+            "load model.json; it predicts unseen motion better than the base model at "
+            f"{joint_words(improved, len(budgets))}"
+        )
+        if worse:
+            places = joint_words(worse, len(budgets))
+            return f"{text}, worse only by what changed between the recordings at {places}"
+        return text + (", worse at none" if budgets[1:] else "")
+    if all(b.is_explained for b in budgets):
+        return "load model.json; it predicts unseen motion down to the noise"
+    worst = max(budgets, key=lambda b: b.noise_ratio)
+    text = (
+        f"model.json is no better than the base model, with errors up to "
+        f"{significant(worst.noise_ratio)} × noise ({worst.joint})"
+    )
+    if any(b.is_changed for b in budgets):
+        text += "; its friction holds only in the session that it was fitted to"
+    return text
+
+
+def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
+    """Return the first actions on what these recordings leave open.
+
+    Args:
+        document: The diagnosis.
+        budgets: The torque budget of each joint.
+    """
+    if any(b.is_misled for b in budgets):
+        return _WITHOUT_PRIOR  # what else there is shows without it
+    actions = [ONE_SESSION] if any(b.is_changed for b in budgets) else []
+    if any(b.is_extrapolated for b in budgets):
+        actions.append(AS_FAST)
+    actions += [
+        f"for the unknown torque at {entry['joint']}, {entry['experiment']}"
+        for entry in document["unknown"][:1]
+    ]
+    if not actions and any(len(names) > 1 for names in open_effects(document)):
+        actions = [
+            "excite design ROBOT --discriminate diagnosis.json designs the motion that decides "
+            "between the effects that resemble each other"
+        ]
+    if not actions and (places := unforeseen(budgets)):
+        actions = [f"{ALONE} ({joint_words(places, len(budgets))})"]
+    return "; ".join(actions) or "nothing is needed"
+
+
+def open_effects(document: Document) -> dict[tuple[str, ...], list[str]]:
+    """Return findings that are unsure or resemble others: the joints of each group of effects.
+
+    Args:
+        document: The diagnosis.
+    """
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for finding in sorted_findings(document):
+        rivals = (rival["effect"] for rival in finding.get("rivals", ()))
+        key = tuple(sorted({finding["effect"], *finding["equivalents"], *rivals}))
+        if key[1:] or finding["probability"] < SURE_PROBABILITY:
+            groups.setdefault(key, []).append(finding["joint"] or "the whole robot")
+    return groups

@@ -1,14 +1,12 @@
 """Search for torque ripple in what the frictions of a joint model leave.
 
-A wave is sought at the highest peak of the order spectrum, a least-squares periodogram over the
-angle of the joint. The spatial frequencies (orders) of all waves of a joint are refined jointly by
-Gauss-Newton steps, together with all coefficients of the joint model: refined one at a time, waves
-run into one another.
+A wave is sought at the highest peak of the order spectrum (`order_spectrum`). The spatial
+frequencies (orders) of all waves of a joint are refined jointly by Gauss-Newton steps, together
+with all coefficients of the joint model: refined one at a time, waves run into one another.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -19,6 +17,7 @@ from .._types import FloatArray
 from ..effects import encoder_error, recorded_motion, torque_ripple
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
+from .order_spectrum import MIN_RIPPLE_ORDER, OrderSpectrum, angle_and_speed
 from .regression import CandidateBatch, Columns
 
 if TYPE_CHECKING:
@@ -26,10 +25,6 @@ if TYPE_CHECKING:
 
 MIN_RIPPLE_EVIDENCE = 5.0
 """Log Bayes factor from which a wave enters the model, after the search over its order."""
-MIN_RIPPLE_ORDER, MAX_RIPPLE_ORDER = 3.0, 300.0
-"""Spatial frequencies that are searched [1/rad], see `recorded_motion.radian`."""
-ORDER_STEPS = 4.0
-"""Length of the Fourier transform over the range of the angle."""
 FREE_TORQUE_RATIO = 1e3
 """RMS torque of the prior of a free coefficient, over the friction of its joint [1]: too wide to
 matter where the data determine it. A term of the model, not a threshold."""
@@ -45,12 +40,6 @@ MIN_ORDER_DISTANCE = 0.5
 """Smallest distance of two orders that count as two waves, over the width of a peak."""
 ORDER_TOLERANCE = 1e-4
 """Step at which the refinement of an order ends, in the same unit."""
-ANGLE_BIN = np.pi / 2400.0
-"""Width of the bins of angle in the order spectrum [rad], a sixteenth of the shortest wave."""
-SPEED_CLASSES = 8
-"""Classes of speed in the order spectrum."""
-MIN_WAVE_ROWS = 0.05
-"""Smallest share of rows in which a wave lies below the cutoff frequency."""
 MIN_WAVES = 3.0
 """Periods over the range of a joint from which a torque counts as periodic."""
 
@@ -72,11 +61,11 @@ def find_waves(fitted: JointModel) -> list[CandidateModel]:
             continue
         low = max(MIN_RIPPLE_ORDER / recorded_motion.radian(fitted.motions, j), MIN_WAVES * width)
         waves: list[_Wave] = []
-        present = fitted
+        present, spectrum = fitted, OrderSpectrum.of(fitted, j, low)
         while len(known) + len(waves) < MAX_WAVES:
-            order, gain, count = _spectrum_peak(present, j, low)
+            order, gain = spectrum.peak(present)
             gain *= share / float(np.mean(present.regression.residual_of(j)[moving] ** 2))
-            evidence = gain - np.log(max(count * max(gain, 1.0), 1.0))
+            evidence = gain - np.log(max(len(spectrum.orders) * max(gain, 1.0), 1.0))
             before = [wave.order for wave in waves]
             if evidence < MIN_RIPPLE_EVIDENCE or _are_near([*known, *before, order], width):
                 break
@@ -167,18 +156,9 @@ def _free_columns(fitted: JointModel, joint: int, torque: FloatArray) -> Columns
     return Columns((joint,), (torque,), np.zeros(len(std), bool), std)
 
 
-def _angle_and_speed(
-    motions: Sequence[RecordedMotion], joint: int
-) -> tuple[FloatArray, FloatArray]:
-    """Angle and speed of a joint at the rows of all motions."""
-    states = [np.column_stack([m.samples.q[:, joint], m.samples.dq[:, joint]]) for m in motions]
-    angle, speed = np.vstack([m.at_rows(x) for m, x in zip(motions, states, strict=True)]).T
-    return angle, speed
-
-
 def _peak_width(motions: Sequence[RecordedMotion], joint: int) -> float:
     """Width of a peak in the order spectrum [1/rad], ∞ for a joint that does not move."""
-    span = float(np.ptp(_angle_and_speed(motions, joint)[0]))
+    span = float(np.ptp(angle_and_speed(motions, joint)[0]))
     return 2.0 * np.pi / span if span > 0.0 else np.inf
 
 
@@ -191,63 +171,12 @@ def encoder_errors(fitted: JointModel) -> list[CandidateModel]:
             continue
         unit = recorded_motion.radian(fitted.motions, j)
         low = max(encoder_error.ORDERS[-1] / unit, MIN_WAVES * width)
-        order, gain, count = _spectrum_peak(fitted, j, low, grows_with_speed=True)
+        spectrum = OrderSpectrum.of(fitted, j, low, grows_with_speed=True)
+        order, gain = spectrum.peak(fitted)
         if gain > 0.0:
-            out.append(encoder_error.high_order(j, unit, order, 0.5 * width, float(count)))
+            count = float(len(spectrum.orders))
+            out.append(encoder_error.high_order(j, unit, order, 0.5 * width, count))
     return out
-
-
-def _spectrum_peak(
-    fitted: JointModel, joint: int, low: float, *, grows_with_speed: bool = False
-) -> tuple[float, float, int]:
-    """Return the order of the wave that fits a residual best, half its power, and their number.
-
-    A least-squares periodogram over the angle (Lomb 1976), by Fourier transforms of sums in narrow
-    bins of the angle. Rows where the wave lies above the cutoff frequency do not count; the speeds
-    are divided into classes for that. The amplitude may grow with the square of the speed.
-
-    Returns the order [1/rad or 1/m], half the power of its wave [(N m)²], and the number of
-    independent orders.
-    """
-    rows = np.flatnonzero(fitted.regression.moving[:, joint])
-    angle, speed = (x[rows] for x in _angle_and_speed(fitted.motions, joint))
-    residual = fitted.regression.residual_of(joint)[rows]
-    size = np.ones(len(rows))
-    if grows_with_speed:
-        size = (speed / max(float(np.abs(speed).max()), 1e-300)) ** 2
-    unit = recorded_motion.radian(fitted.motions, joint)
-    place = np.rint((angle - angle.min()) / (ANGLE_BIN * unit)).astype(int)
-    length = int(2 ** np.ceil(np.log2(ORDER_STEPS * (int(place.max()) + 1))))
-    orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN * unit)
-    wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER / unit))
-    highest = 2.0 * np.pi * fitted.motions[0].band.hertz / np.maximum(np.abs(speed), 1e-9)
-    edges = np.append(np.quantile(highest, np.linspace(0.0, 1.0, SPEED_CLASSES + 1)[:-1]), np.inf)
-    wave, square, count = (np.zeros(len(wanted), t) for t in (complex, complex, float))
-    for first, last in itertools.pairwise(edges.tolist()):
-        members = (highest >= first) & (highest < last)
-        if not members.any():
-            continue
-        below = orders[wanted] <= float(np.median(highest[members]))
-        sums = np.bincount(place[members], (residual * size)[members], length)
-        numbers = np.bincount(place[members], size[members] ** 2, length)
-        wave += np.where(below, np.fft.rfft(sums)[wanted], 0.0)
-        square += np.where(below, np.fft.rfft(numbers)[2 * wanted], 0.0)
-        count += below * float(np.sum(size[members] ** 2))
-    cc, ss, cs = 0.5 * (count + square.real), 0.5 * (count - square.real), -0.5 * square.imag
-    yc, ys = wave.real, -wave.imag
-    determinant = cc * ss - cs**2
-    usable = (determinant > 1e-3 * (cc + ss) ** 2) & (
-        count > MIN_WAVE_ROWS * float(np.sum(size**2))
-    )
-    power = np.where(
-        usable,
-        (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / np.where(usable, determinant, 1.0),
-        0.0,
-    )
-    if not len(power):
-        return 0.0, 0.0, 0
-    k = int(np.argmax(power))
-    return float(orders[wanted][k]), 0.5 * float(power[k]), len(wanted)
 
 
 def _refined(

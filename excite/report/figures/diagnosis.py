@@ -37,7 +37,9 @@ _LABELLED_WIDTH = 0.07
 _WHISKER_PLACES = (0.37, 0.43, 0.49)
 """Where below the middle of a bar the whiskers of its parts are, so that they cross no label."""
 _END = 1.08
-"""End of the axis of the torque budget; larger errors are cut off there."""
+"""End of the axis of the torque budget; the bar of a larger error ends in an arrow there."""
+_ARROW_LENGTH = 0.02
+"""Length of this arrow, in the same unit."""
 LOGARITHMIC_QUANTITY = "travel since the reversal"
 """Quantity of a curve that is drawn on a logarithmic axis."""
 _CURVE_HEIGHT = 1.35
@@ -113,6 +115,9 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
     if budget.is_improved:
         bar(max(1.0 - at, 0.0), left=at, color=_OTHERS_COLOR)
     drawn = [remaining, 1.0]
+    if budget.after > _END * scale:  # the bar goes on
+        axes.plot(_END, y, marker=">", color=RED, markersize=11.0, clip_on=False)
+        drawn.append(_END + _ARROW_LENGTH)
     if floor <= _END:
         axes.plot([floor, floor], [y - 0.42, y + 0.42], color=RED, linewidth=1.4)
         drawn.append(floor)

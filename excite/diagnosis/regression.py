@@ -280,17 +280,21 @@ class JointRegression:
         )
         place = np.full(len(self.nonnegative), -1)
         place[kept] = np.arange(len(kept))
-        out = JointRegression(
-            self.torque, self.moving, self.base_count, self.sigma, self.independent_share
+        first = [int(place[self.slices[e].start]) for e in effects]
+        return replace(
+            self.copy(),
+            slices=[
+                slice(start, start + self.slices[e].stop - self.slices[e].start)
+                for e, start in zip(effects, first, strict=True)
+            ],
+            prior_matrix=self.prior_matrix[np.ix_(kept, kept)],
+            nonnegative=self.nonnegative[kept],
+            built_up={},
+            _grams=[gram.keeping(place) for gram in self._grams],
+            _prior_score=self._prior_score[kept],
+            _likely=self._likely[kept],
+            _system=None,
         )
-        out.prior_matrix = self.prior_matrix[np.ix_(kept, kept)]
-        out._prior_score, out._prior_power = self._prior_score[kept], self._prior_power
-        out.nonnegative, out._likely = self.nonnegative[kept], self._likely[kept]
-        for e in effects:
-            start = int(place[self.slices[e].start])
-            out.slices.append(slice(start, start + self.slices[e].stop - self.slices[e].start))
-        out._grams = [gram.keeping(place) for gram in self._grams]
-        return out
 
     def fix_at_zero(self, places: Sequence[int]) -> None:
         """Hold some coefficients at zero, by a prior without uncertainty."""

@@ -23,10 +23,11 @@ class _GravityTilt(Effect):
     """Torque per rotation about x and y; for a large tilt also by the change along gravity."""
 
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-        columns = [motion.leaning[:, :, :2]]
-        if model.values.get("large"):
+        base = motion.base_dynamics
+        columns = [base.by_place[:, 6:, 3:5]]
+        if model.values.get("large"):  # gravity acts like an acceleration of the base
             gravity = motion.fitted_robot.model.gravity.linear
-            columns.append(-(motion.gravity @ gravity)[:, :, None])
+            columns.append(-(base.mass[:, 6:, :3] @ gravity)[:, :, None])
         return motion.lowpass(np.concatenate(columns, axis=2), Grid.COARSE)
 
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:

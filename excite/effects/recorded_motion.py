@@ -338,24 +338,6 @@ class RecordedMotion:
         return self.upsample(self.rigid_torque / self.link_inertias)
 
     @cached_property
-    def gravity(self) -> FloatArray:
-        """Torque per unit acceleration of the base along x, y, z, −∂τ/∂g; shape (C, n, 3)."""
-        robot = self.fitted_robot.robot
-        out = np.empty((len(self.coarse_samples), robot.n, 3))
-        q, zero = self.coarse_samples.q, np.zeros_like(self.coarse_samples.q)
-        still = Samples(q, zero, zero)
-        for axis in range(3):
-            model = self.fitted_robot.model.copy()
-            model.gravity.linear = -np.eye(3)[axis]
-            out[:, :, axis] = inverse_dynamics(robot, model, still)
-        return out
-
-    @cached_property
-    def leaning(self) -> FloatArray:
-        """Torque per rotation of the base about x, y, z: δg = g × φ to first order; (C, n, 3)."""
-        return np.asarray(-self.gravity @ pin.skew(self.fitted_robot.model.gravity.linear))
-
-    @cached_property
     def base_dynamics(self) -> FloatingBaseDynamics:
         """Dynamics of a compliant base, linearised along the motion, at the coarse samples."""
         return floating_base_dynamics(

@@ -89,5 +89,5 @@ def _layout(joint: JointModel) -> RowLayout:
         starts=tuple(np.cumsum([0, *counts[:-1]]).tolist()),
         periods=(0,) * len(counts),
         repeats=(None,) * len(counts),
-        rate=joint.motions[0].band.rate_of(Grid.KEPT),
+        rate=max(motion.band.rate_of(Grid.KEPT) for motion in joint.motions),
     )

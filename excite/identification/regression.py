@@ -190,7 +190,7 @@ def build_equations(
         periods=tuple(segment.periods for _, segment, _ in starts),
         repeats=tuple(_period_deviations(segment, rows) for _, segment, rows in starts),
         hertz=hertz,
-        rate=parts[-1].rate,
+        rate=max(part.rate for part in parts),
     )
 
 

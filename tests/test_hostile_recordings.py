@@ -310,6 +310,44 @@ def test_torque_that_may_be_constant_is_not_doubted(torque_columns, two_link, tm
     assert not recordings.read(write_columns(path, columns), two_link).doubts
 
 
+@pytest.mark.parametrize("value", [0.0, 3.3])
+def test_torque_of_one_value_in_several_stretches_is_warned_of(
+    value, torque_columns, two_link, tmp_path, capsys
+):
+    """Five stretches of 6 rows; also of 0 where all other torque is positive."""
+    assert torque_columns["tau.joint_2"].min() > 0.0
+    for start in range(30, 330, 60):
+        torque_columns["tau.joint_2"][start : start + 6] = value
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    cli.main(["identify", "two_link", str(path), "-o", str(tmp_path / "out")])
+    text = f"joint 'joint_2': tau is {value:g} N m in 30 rows of its motion"
+    err = capsys.readouterr().err
+    assert text in err and "in 5 stretches of up to 6 rows" in err
+    assert not recordings.read(path, two_link).doubts
+    for name, values in torque_columns.items():  # at rest, any torque is constant
+        torque_columns[name] = np.concatenate([values, np.full(400, values[-1])])
+    torque_columns["t"] = 0.01 * np.arange(800)
+    torque_columns["tau.joint_1"][400:] = 0.5
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    remarks = recordings.read(path, two_link).remarks
+    repeated = [r for r in remarks if r.kind is RemarkKind.REPEATED_TORQUE]
+    assert [r.joint for r in repeated] == ["joint_2"] and "30 rows" in repeated[0].text
+
+
+@pytest.mark.parametrize("distinct", [8, 30, 300])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_torque_that_resolution_repeats_is_not_remarked(
+    distinct, noise, torque_columns, two_link, tmp_path
+):
+    torque = torque_columns["tau.joint_2"]
+    step = np.ptp(torque) / distinct
+    noisy = torque + noise * np.ptp(torque) * np.random.default_rng(0).normal(size=400)
+    torque_columns["tau.joint_2"] = np.round(noisy / step) * step
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    kinds = {remark.kind for remark in recordings.read(path, two_link).remarks}
+    assert RemarkKind.REPEATED_TORQUE not in kinds
+
+
 @pytest.mark.parametrize(("value", "word"), [(0.0, "0"), (3.5, "constant")])
 def test_recording_without_torque_is_refused(value, word, torque_columns, two_link, tmp_path):
     for joint in ("joint_1", "joint_2"):

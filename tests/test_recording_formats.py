@@ -474,13 +474,13 @@ def test_reach_of_prismatic_joints_and_of_joints_without_limits(tmp_path):
 def test_suspicious_signals_are_remarked_and_kept(two_link, tmp_path):
     columns = two_joint_motion(1000)
     columns["tau.joint_1"] = np.clip(columns["tau.joint_1"], -2.0, 2.0)
-    columns["tau.joint_2"][300:340] = columns["tau.joint_2"][300]
+    columns["tau.joint_2"][300:340] = columns["tau.joint_2"][300]  # 4 %
     columns["q.joint_2"] = np.round(columns["q.joint_2"] / 2e-3) * 2e-3
     recording = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
     assert remark_kinds(recording) == [
         RemarkKind.CLIPPED,
         RemarkKind.COARSE,
-        RemarkKind.FROZEN,
+        RemarkKind.REPEATED_TORQUE,
         RemarkKind.ROUNDED,
     ]
     clipped, coarse, frozen, rounded = recording.remarks

@@ -3,7 +3,8 @@ the torque that the nominal model expects (`nominal_comparison`).
 
 A fit absorbs such faults in part: torque with an inverted sign gives masses near 0 and no error
 message. Each finding is a doubt of the recording and a warning that states the figure it rests
-on. Clipped torque is a warning only: that of a drive at its limit is as it was measured.
+on. Clipped torque is a warning only: that of a drive at its limit is as it was measured. So is
+torque of one repeated value: a drive may have a dead band.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from ..robot.robot import Robot
 from . import nominal_comparison
 from .exchanged_torque import find_exchange
 
+WARNED = (RemarkKind.CLIPPED, RemarkKind.REPEATED_TORQUE)
+"""Remarks of `signal_checks` that are given as warnings."""
 MAX_TORQUE_RATIO = 3.0
 """Largest |torque| over the torque limit without a remark. Recordings of ten real machines reach
 0.9."""
@@ -41,7 +44,7 @@ def check_torque(
 
     Returns:
         The recording with a remark for each finding. Each is also given as a warning, as are
-        earlier doubts and clipped torque.
+        earlier doubts, clipped torque and torque of one repeated value.
 
     Raises:
         UnusableInput: The torque of every joint is constant, or a joint has none.
@@ -64,8 +67,8 @@ def check_torque(
         remarks = [r for r in remarks if r.doubt or r.kind is not RemarkKind.TORQUE_SCALE]
     if not planned and not any(remark.doubt for remark in remarks):
         remarks += _exchanged_torque(recording, robot)
-    clipped = [remark for remark in recording.remarks if remark.kind is RemarkKind.CLIPPED]
-    for remark in (*recording.doubts, *clipped, *remarks):
+    measured = [remark for remark in recording.remarks if remark.kind in WARNED]
+    for remark in (*recording.doubts, *measured, *remarks):
         warnings.warn(f"{recording.source}: {remark.text}", ExciteWarning, stacklevel=2)
     return dataclasses.replace(recording, remarks=(*recording.remarks, *remarks))
 

@@ -25,6 +25,7 @@ class RemarkKind(Enum):
     COARSE = "coarse"
     ROUNDED = "rounded"
     FROZEN = "frozen"
+    REPEATED_TORQUE = "repeated torque"
     CLIPPED = "clipped"
     OUTSIDE = "outside"
     INCONSISTENT = "inconsistent"

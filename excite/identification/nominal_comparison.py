@@ -54,6 +54,10 @@ MAX_EXPECTED_RATIO = 3.0
 calibrated torque and all bodies in the model the ratio is 0.41 to 1.3 on the same machines."""
 SLOPE_AGREEMENT = 4.0
 """Largest ratio of the largest to the smallest slope at which all joints share one unit [1]."""
+NOMINAL_ERROR = 1.3
+"""Factor within which a scale of 1000 or 1/1000 counts as that of a prefix such as mN m [1]:
+nominal inertial parameters are up to 30 % off. A scale of 600 is that of counts, or of any other
+unit."""
 MIN_GRAVITY_RATIO = 0.3
 """Smallest standard deviation of the nominal gravity torque over that of the measured torque at
 which gravity is judged at a joint [1]."""
@@ -340,7 +344,7 @@ def _likely_unit(size: float, recording: Recording, joint: str, agree: bool) -> 
     """Likely reason for a wrong scale, with the remedy."""
     is_current = not recording.has("tau", joint)
     power = round(np.log10(size) / 3.0)
-    if power and abs(np.log10(size) - 3.0 * power) < np.log10(SLOPE_AGREEMENT):
+    if power and abs(np.log10(size) - 3.0 * power) < np.log10(NOMINAL_ERROR):
         prefix = {1: "m", 2: "µ", -1: "k"}.get(power)
         if prefix is not None:
             unit = f"{prefix}A, not A" if is_current else f"{prefix}N m, not N m"
@@ -353,7 +357,11 @@ def _likely_unit(size: float, recording: Recording, joint: str, agree: bool) -> 
             "is it a motor current or a torque on the motor's side of the gear? Name it "
             f"i.{joint} and state drive_gain, or multiply it by {1.0 / size:.3g}"
         )
-    return f"check its unit: divide it by {size:.3g}" + ("" if agree else " or by a gear ratio")
+    ratio = "" if agree else ", or multiplied by a gear ratio"
+    return (
+        f"about {float(f'{size:.1g}'):g} times too large: is it in counts or another unit{ratio}? "
+        f"Convert it, or name it i.{joint} and state drive_gain"
+    )
 
 
 def _gravity_doubts(

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pickle
+import re
 import struct
 import warnings
 import zipfile
@@ -25,6 +26,7 @@ from excite.errors import ExciteWarning, UnusableInput
 from excite.identification import torque_check
 from excite.recordings import RemarkKind
 from excite.robot.limits import resolve
+from excite.robot.robot import locate
 
 
 def written(path: Path, content: bytes) -> Path:
@@ -279,6 +281,31 @@ def test_wrong_torque_of_a_joint_is_remarked_there(
     texts, found_kinds = torque_warnings(torque_columns, two_link, tmp_path)
     assert found_kinds == kinds
     assert all(joint in text and part in text for text in texts)
+
+
+def test_a_torque_limit_that_cannot_hold_the_robot_is_doubted_and_not_the_torque(
+    torque_columns, two_link, tmp_path, capsys
+):
+    robot, limits = tmp_path / "robot.urdf", tmp_path / "limits.toml"
+    robot.write_text(re.sub('effort="[^"]*"', 'effort="0.1"', locate("two_link").read_text()))
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    arguments = ["identify", str(robot), str(path), "-o", str(tmp_path / "out")]
+    assert cli.main(arguments) == 0
+    out, err = capsys.readouterr()
+    shown = [line for line in err.splitlines() if "torque limit" in line]
+    assert len(shown) == 1 and "do not use this model" not in out
+    parts = ["'joint_1', 'joint_2'", "limit of 0.1", "gravity needs", f"correct it in {robot}"]
+    assert all(part in shown[0] for part in (*parts, "--limits FILE"))
+    limits.write_text("[joints.joint_1]\ntorque = 60\n[joints.joint_2]\ntorque = 0.2\n")
+    assert cli.main([*arguments, "--limits", str(limits)]) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "torque limit" in line]
+    assert f"correct it in {limits}" in line and "'joint_1'" not in line
+    for joint in ("joint_1", "joint_2"):  # beyond what any robot of that size needs
+        torque_columns[f"tau.{joint}"] *= 1e3
+    write_columns(path, torque_columns)
+    assert cli.main(arguments) == 0
+    out, err = capsys.readouterr()
+    assert "times its limit 0.1; check its unit" in err and "do not use this model" in out
 
 
 @pytest.mark.parametrize("value", [0.0, 1.234])

@@ -40,6 +40,7 @@ class RemarkKind(Enum):
     NUMBERED = "numbered joints"
     TORQUE_SIGN = "torque sign"
     TORQUE_SCALE = "torque scale"
+    TORQUE_LIMIT = "torque limit"
     GRAVITY = "gravity"
     EXCHANGED = "exchanged joints"
     POSITION = "position"

@@ -13,7 +13,7 @@ from excite import recordings
 from excite.cli import main as cli
 from excite.errors import UnusableInput
 from excite.recordings import RemarkKind
-from excite.robot.robot import load
+from excite.robot.robot import load, locate
 
 COLUMNS = two_joint_motion()
 EPOCH = 1_700_000_000
@@ -134,7 +134,21 @@ def test_numbered_joints_are_in_the_order_of_the_robot(two_link, tmp_path, spell
     recording, warned = read_with_warnings(path, two_link)
     assert_same_motion(recording)
     second = spelling.format("q", first + 1)
-    assert any(f"{second} = joint_2" in text for text in warned)
+    is_named = spelling == "{}_joint{}" and first == 1
+    assert any(f"{second} = joint_2" in text for text in warned) is not is_named
+
+
+@pytest.mark.parametrize("first", ["q1", "Q_1", "q[1]", "q1 [rad]"])
+def test_numbers_that_are_names_of_joints_are_not_warned_of(tmp_path, first):
+    path = tmp_path / "robot.urdf"
+    path.write_text(locate("two_link").read_text().replace('"joint_', '"q'))
+    robot = load(str(path))
+    for names, is_warned in (((first, "q2"), False), (("q0", "q1"), True)):
+        values = [COLUMNS["t"], *(COLUMNS[f"q.joint_{k}"] for k in (1, 2))]
+        file = write(tmp_path / "r.csv", ["t", *names], rows(*values))
+        recording, warned = read_with_warnings(file, robot)
+        np.testing.assert_allclose(recording.q[:, 1], values[2])
+        assert bool(warned) is is_warned
 
 
 @pytest.mark.parametrize(

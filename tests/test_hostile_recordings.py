@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pickle
+import re
 import struct
 import warnings
 import zipfile
@@ -25,6 +26,7 @@ from excite.errors import ExciteWarning, UnusableInput
 from excite.identification import torque_check
 from excite.recordings import RemarkKind
 from excite.robot.limits import resolve
+from excite.robot.robot import locate
 
 
 def written(path: Path, content: bytes) -> Path:
@@ -281,6 +283,31 @@ def test_wrong_torque_of_a_joint_is_remarked_there(
     assert all(joint in text and part in text for text in texts)
 
 
+def test_a_torque_limit_that_cannot_hold_the_robot_is_doubted_and_not_the_torque(
+    torque_columns, two_link, tmp_path, capsys
+):
+    robot, limits = tmp_path / "robot.urdf", tmp_path / "limits.toml"
+    robot.write_text(re.sub('effort="[^"]*"', 'effort="0.1"', locate("two_link").read_text()))
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    arguments = ["identify", str(robot), str(path), "-o", str(tmp_path / "out")]
+    assert cli.main(arguments) == 0
+    out, err = capsys.readouterr()
+    shown = [line for line in err.splitlines() if "torque limit" in line]
+    assert len(shown) == 1 and "do not use this model" not in out
+    parts = ["'joint_1', 'joint_2'", "limit of 0.1", "gravity needs", f"correct it in {robot}"]
+    assert all(part in shown[0] for part in (*parts, "--limits FILE"))
+    limits.write_text("[joints.joint_1]\ntorque = 60\n[joints.joint_2]\ntorque = 0.2\n")
+    assert cli.main([*arguments, "--limits", str(limits)]) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "torque limit" in line]
+    assert f"correct it in {limits}" in line and "'joint_1'" not in line
+    for joint in ("joint_1", "joint_2"):  # beyond what any robot of that size needs
+        torque_columns[f"tau.{joint}"] *= 1e3
+    write_columns(path, torque_columns)
+    assert cli.main(arguments) == 0
+    out, err = capsys.readouterr()
+    assert "times its limit 0.1; check its unit" in err and "do not use this model" in out
+
+
 @pytest.mark.parametrize("value", [0.0, 1.234])
 @pytest.mark.parametrize("rows", [slice(0, 200), slice(150, 400)])
 def test_torque_that_is_frozen_while_the_joint_reverses_is_doubted(
@@ -308,6 +335,44 @@ def test_torque_that_may_be_constant_is_not_doubted(torque_columns, two_link, tm
     assert recordings.read(write_columns(path, columns), two_link).doubts
     columns["qref.joint_2"] = np.where(np.arange(400) < 200, columns["qref.joint_2"], 0.0)
     assert not recordings.read(write_columns(path, columns), two_link).doubts
+
+
+@pytest.mark.parametrize("value", [0.0, 3.3])
+def test_torque_of_one_value_in_several_stretches_is_warned_of(
+    value, torque_columns, two_link, tmp_path, capsys
+):
+    """Five stretches of 6 rows; also of 0 where all other torque is positive."""
+    assert torque_columns["tau.joint_2"].min() > 0.0
+    for start in range(30, 330, 60):
+        torque_columns["tau.joint_2"][start : start + 6] = value
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    cli.main(["identify", "two_link", str(path), "-o", str(tmp_path / "out")])
+    text = f"joint 'joint_2': tau is {value:g} N m in 30 rows of its motion"
+    err = capsys.readouterr().err
+    assert text in err and "in 5 stretches of up to 6 rows" in err
+    assert not recordings.read(path, two_link).doubts
+    for name, values in torque_columns.items():  # at rest, any torque is constant
+        torque_columns[name] = np.concatenate([values, np.full(400, values[-1])])
+    torque_columns["t"] = 0.01 * np.arange(800)
+    torque_columns["tau.joint_1"][400:] = 0.5
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    remarks = recordings.read(path, two_link).remarks
+    repeated = [r for r in remarks if r.kind is RemarkKind.REPEATED_TORQUE]
+    assert [r.joint for r in repeated] == ["joint_2"] and "30 rows" in repeated[0].text
+
+
+@pytest.mark.parametrize("distinct", [8, 30, 300])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_torque_that_resolution_repeats_is_not_remarked(
+    distinct, noise, torque_columns, two_link, tmp_path
+):
+    torque = torque_columns["tau.joint_2"]
+    step = np.ptp(torque) / distinct
+    noisy = torque + noise * np.ptp(torque) * np.random.default_rng(0).normal(size=400)
+    torque_columns["tau.joint_2"] = np.round(noisy / step) * step
+    path = write_columns(tmp_path / "r.csv", torque_columns)
+    kinds = {remark.kind for remark in recordings.read(path, two_link).remarks}
+    assert RemarkKind.REPEATED_TORQUE not in kinds
 
 
 @pytest.mark.parametrize(("value", "word"), [(0.0, "0"), (3.5, "constant")])

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import document, link
+from conftest import joint as joint_element
 from diagnosis_cases import SUBJECT, recordings_of
 from recording_fixtures import read_with_warnings, two_joint_motion, write_columns
 from shared_inputs import INPUTS, needs_inputs
@@ -418,14 +420,24 @@ def test_joints_of_a_slow_motion_are_not_exchanged_by_chance(name, seeds, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("factor", "word"), [(1e3, "mN m"), (1e-3, "kN m"), (0.02, "motor current"), (80.0, "gear")]
+    ("factor", "word"),
+    [
+        (1e3, "mN m"),
+        (1e-3, "kN m"),
+        (0.02, "motor current"),
+        (80.0, "80 times too large: is it in counts or another unit?"),
+        (500.0, "500 times too large: is it in counts or another unit?"),
+        (2e3, "2000 times too large: is it in counts or another unit?"),
+        (0.002, "motor current"),
+    ],
 )
 def test_the_scale_of_torque_is_named(simulated, factor, word):
     recording, robot = simulated
     scaled = dataclasses.replace(recording, tau=factor * recording.tau)
     doubts = nominal_comparison.compare_with_nominal(scaled, robot)
     assert {d.kind for d in doubts} == {RemarkKind.TORQUE_SCALE} and len(doubts) >= 4
-    assert any(word in d.text or "check its unit" in d.text for d in doubts)
+    assert any(word in d.text for d in doubts)
+    assert factor in (1e3, 1e-3) or not any("off by" in d.text for d in doubts)
 
 
 @pytest.mark.parametrize(("factor", "cause"), [(5.0, "a load is missing"), (0.2, "too heavy")])
@@ -452,6 +464,43 @@ def test_a_scale_that_masses_may_explain_is_remarked(tmp_path, factor, cause, is
         assert f"check the {'drive_gain' if is_current else 'scale of the torque'}" in remark.text
         assert cause in remark.text
         assert f"{path}: {remark.text}" in texts
+
+
+@pytest.mark.parametrize(
+    ("weight", "scale", "parts"),
+    [
+        (1.0, 1.0, ()),
+        (0.3, 1.0, ()),  # a counterbalance that carries most of the weight
+        (0.0, 1.0, ("does a counterbalance", "another unit (convert it, or name it i.lift")),
+        (1.0, 1 / 170, ("does a counterbalance", "another unit (convert it, or name it i.lift")),
+        (1.0, 20.0, ("is a load missing", "another unit (convert it, or name it i.lift")),
+    ],
+)
+def test_a_constant_weight_of_another_size_is_remarked(tmp_path, weight, scale, parts):
+    """A vertical slide, whose weight has no slope that a comparison could show."""
+    urdf = tmp_path / "slide.urdf"
+    urdf.write_text(
+        document(
+            link("base"),
+            link("load", 30.0),
+            joint_element(
+                *("lift", "base", "load", "prismatic"),
+                inside='<limit lower="0" upper="0.35" velocity="0.5" effort="9000"/>',
+            ),
+        )
+    )
+    t = np.arange(0.0, 8.0, 0.01)
+    q = 0.17 + 0.1 * np.sin(2.0 * t)
+    dq, ddq = 0.2 * np.cos(2.0 * t), -0.4 * np.sin(2.0 * t)
+    force = scale * (30.0 * (9.81 * weight + ddq) + 10.0 * np.tanh(dq / 0.01))
+    columns = {"t": t, "q.lift": q, "tau.lift": force}
+    path = write_columns(tmp_path / "r.csv", columns)
+    recording, texts = checked_with_warnings(path, str(urdf))
+    remarks = [r.text for r in recording.remarks if r.kind is RemarkKind.TORQUE_SCALE]
+    assert not recording.doubts and bool(remarks) is bool(parts)
+    for text in remarks:
+        assert "the nominal weight needs 294 N" in text and f"{path}: {text}" in texts
+        assert all(part in text for part in parts)
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2, 3])

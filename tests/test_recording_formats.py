@@ -311,11 +311,36 @@ def test_missing_joint_is_reported_with_similar_names(two_link, tmp_path):
     assert_refused(path, two_link, "'q.joint_1' occurs twice")
 
 
-@pytest.mark.parametrize("row", ["0,0,0", " 0.01\t1.8\t-2e-3", "1;2;nan", "0,0,N/A", "0,0,"])
-def test_a_file_without_names_is_refused_with_the_names_to_write(two_link, tmp_path, row):
+@pytest.mark.parametrize(
+    ("row", "separator", "word"),
+    [
+        ("0,0,0", ",", "commas"),
+        (" 0.01\t1.8\t-2e-3", "\t", "tabs"),
+        ("0.01  1.8  -2e-3", " ", "blanks"),
+        ("1;2;nan", ";", "semicolons"),
+        ("0,0,N/A", ",", "commas"),
+        ("0,0,", ",", "commas"),
+    ],
+)
+def test_a_file_without_names_is_refused_with_the_names_to_write(
+    two_link, tmp_path, row, separator, word
+):
     path = tmp_path / "r.csv"
     path.write_text(f"{row}\n{row}\n{row}\n")
-    assert_refused(path, two_link, "names of its 3 columns", "t,q.joint_1,…,tau.joint_1,…")
+    example = separator.join(("t", "q.joint_1", "…", "tau.joint_1", "…"))
+    parts = ("names of its 3 columns", example, f"separated by {word}")
+    assert_refused(path, two_link, *parts)
+
+
+@pytest.mark.parametrize(("separator", "word"), [(" ", "blanks"), ("\t", "tabs"), (";", "semicol")])
+def test_names_that_are_separated_otherwise_than_the_rows_are_refused(
+    two_link, tmp_path, separator, word
+):
+    path = write_columns(tmp_path / "r.csv", two_joint_motion(), separator)
+    names, rows = path.read_text().split("\n", 1)
+    path.write_text(f"{names.replace(separator, ',')}\n{rows}")
+    parts = ("row 2", f"7 cells are separated by {word}", "the names above by commas")
+    assert_refused(path, two_link, *parts)
 
 
 def test_inconsistent_archives_are_refused(two_link, tmp_path):
@@ -449,13 +474,13 @@ def test_reach_of_prismatic_joints_and_of_joints_without_limits(tmp_path):
 def test_suspicious_signals_are_remarked_and_kept(two_link, tmp_path):
     columns = two_joint_motion(1000)
     columns["tau.joint_1"] = np.clip(columns["tau.joint_1"], -2.0, 2.0)
-    columns["tau.joint_2"][300:340] = columns["tau.joint_2"][300]
+    columns["tau.joint_2"][300:340] = columns["tau.joint_2"][300]  # 4 %
     columns["q.joint_2"] = np.round(columns["q.joint_2"] / 2e-3) * 2e-3
     recording = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
     assert remark_kinds(recording) == [
         RemarkKind.CLIPPED,
         RemarkKind.COARSE,
-        RemarkKind.FROZEN,
+        RemarkKind.REPEATED_TORQUE,
         RemarkKind.ROUNDED,
     ]
     clipped, coarse, frozen, rounded = recording.remarks

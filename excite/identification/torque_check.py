@@ -3,7 +3,9 @@ the torque that the nominal model expects (`nominal_comparison`).
 
 A fit absorbs such faults in part: torque with an inverted sign gives masses near 0 and no error
 message. Each finding is a doubt of the recording and a warning that states the figure it rests
-on. Clipped torque is a warning only: that of a drive at its limit is as it was measured.
+on. Clipped torque is a warning only: that of a drive at its limit is as it was measured. So are
+torque of one repeated value, as a drive may have a dead band, and torque beyond a limit that cannot
+hold the robot.
 """
 
 from __future__ import annotations
@@ -17,11 +19,14 @@ import numpy as np
 from .._types import BoolArray, FloatArray
 from ..errors import ExciteWarning, UnusableInput
 from ..recordings import Recording, Remark, RemarkKind
-from ..robot.limits import Limits
+from ..robot.limits import URDF, Limits
 from ..robot.robot import Robot
+from ..robot.samples import Samples
 from . import nominal_comparison
 from .exchanged_torque import find_exchange
 
+WARNED = (RemarkKind.CLIPPED, RemarkKind.REPEATED_TORQUE)
+"""Remarks of `signal_checks` that are given as warnings."""
 MAX_TORQUE_RATIO = 3.0
 """Largest |torque| over the torque limit without a remark. Recordings of ten real machines reach
 0.9."""
@@ -41,7 +46,7 @@ def check_torque(
 
     Returns:
         The recording with a remark for each finding. Each is also given as a warning, as are
-        earlier doubts and clipped torque.
+        earlier doubts, clipped torque and torque of one repeated value.
 
     Raises:
         UnusableInput: The torque of every joint is constant, or a joint has none.
@@ -57,15 +62,15 @@ def check_torque(
     planned = [remark for remark in recording.doubts if remark.kind is RemarkKind.PLANNED]
     remarks = [
         *_constant_torque(recording, torque, constant),
-        *_excessive_torque(recording, torque, limits),
+        *_excessive_torque(recording, torque, limits, robot),
         *(() if planned else nominal_comparison.compare_with_nominal(recording, robot)),
     ]
     if has_payload:
         remarks = [r for r in remarks if r.doubt or r.kind is not RemarkKind.TORQUE_SCALE]
     if not planned and not any(remark.doubt for remark in remarks):
         remarks += _exchanged_torque(recording, robot)
-    clipped = [remark for remark in recording.remarks if remark.kind is RemarkKind.CLIPPED]
-    for remark in (*recording.doubts, *clipped, *remarks):
+    measured = [remark for remark in recording.remarks if remark.kind in WARNED]
+    for remark in (*recording.doubts, *measured, *remarks):
         warnings.warn(f"{recording.source}: {remark.text}", ExciteWarning, stacklevel=2)
     return dataclasses.replace(recording, remarks=(*recording.remarks, *remarks))
 
@@ -102,10 +107,28 @@ def _constant_torque(
         yield Remark(RemarkKind.FROZEN, text, joint, doubt=True)
 
 
-def _excessive_torque(recording: Recording, torque: FloatArray, limits: Limits) -> Iterator[Remark]:
-    """Yield a remark for each joint whose torque exceeds its limit by far."""
+def _excessive_torque(
+    recording: Recording, torque: FloatArray, limits: Limits, robot: Robot
+) -> Iterator[Remark]:
+    """Yield a remark for each joint whose torque exceeds its limit by far.
+
+    Where the limit is a placeholder, a remark for all joints with that limit says so instead.
+    """
     ratio = np.abs(torque) / limits.torque
-    for i in np.flatnonzero(ratio.max(axis=0) > MAX_TORQUE_RATIO).tolist():
+    excessive = ratio.max(axis=0) > MAX_TORQUE_RATIO
+    if not excessive.any():
+        return
+    gravity = _largest_gravity(recording, robot)
+    plausible = np.abs(torque).max(axis=0) < nominal_comparison.PLAUSIBLE_SLOPE[1] * gravity.max()
+    too_small = limits.torque < gravity
+    for i in np.flatnonzero(excessive).tolist():
+        same = limits.torque == limits.torque[i]
+        if plausible[i] and (same & too_small).any():
+            if not (excessive & plausible & same)[:i].any():
+                where = np.flatnonzero(excessive & plausible & same).tolist()
+                heaviest = int(np.argmax(np.where(same, gravity, 0.0)))
+                yield _placeholder_limit(robot, limits, where, heaviest, float(gravity[heaviest]))
+            continue
         joint, row = recording.joints[i], int(np.argmax(ratio[:, i]))
         text = (
             f"joint '{joint}': torque reaches {torque[row, i]:.4g}, {ratio[row, i]:.4g} times its "
@@ -113,3 +136,28 @@ def _excessive_torque(recording: Recording, torque: FloatArray, limits: Limits) 
         )
         time = float(recording.t[row])
         yield Remark(RemarkKind.UNIT, text, joint, time, time, doubt=True)
+
+
+def _largest_gravity(recording: Recording, robot: Robot) -> FloatArray:
+    """Return the largest nominal torque of gravity in the recorded poses. Shape (n,) [N m or N]."""
+    count = min(len(recording), nominal_comparison.COMPARED_ROWS)
+    q = recording.q[np.linspace(0, len(recording) - 1, count).astype(int)]
+    still = np.zeros_like(q)
+    gravity, _ = nominal_comparison.nominal_torque(robot, Samples(q, still, still))
+    return np.asarray(np.abs(gravity).max(axis=0))
+
+
+def _placeholder_limit(
+    robot: Robot, limits: Limits, joints: list[int], heaviest: int, gravity: float
+) -> Remark:
+    """Remark a torque limit that is less than gravity needs at a joint, and that others share."""
+    names = ", ".join(f"'{robot.joints[i]}'" for i in joints)
+    source = limits.sources["torque"][heaviest]
+    text = (
+        f"{'joint' if len(joints) == 1 else 'joints'} {names}: the torque limit of "
+        f"{limits.torque[heaviest]:.4g} cannot hold the robot, gravity needs {gravity:.3g} "
+        f"{robot.entries[heaviest].unit('N m')} at '{robot.joints[heaviest]}'; it is doubtful, not "
+        f"the torque that exceeds it: correct it in {robot.source if source == URDF else source}, "
+        "or give --limits FILE"
+    )
+    return Remark(RemarkKind.TORQUE_LIMIT, text, robot.joints[joints[0]])

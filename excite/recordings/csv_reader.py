@@ -36,8 +36,8 @@ from .remark import Remark, RemarkKind
 
 CHUNK_SIZE = 1 << 23
 """Part of a file that is parsed at once [bytes]."""
-SEPARATORS = (",", ";", "\t", " ")
-"""Separators of cells, in the order in which a header is searched for them."""
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
+"""Separators of cells, in the order in which a header is searched for them, and their names."""
 MAX_LINE = 1 << 20
 """Longest line of a file, its header included [bytes]: 10,000 columns of 100 bytes."""
 
@@ -111,13 +111,16 @@ def read_blocks(
         line, row = _skip_comments(stream)
         separator, cells = _read_header(path, line)
         behind = stream.tell()
-        second = stream.readline(MAX_LINE)
-        first_row = _cells(separator, second)
+        first_line = stream.readline(MAX_LINE)
+        first_row = _cells(separator, first_line)
         if _is_row_of_units(path, row + 1, cells, first_row):
             behind, row = stream.tell(), row + 1
-            first_row = _cells(separator, stream.readline(MAX_LINE))
+            first_line = stream.readline(MAX_LINE)
+            first_row = _cells(separator, first_line)
         header = recognise(str(path), cells, first_row, robot, columns, separator, topic, effort)
-        _require_names(path, header.names, robot)
+        _require_names(path, header.names, robot, separator)
+        if header.has_line:
+            _require_separator(path, row + 1, separator, cells, first_line)
         stream.seek(behind if header.has_line else 0)
         layout = find_columns(
             str(path),
@@ -332,16 +335,32 @@ def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
     return separator, [cell.strip() for cell in cells]
 
 
-def _require_names(path: Path, names: Sequence[str], robot: Robot) -> None:
+def _require_names(path: Path, names: Sequence[str], robot: Robot, separator: str) -> None:
     """Check that the first row holds names: not only numbers, next to empty and missing cells."""
     cells = [name for name in names if name and not MISSING_CELL.fullmatch(name)]
     if not cells or not all(map(_is_number, cells)):
         return
     joint = robot.joints[0]
+    example = separator.join(["t", f"q.{joint}", "…", f"tau.{joint}", "…"])
     raise UnusableInput(
         f"{path}: its first row holds numbers, no names; put the names of its {len(names)} columns "
-        f"above it, or in its place if it numbers the columns: t,q.{joint},…,tau.{joint},…"
+        f"above it, or in its place if it numbers the columns: {example} (separated by "
+        f"{SEPARATORS[separator]})"
     )
+
+
+def _require_separator(
+    path: Path, row: int, separator: str, names: Sequence[str], line: bytes
+) -> None:
+    """Check that the first row of data, with that number, has the separator of the names."""
+    if len(_cells(separator, line)) > 1 or len(names) < 2:
+        return
+    for other, word in SEPARATORS.items():
+        if other != separator and len(_cells(other, line)) == len(names):
+            raise UnusableInput(
+                f"{path}: row {row}: its {len(names)} cells are separated by {word}, and the names "
+                f"above by {SEPARATORS[separator]}; separate the names by {word}"
+            )
 
 
 def _is_number(cell: str) -> bool:

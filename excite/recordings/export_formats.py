@@ -52,7 +52,8 @@ class Header:
         from_first: True if time counts from the first row.
         has_line: True if the file has a header line.
         rewrite: Rewrites lines so that they have the columns `names`; None: they have them.
-        numbered: Names in the file of the positions of numbered joints; else empty.
+        numbered: Names in the file of the positions of joints that are known by their numbers
+            alone; else empty.
     """
 
     names: tuple[str, ...]

@@ -84,7 +84,8 @@ class SpelledColumns:
     Attributes:
         names: Names of all columns, those of the robot renamed.
         time: Column of time and its factor [s].
-        numbered: Names of the positions in the file, of numbered joints; else empty.
+        numbered: Names of the positions in the file, of joints that are known by their numbers
+            alone; else empty.
     """
 
     names: tuple[str, ...]
@@ -124,8 +125,9 @@ def find_spelled_columns(
         names_of = {column: name for name, (column, _) in places.items()}
         if not set(positions) <= set(names_of):
             return None
-        if len(robot.joints) > 1:
-            numbered = tuple(names_of[column] for column in positions)
+        ordered = tuple(names_of[column] for column in positions)
+        if len(robot.joints) > 1 and not all(map(_holds_name, ordered, robot.joints)):
+            numbered = ordered
     first: dict[str, str] = {}
     for name, (column, unit) in places.items():
         if first.setdefault(column, name) != name:
@@ -192,6 +194,15 @@ def _of_number(
         for name, (prefix, number) in read.items()
         if number is None or 0 <= number - first < len(joints)
     }
+
+
+def _holds_name(column: str, joint: str) -> bool:
+    """Return True if a column with a number holds the name of a joint, as `q1` that of `q1`.
+
+    Separators and capital letters do not count: `q_joint1` holds `joint_1`, and `q_joint2` none.
+    """
+    text, name = (re.sub(r"[\W_]", "", t).lower() for t in (UNIT.sub("", column.strip()), joint))
+    return text.startswith(name) or text.endswith(name)
 
 
 def _prefix(word: str, effort: str) -> str:

@@ -35,6 +35,8 @@ from excite.robot.robot import Robot, load, locate
 from excite.robot.samples import Samples
 from excite.trajectory.trajectory_file import Trajectory
 
+pytest_plugins = ["slow_tests"]
+
 settings.register_profile(
     "excite",
     deadline=None,

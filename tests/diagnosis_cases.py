@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -119,14 +119,22 @@ def parameters(
     return finding.parameters
 
 
-def known_failures(names: Iterable[Any], reasons: Mapping[Any, str]) -> list[Any]:
-    """Return parameters of a test, those with a reason marked as a known failure."""
-    return [
-        pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=reasons[name]))
-        if name in reasons
-        else name
-        for name in names
-    ]
+def known_failures(
+    names: Iterable[Any], reasons: Mapping[Any, str], slow: Collection[Any] = ()
+) -> list[Any]:
+    """Return parameters of a test, those with a reason marked as a known failure.
+
+    Args:
+        names: Values of the parameter.
+        reasons: Reasons of the known failures, by value.
+        slow: Values with which the test is slow.
+    """
+    marks = dict[Any, list[pytest.MarkDecorator]]()
+    for name in names:
+        marks[name] = [pytest.mark.slow] if name in slow else []
+        if name in reasons:
+            marks[name].append(pytest.mark.xfail(strict=True, reason=reasons[name]))
+    return [pytest.param(name, marks=applied) for name, applied in marks.items()]
 
 
 def noise_ratios(result: Diagnosis) -> tuple[FloatArray, FloatArray]:
@@ -433,6 +441,17 @@ HIDDEN: Mapping[str, HiddenEffect] = {
         transient=True,
     ),
 }
+
+SLOW_HIDDEN = (
+    "cogging",
+    "stiffening_spring",
+    "coupling_of_other_sign",
+    "torque_limit",
+    "elasticity",
+    "dragging_contact",
+    "contact_of_a_period",
+)
+"""Those whose tests are slow: of most of them, another of the same effect is not."""
 
 
 @cache

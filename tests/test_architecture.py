@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -51,12 +52,19 @@ def module(path: Path) -> str:
     return parts[0]
 
 
-def imported(path: Path) -> set[str]:
+@cache
+def tree(path: Path) -> ast.Module:
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imported(path: Path) -> frozenset[str]:
     """Return the packages of excite that a file imports, in any scope."""
     depth = len(path.relative_to(PACKAGE).parts)
     known = {module(file) for file in FILES}
     out: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.ImportFrom) and (
             node.level == depth or (node.module or "").split(".")[0] == "excite"
         ):
@@ -66,7 +74,7 @@ def imported(path: Path) -> set[str]:
             out |= {
                 alias.name.split(".")[1] for alias in node.names if alias.name.startswith("excite.")
             }
-    return out & known
+    return frozenset(out & known)
 
 
 def loaded_by(*arguments: str) -> set[str]:
@@ -113,7 +121,7 @@ def test_the_simulator_shares_no_code_with_the_identification(path):
     assert imported(path) - {module(path)} <= INDEPENDENT[module(path)]
     names = [
         alias.name if isinstance(n, ast.Import) else str(n.module)
-        for n in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for n in ast.walk(tree(path))
         if isinstance(n, ast.Import) or (isinstance(n, ast.ImportFrom) and not n.level)
         for alias in n.names
     ]
@@ -156,7 +164,7 @@ def test_the_interface_imports_no_packages_that_take_long():
 def test_the_core_does_not_import_libraries_of_the_interface(name):
     """limits.py imports yaml in the function that reads a .yaml file."""
     core = [file for file in FILES if ORDER.index(module(file)) < ORDER.index("exporters")]
-    tops = {file.name: ast.parse(file.read_text(encoding="utf-8")).body for file in core}
+    tops = {file.name: tree(file).body for file in core}
     names = {
         f: [a.name for n in body if isinstance(n, ast.Import) for a in n.names]
         for f, body in tops.items()
@@ -185,16 +193,15 @@ def test_help_needs_no_heavy_import():
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_the_library_neither_swallows_exceptions_nor_prints(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     bare = [
         n.lineno
-        for n in ast.walk(tree)
+        for n in ast.walk(tree(path))
         if isinstance(n, ast.ExceptHandler)
         and (n.type is None or getattr(n.type, "id", "") in ("Exception", "BaseException"))
     ]
     prints = [
         n.lineno
-        for n in ast.walk(tree)
+        for n in ast.walk(tree(path))
         if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "print"
     ]
     name = path.relative_to(PACKAGE).as_posix()

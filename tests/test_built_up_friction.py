@@ -16,6 +16,7 @@ from diagnosis_cases import (
     noise_ratios,
     parameters,
 )
+from slow_tests import slow
 
 from excite._types import FloatArray
 from excite.diagnosis.diagnosis import Diagnosis
@@ -56,11 +57,13 @@ def of_bristle(seconds: float) -> Diagnosis:
     return diagnosed_with_friction(friction)
 
 
+@pytest.mark.slow
 def test_a_bristle_is_presliding_alone():
     """With a first element of 1 mrad, Stribeck and viscous friction were found as well."""
     assert findings_of(of_bristle(0.0)) == [("hysteresis", 0)]
 
 
+@pytest.mark.slow
 def test_a_damped_bristle_is_predicted_better_than_without_damping():
     """Without damping, and with a first element of 1 mrad, 10 times the noise remain."""
     assert noise_ratios(of_bristle(0.01))[1].max() < 4.0
@@ -78,7 +81,7 @@ def diagnosed(builds_up: bool) -> Diagnosis:
     return diagnosed_with_friction(friction)
 
 
-@pytest.mark.parametrize("builds_up", [True, False])
+@pytest.mark.parametrize("builds_up", [True, slow(False)])
 def test_stribeck_friction_next_to_presliding_is_found(builds_up):
     assert set(findings_of(diagnosed(builds_up))) == {("stribeck", 0), ("hysteresis", 0)}
 
@@ -90,12 +93,13 @@ def test_friction_that_builds_up_is_predicted_to_the_noise():
     assert parameters(result, "stribeck", 0)["amplitude"][0] == pytest.approx(HEIGHT, rel=0.1)
 
 
-@pytest.mark.parametrize("builds_up", [True, False])
+@pytest.mark.parametrize("builds_up", [True, slow(False)])
 def test_the_saved_friction_builds_up_only_where_the_recordings_say_so(builds_up):
     saved = [e.shape for e in diagnosed(builds_up).final.effects if e.shape.effect == "stribeck"]
     assert [("share_0" in shape.values) for shape in saved] == [builds_up]
 
 
+@pytest.mark.slow
 def test_an_element_that_never_slips_in_both_directions_is_no_friction():
     """In motions of 120 mrad the last one is a spring, which a larger motion would show not to be.
 

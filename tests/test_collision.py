@@ -499,6 +499,7 @@ def test_transfer_avoids_an_obstacle():
     assert not legs and "pillar" in reason
 
 
+@pytest.mark.slow
 def test_cell_without_a_feasible_pose_is_refused():
     lid = Shape("lid", ShapeKind.BOX, (3.0, 3.0, 0.1), (0.0, 0.0, 0.25))
     pit = Shape("pit", ShapeKind.BOX, (3.0, 3.0, 0.1), (0.0, 0.0, -0.25))

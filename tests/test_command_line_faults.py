@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
+from slow_tests import slow
 
 import excite
 
@@ -43,14 +44,16 @@ def lines(done: subprocess.CompletedProcess[bytes]) -> list[str]:
 # -- standard streams ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("encoding", ["latin1", "ascii", "utf-16", "cp437", "ascii:strict"])
+@pytest.mark.parametrize(
+    "encoding", ["latin1", slow("ascii"), "utf-16", slow("cp437"), "ascii:strict"]
+)
 def test_standard_output_in_any_encoding(encoding: str) -> None:
     done = run("verify", TRAJECTORY, PYTHONIOENCODING=encoding)
     assert done.returncode == 0 and not lines(done)
     assert "certified" in done.stdout.decode(encoding.partition(":")[0])
 
 
-@pytest.mark.parametrize("encoding", ["latin1", "ascii"])
+@pytest.mark.parametrize("encoding", [slow("latin1"), "ascii"])
 def test_a_document_does_not_depend_on_the_encoding(encoding: str) -> None:
     done, other = (
         run("verify", TRAJECTORY, "--json", PYTHONIOENCODING=e) for e in (encoding, "utf-8")
@@ -67,17 +70,29 @@ def test_a_design_is_printed_in_latin1(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("redirection", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+CLOSED_STREAMS = (">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "2>/dev/full")
+COMMANDS = {
+    "text": (["verify", TRAJECTORY], 0),
+    "json": (["verify", TRAJECTORY, "--json"], 0),
+    "refused": (["verify", "no.json"], 2),
+    "help": (["--help"], 0),
+    "wrong-use": (["bogus"], 2),
+}
+"""By name: a command and its exit code."""
+
+
 @pytest.mark.parametrize(
-    ("command", "code"),
+    ("redirection", "command", "code"),
     [
-        (["verify", TRAJECTORY], 0),
-        (["verify", TRAJECTORY, "--json"], 0),
-        (["verify", "no.json"], 2),
-        (["--help"], 0),
-        (["bogus"], 2),
+        pytest.param(
+            redirection,
+            *command,
+            id=f"{name}-{redirection}",
+            marks=[pytest.mark.slow] * (name in ("json", "refused") and redirection != ">&-"),
+        )
+        for name, command in COMMANDS.items()
+        for redirection in CLOSED_STREAMS
     ],
-    ids=["text", "json", "refused", "help", "wrong-use"],
 )
 def test_closed_streams_change_no_exit_code(
     redirection: str, command: list[object], code: int
@@ -134,7 +149,7 @@ def test_a_closed_pipe_is_no_error(command: list[object]) -> None:
 # -- environment -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("home", [None, "", "relative", "absent", "/dev/null"])
+@pytest.mark.parametrize("home", [None, *map(slow, ("", "relative", "absent", "/dev/null"))])
 def test_commands_run_without_a_home_directory(tmp_path: Path, home: str | None) -> None:
     home = str(tmp_path / "absent") if home == "absent" else home
     done = run(
@@ -154,17 +169,16 @@ def test_commands_run_without_a_home_directory(tmp_path: Path, home: str | None)
 
 def test_file_names_that_are_not_utf_8(tmp_path: Path) -> None:
     folder = os.fsdecode(bytes(tmp_path) + b"/o\xff")
-    done = run("design", "two_link", "-o", folder, "--json", *QUICK)
+    robot = os.fsdecode(bytes(tmp_path) + b"/r\xff.urdf")
+    Path(robot).write_bytes(
+        (Path(excite.__file__).parent / "robot" / "models" / "two_link.urdf").read_bytes()
+    )
+    done = run("design", robot, "-o", folder, "--json", *QUICK)
     document = json.loads(done.stdout.decode("utf-8"))
     assert done.returncode == 0 and document["files"][0].encode().endswith(
         "/o\N{REPLACEMENT CHARACTER}/trajectory.json".encode()
     )
     assert len(os.listdir(folder)) == 4
-    robot = os.fsdecode(bytes(tmp_path) + b"/r\xff.urdf")
-    Path(robot).write_bytes(
-        (Path(excite.__file__).parent / "robot" / "models" / "two_link.urdf").read_bytes()
-    )
-    assert run("design", robot, "-o", folder, *QUICK).returncode == 0
     for name in os.listdir(folder):
         (Path(folder) / name).read_bytes().decode("utf-8")
     done = run("verify", f"{folder}/trajectory.json", "--robot", robot, PYTHONIOENCODING="ascii")
@@ -313,8 +327,18 @@ def ended(process: subprocess.Popen[bytes]) -> subprocess.CompletedProcess[bytes
 DESIGN = ["design", "two_link", "--starts", "40", "--jobs", "2", "-o", "out"]
 
 
-@pytest.mark.parametrize("to_group", [True, False], ids=["group", "process"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("number", "to_group"),
+    [
+        (signal.SIGINT, True),
+        slow(signal.SIGINT, False),
+        slow(signal.SIGTERM, True),
+        (signal.SIGTERM, False),
+        slow(signal.SIGHUP, True),
+        slow(signal.SIGHUP, False),
+    ],
+    ids=lambda value: ("group" if value else "process") if isinstance(value, bool) else value.name,
+)
 def test_a_signal_ends_a_design_and_its_workers(
     tmp_path: Path, number: signal.Signals, to_group: bool
 ) -> None:
@@ -398,7 +422,7 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("exists", [False, True])
+@pytest.mark.parametrize("exists", [slow(False), True])
 def test_a_signal_during_the_replacement_of_files_is_delayed(tmp_path: Path, exists: bool) -> None:
     if exists:
         assert (

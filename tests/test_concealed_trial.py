@@ -181,6 +181,7 @@ def key(trial: run.TrialFolder) -> dict[str, dict[str, object]]:
     return commitment.open_ground_truth(trial.key, trial.published_hash())
 
 
+@pytest.mark.slow
 def test_files_of_all_cases_look_the_same(trial):
     def looks(name: str) -> list[tuple[str, int, float]]:
         files = (p for p in (trial.cases / name).iterdir() if p.suffix != ".urdf")
@@ -192,12 +193,14 @@ def test_files_of_all_cases_look_the_same(trial):
     assert [e[0] for e in dense] == [f"{r}.{kind}" for r in recordings for kind in ("csv", "json")]
 
 
+@pytest.mark.slow
 def test_cases_are_reproducible_byte_for_byte(trial):
     again = generate_cases.analyst_files(generate_cases.generate_case(SPECS[1], run.MODELS))
     for name, text in again.items():
         assert (trial.cases / SPECS[1].name / name).read_text(encoding="utf-8") == text
 
 
+@pytest.mark.slow
 def test_dense_case_has_frictions_a_special_effect_and_an_oracle(key):
     truth = key["0d0d0d"]
     names = Counter(effect["effect"] for effect in truth["effects"])
@@ -235,6 +238,7 @@ def test_torque_that_other_frictions_can_stand_for_is_not_unique():
     assert reduced.unique[0] < 0.01 * reduced.alone[0]
 
 
+@pytest.mark.slow
 def test_an_invisible_effect_is_drawn_without_the_nuisance(monkeypatch):
     """A slow robot has no observable drag."""
     monkeypatch.setattr(generate_cases, "MAX_EFFECT_DRAWS", 1)
@@ -246,6 +250,7 @@ def test_an_invisible_effect_is_drawn_without_the_nuisance(monkeypatch):
     assert slow.hidden[0].severity.alone.max() < least
 
 
+@pytest.mark.slow
 def test_changed_session_changes_friction_of_the_validation_recording_only():
     plain, later = (
         generate_cases.generate_case(case_spec(4, "0e0e0e", "null", nuisance=nuisance), run.MODELS)
@@ -274,6 +279,7 @@ def test_rounded_angles_have_four_decimals():
 # -- answers ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_ground_truth_is_committed_and_a_change_voids_the_trial(trial, tmp_path, key):
     published = trial.published_hash()
     assert commitment.digest(trial.key / "key.json") == published and len(published) == 64
@@ -284,6 +290,7 @@ def test_ground_truth_is_committed_and_a_change_voids_the_trial(trial, tmp_path,
         commitment.open_ground_truth(tmp_path, published)
 
 
+@pytest.mark.slow
 def test_interrupted_trial_resumes(trial, tmp_path, dummy):
     copy = run.TrialFolder(tmp_path / "copy")
     shutil.copytree(trial.root, copy.root)
@@ -300,6 +307,7 @@ def test_answer_before_the_commitment_is_refused(tmp_path, dummy):
         run.answer(run.TrialFolder(tmp_path), [dummy], 1, lambda _: None)
 
 
+@pytest.mark.slow
 def test_analyst_sees_a_copy_of_the_case_and_nothing_else(trial):
     entry = json.loads((trial.answers / "dummy" / "0c0c0c.json").read_text())
     names = ("prior.json", "robot.urdf", "train.csv", "train.json", "validate.csv", "validate.json")
@@ -307,6 +315,7 @@ def test_analyst_sees_a_copy_of_the_case_and_nothing_else(trial):
     assert entry["seconds"] > 0.0
 
 
+@pytest.mark.slow
 def test_model_of_the_analyst_is_kept_and_read_again(trial):
     entry = json.loads((trial.answers / "dummy" / "0d0d0d.json").read_text())
     assert entry["answer"]["train"] == 2
@@ -314,6 +323,7 @@ def test_model_of_the_analyst_is_kept_and_read_again(trial):
     assert entry["predicted"] == pytest.approx({"joint_1": 0.5, "joint_2": 0.5}, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_failing_analyst_counts_as_no_answer(trial, tmp_path, key):
     broken = Analyst("broken", f"{sys.executable} -c 'raise SystemExit(3)'")
     run_analyst.ask(broken, trial.cases / "0a0a0a", tmp_path)
@@ -322,6 +332,7 @@ def test_failing_analyst_counts_as_no_answer(trial, tmp_path, key):
     assert not comparison.answered and score([comparison])["null_asserted"]["value"] == 1.0
 
 
+@pytest.mark.slow
 def test_report_has_the_table_and_the_blind_analyst(trial):
     text = run.report(trial)
     assert "| | asked | dummy | blind |" in text and "≥ 0.95" in text

@@ -119,6 +119,7 @@ def test_both_recordings_decide_for_the_truth(loop: Loop, capsys: pytest.Capture
     assert "What did the further recording decide?" in html
 
 
+@pytest.mark.slow
 def test_the_odds_before_are_computed_and_those_expected_are_read(loop: Loop):
     trajectory = loop.folder / "next" / "trajectory.json"
     result = api.diagnose(

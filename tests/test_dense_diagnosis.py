@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis_cases import findings_of, noise_ratios
+from slow_tests import slow
 
 import excite
 from excite.diagnosis import posterior
@@ -60,7 +61,7 @@ def recorded(probability: float, settings: ExperimentSettings, folder: Path) -> 
     return record_robot("two_link", draw, folder, settings.seed, settings)
 
 
-@pytest.fixture(scope="module", params=[(1.0, 1), (0.5, 2)], ids=["dense", "half-dense"])
+@pytest.fixture(scope="module", params=[slow((1.0, 1)), (0.5, 2)], ids=["dense", "half-dense"])
 def case(request, tmp_path_factory) -> DenseCase:
     """Diagnose a two-link robot; each joint has each friction with a probability."""
     probability, seed = request.param
@@ -116,6 +117,7 @@ def test_rigid_body_parameters_are_within_their_intervals_next_to_the_effects(ca
 
 
 @pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.slow
 def test_delay_next_to_all_frictions_is_no_filter(seed, tmp_path):
     """Torque recorded 9 ms late at 125 Hz: smoothed steps of friction look like a filter's."""
     robot = recorded(1.0, ExperimentSettings(seed=seed, rate=125.0, noise=0.003), tmp_path)

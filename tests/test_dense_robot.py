@@ -10,6 +10,7 @@ import excite
 pytest.importorskip("mujoco")
 
 
+@pytest.mark.slow
 def test_a_dense_robot_has_several_frictions_at_every_joint(tmp_path):
     trajectory = TRAJECTORIES / "two_link.json"
     result = excite.simulate("two_link", trajectory, dense=1.0, seed=3, periods=1)

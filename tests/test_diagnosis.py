@@ -12,6 +12,7 @@ from contract import EFFECT_NAMES
 from diagnosis_cases import (
     HIDDEN,
     PSI,
+    SLOW_HIDDEN,
     SUBJECT,
     at_joint,
     diagnose,
@@ -26,6 +27,7 @@ from diagnosis_cases import (
 )
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
+from slow_tests import slow
 from synthetic_recordings import random_fourier, synthetic_recording, write_recording
 
 from excite import effects
@@ -52,6 +54,7 @@ EXPLAINED = 1.4
             "torque_limit": "unknown torque is reported next to it",
             "elasticity": "base compliance is found instead",
         },
+        SLOW_HIDDEN,
     ),
 )
 def test_a_hidden_effect_is_the_only_finding(name):
@@ -68,6 +71,7 @@ def test_a_hidden_effect_is_the_only_finding(name):
             "stiffening_spring": "stiffness 14.4, true 13.5",
             "elasticity": "base compliance is found instead",
         },
+        SLOW_HIDDEN,
     ),
 )
 def test_the_parameters_of_a_hidden_effect_are_estimated(name):
@@ -91,6 +95,7 @@ def test_the_parameters_of_a_hidden_effect_are_estimated(name):
             "elasticity": "2.5 noise floors",
             "dragging_contact": "1.42 noise floors: half a sine stands for another course",
         },
+        SLOW_HIDDEN,
     ),
 )
 def test_the_saved_model_predicts_held_out_torque_to_the_noise(name):
@@ -144,6 +149,7 @@ def test_static_friction_at_rest_is_no_mismatch():
     assert (result.held_out.rmse_after < 1.3 * 0.1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [9.0, 16.7])
 def test_orders_of_two_waves_of_torque_ripple_are_those_of_both(order):
     """A wave that is found first is biased by the one that is not yet known."""
@@ -158,6 +164,7 @@ def test_orders_of_two_waves_of_torque_ripple_are_those_of_both(order):
     assert sorted(orders) == pytest.approx([order, 1.37 * order], rel=0.006)
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(strict=True, reason="order 3.21, true 2")
 def test_an_eccentric_encoder_is_reported_with_its_first_harmonic():
     """The torque contains the second harmonic more strongly, by the square of its order."""
@@ -175,7 +182,8 @@ def test_an_eccentric_encoder_is_reported_with_its_first_harmonic():
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "train"), [("stribeck", "spring", (2, 8)), ("stribeck", "coupling", (2,))]
+    ("first", "second", "train"),
+    [slow("stribeck", "spring", (2, 8)), ("stribeck", "coupling", (2,))],
 )
 def test_two_effects_are_both_reported(first, second, train):
     """The coupling has a much larger torque than the Stribeck friction of the same joint."""
@@ -189,6 +197,7 @@ def test_two_effects_are_both_reported(first, second, train):
     assert (noise_ratios(result)[1] < EXPLAINED).all()
 
 
+@pytest.mark.slow
 def test_several_frictions_at_both_joints_are_found_at_once():
     names = ("stribeck", "hysteresis", "load_friction")
     result = diagnose(recordings_of(lambda *s: sum(HIDDEN[n].torque(*s) for n in names), (2, 8, 5)))
@@ -222,7 +231,7 @@ OUTSIDE = (
 )
 
 
-@pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.parametrize("name", known_failures(OUTSIDE, {}, OUTSIDE[:1]))
 def test_torque_outside_the_catalogue_is_unknown(name):
     result = outside_the_catalogue(name)
     assert [unknown.joint for unknown in result.unmodelled] == [0]
@@ -241,7 +250,7 @@ def test_an_effect_that_is_too_small_to_be_named_is_considered():
     assert "viscous friction that differs by direction" in text and "too small to be sure" in text
 
 
-@pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.parametrize("name", known_failures(OUTSIDE, {}, OUTSIDE[:1]))
 def test_torque_outside_the_catalogue_is_not_named(name):
     assert not findings_of(outside_the_catalogue(name))
 
@@ -249,7 +258,9 @@ def test_torque_outside_the_catalogue_is_not_named(name):
 @pytest.mark.parametrize(
     "name",
     known_failures(
-        [*HIDDEN, *OUTSIDE], {"elasticity": "2.49 noise floors at joint 1, base model 1.35"}
+        [*HIDDEN, *OUTSIDE],
+        {"elasticity": "2.49 noise floors at joint 1, base model 1.35"},
+        (*SLOW_HIDDEN, OUTSIDE[0]),
     ),
 )
 def test_no_joint_is_predicted_worse_than_by_the_base_model(name):

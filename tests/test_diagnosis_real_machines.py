@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from diagnosis_cases import findings_of, parameters
+from slow_tests import slow
 
 from excite import recordings
 from excite._types import FloatArray
@@ -37,6 +39,12 @@ def diagnose_machine(
     machine, standard, base, files = machine_of(name, train, held_out, urdf)
     known = prior_module.read_prior(REAL / name / prior if prior else None, machine, standard)
     return diagnosis.diagnose(machine, standard, base, *files, DiagnosisOptions(prior=known))
+
+
+@cache
+def diagnose_tx40() -> Diagnosis:
+    """Diagnose the TX40 by its recordings."""
+    return diagnose_machine("tx40", ("train",), "validate")
 
 
 def machine_of(
@@ -77,8 +85,9 @@ def test_emps_has_asymmetric_viscous_friction():
 
 
 @pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
+@pytest.mark.slow
 def test_tx40_has_coupled_wrist_joints():
-    result = diagnose_machine("tx40", ("train",), "validate")
+    result = diagnose_tx40()
     assert set(findings_of(result)) >= {("coupling", 4), ("coupling", 5)}
     friction = parameters(result, "coupling", 4)
     assert friction["viscous"][0] == pytest.approx(0.62, rel=0.3)
@@ -89,10 +98,11 @@ def test_tx40_has_coupled_wrist_joints():
 
 @pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
 @pytest.mark.parametrize("effects_are_known", [True, False])
+@pytest.mark.slow
 def test_a_payload_is_found_next_to_the_couplings_of_tx40(effects_are_known):
     """Parameters of a saved model are trusted, its effects are known or have to be found again."""
     machine, standard, base, files = machine_of("tx40", ("train",), "validate")
-    saved = fitted_effects.read_back(diagnosis.diagnose(machine, standard, base, *files).document)
+    saved = fitted_effects.read_back(diagnose_tx40().document)
     known = TrustedPrior.of_model(saved)
     if not effects_are_known:
         known = TrustedPrior(known.parameters)
@@ -118,6 +128,7 @@ def with_load(
 
 
 @pytest.mark.parametrize("train", [("traj_A", "traj_B"), ("traj_B",)])
+@pytest.mark.slow
 def test_kuka_has_the_documented_payload_and_counterbalance_that_its_prior_lacks(train):
     result = diagnose_machine("kuka_kr300", train, "traj_C", prior="prior.json")
     named = findings_of(result)
@@ -139,8 +150,8 @@ def test_kuka_has_the_documented_payload_and_counterbalance_that_its_prior_lacks
 @pytest.mark.parametrize(
     ("name", "train", "held_out", "prior", "urdf"),
     [
-        ("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
-        ("kuka_kr300", ("traj_A",), "traj_B", "prior.json", None),
+        slow("kuka_kr300", ("traj_B",), "traj_A", "prior.json", None),
+        slow("kuka_kr300", ("traj_A",), "traj_B", "prior.json", None),
         (
             *("xl330", ("kp200_sin_time_square", "kp400_up_and_down"), "kp400_sin_sin"),
             *(None, "xl330_pendulum"),
@@ -178,6 +189,7 @@ def test_a_part_of_the_emps_recording_shows_its_friction_next_to_unknown_torque(
         ("speed_test_b", "speed_1rev_per_s_comp_off_then_on"),
     ],
 )
+@pytest.mark.slow
 def test_a_bare_motor_has_cogging_torque_of_order_72(train, held_out):
     result = diagnose_machine("laas_cogging", (train,), held_out, urdf="motor")
     assert result.hertz > 72.0  # chosen from the data

@@ -671,15 +671,23 @@ def test_a_mutated_prior_is_read_or_refused(two_link, table, tmp_path_factory, t
     tried(text, path, use)
 
 
-@settings(max_examples=60)
-@given(data=st.data())
-def test_mutated_bounds_are_used_or_refused(identified, data):
+def identify_with_bounds(identified: Path, text: str) -> None:
+    """Identify with a mutated file of bounds."""
     words = ("identify", "two_link", identified / "train.csv", "-o", identified / "bounded")
-    commanded(
-        data.draw(mutated(BOUNDS, toml=True)),
-        identified / "b.toml",
-        lambda path: [*words, "--bounds", path],
-    )
+    commanded(text, identified / "b.toml", lambda path: [*words, "--bounds", path])
+
+
+@settings(max_examples=15)
+@given(text=mutated(BOUNDS, toml=True))
+def test_mutated_bounds_are_used_or_refused(identified, text):
+    identify_with_bounds(identified, text)
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(text=mutated(BOUNDS, toml=True))
+def test_more_mutated_bounds_are_used_or_refused(identified, text):
+    identify_with_bounds(identified, text)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from diagnosis_cases import diagnose, findings_of, noise_ratios, parameters, recordings_of
 
 from excite.recordings import Recording
@@ -20,6 +21,7 @@ def misread(recording: Recording) -> Recording:
     return dataclasses.replace(recording, q=q)
 
 
+@pytest.mark.slow
 def test_encoder_error_of_high_order_is_no_ripple():
     result = diagnose([misread(recording) for recording in recordings_of(None, (2, 5, 8))])
     assert findings_of(result) == [("encoder_error", 1)]

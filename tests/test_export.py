@@ -14,6 +14,7 @@ import pytest
 import ruckig
 import yaml
 from conftest import document, joint, link
+from slow_tests import slow
 
 import excite
 from excite import exporters
@@ -29,6 +30,8 @@ from excite.trajectory.trajectory_file import Trajectory
 GOLDEN = Path(__file__).parent / "golden"
 TOLERANCE = {"rtol": 0.0, "atol": 1e-9}
 ACCURATE = {"csv", "json", "ros2-joint-trajectory", "ros2-follow-joint-trajectory", "urscript"}
+LONG_FILES = ("vendor:kuka-fri", "franka-csv")
+"""Formats with a row per millisecond, whose files of slow motions take seconds."""
 JOINTS = {
     name: (profile.joints or (6,))[-1] for name, profile in vendor_table.profiles().items()
 } | {"urscript": 6}
@@ -155,8 +158,14 @@ def test_the_motion_of_the_tests_is_continuous() -> None:
             np.testing.assert_allclose(sides[0], sides[1], atol=1e-6)
 
 
-@pytest.mark.parametrize("speed", [1.0, 0.1])
-@pytest.mark.parametrize("name", list(exporters.FORMATS))
+@pytest.mark.parametrize(
+    ("name", "speed"),
+    [
+        slow(name, speed) if name in LONG_FILES and speed < 1.0 else (name, speed)
+        for name in exporters.FORMATS
+        for speed in (1.0, 0.1)
+    ],
+)
 def test_round_trip(name: str, speed: float, tmp_path: Path) -> None:
     trajectory, path = trajectory_for(name), tmp_path / "file"
     if name == "json" and speed != 1.0:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnosis_cases import PSI, RATE, SUBJECT, at_joint, diagnose, diagnosed
+from slow_tests import slow
 from synthetic_recordings import random_fourier, synthetic_recording
 
 from excite.diagnosis.diagnosis_file import document
@@ -56,7 +57,7 @@ def test_error_at_higher_speeds_is_no_change_of_the_robot():
     assert "in one session" not in page
 
 
-@pytest.mark.parametrize("name", [None, "stribeck", "dragging_contact"])
+@pytest.mark.parametrize("name", [None, "stribeck", slow("dragging_contact")])
 def test_motions_of_one_speed_are_not_extrapolated(name):
     content = document(diagnosed(name))
     assert not any(b.is_extrapolated for b in joint_budgets(content, SUBJECT.robot))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 from diagnosis_cases import diagnosed_with_friction, motions, noise_ratios, parameters
 from hypothesis import given
 from hypothesis import strategies as st
@@ -28,6 +29,7 @@ def shear_thinning() -> Diagnosis:
     return diagnosed_with_friction(friction, SHARE)
 
 
+@pytest.mark.slow
 def test_friction_of_slow_motions_holds_at_three_times_their_speed():
     """Along the line through its end, friction was wrong by 100 times the noise there."""
     before, after = noise_ratios(shear_thinning())

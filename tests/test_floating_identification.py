@@ -53,6 +53,17 @@ def plate(folder):
     )
 
 
+@pytest.fixture(scope="module")
+def feet(folder):
+    """Identification from wrenches under both feet and joint torques."""
+    return identify_floating(
+        folder / "biped.urdf",
+        [folder / "plate_feet.csv"],
+        validate=[folder / "validation_feet.csv"],
+        gamma=10.0,
+    )
+
+
 def test_the_wrench_of_another_motion_is_predicted(plate):
     prediction = plate.identification.validations[0]
     assert (prediction.error() < 0.5 * prediction.error("nominal")).all()
@@ -60,6 +71,7 @@ def test_the_wrench_of_another_motion_is_predicted(plate):
     assert plate.identification.model.rows is Rows.BASE
 
 
+@pytest.mark.slow
 def test_gamma_is_chosen_on_the_training_recordings_alone(folder, plate):
     alone = identify_floating(folder / "biped.urdf", [folder / "plate.csv"])
     assert alone.identification.gamma_trials == plate.identification.gamma_trials
@@ -68,13 +80,8 @@ def test_gamma_is_chosen_on_the_training_recordings_alone(folder, plate):
     assert trials[plate.identification.prior.inertial_weight] == min(trials.values())
 
 
-def test_both_rows_identify_bodies_and_friction(folder):
-    result = identify_floating(
-        folder / "biped.urdf",
-        [folder / "plate_feet.csv"],
-        validate=[folder / "validation_feet.csv"],
-        gamma=10.0,
-    ).identification
+def test_both_rows_identify_bodies_and_friction(feet):
+    result = feet.identification
     assert result.model.rows is Rows.BOTH
     prediction = result.validations[0]
     assert (prediction.error()[:6] < 0.6 * prediction.error("nominal")[:6]).all()
@@ -224,10 +231,8 @@ def test_the_saved_model_predicts_as_the_result_does(folder, plate):
 
 
 @pytest.mark.filterwarnings("ignore:.*begins or ends in motion:excite.errors.ExciteWarning")
-def test_joint_torque_is_predicted_with_the_recorded_wrenches(folder):
-    identify_floating(folder / "biped.urdf", [folder / "plate_feet.csv"], gamma=10.0).save(
-        folder / "both"
-    )
+def test_joint_torque_is_predicted_with_the_recorded_wrenches(folder, feet):
+    feet.save(folder / "both")
     predicted = predict(folder / "both" / "model.json", folder / "validation_feet.csv")
     assert predicted.columns[6:] == tuple(
         f"tau.{joint}" for joint in ("left_hip", "left_knee", "right_hip", "right_knee")
@@ -240,6 +245,7 @@ def test_joint_torque_is_predicted_with_the_recorded_wrenches(folder):
 
 
 @pytest.mark.filterwarnings("ignore:.*begins or ends in motion:excite.errors.ExciteWarning")
+@pytest.mark.slow
 def test_the_order_of_wrench_columns_does_not_matter(folder):
     header, *rows = (folder / "validation_feet.csv").read_text(encoding="utf-8").splitlines()
     backward = folder / "backward.csv"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slow_tests import slow
 from synthetic_recordings import (
     PERIOD,
     perturbed_parameters,
@@ -139,7 +140,7 @@ def test_evidence_gives_a_correct_nominal_robot_more_weight(model):
     assert gammas[0] > 3.0 * gammas[1]
 
 
-@pytest.mark.parametrize("gamma", ["heldout", (3.0, 1e-4)])
+@pytest.mark.parametrize("gamma", [slow("heldout"), (3.0, 1e-4)])
 def test_gamma_is_chosen_by_validation_or_used_as_given(model, truth, gamma):
     result = identify(
         model, synthetic_recording(model, truth, random_fourier(2), 4, 0.3), gamma=gamma

@@ -349,6 +349,7 @@ def test_every_estimator_runs(folder, estimator):
     assert json.loads((out / "model.json").read_text())["method"] == estimator
 
 
+@pytest.mark.slow
 def test_the_conic_check_of_a_refined_model_applies_to_its_start(folder):
     """Refined parameters no longer minimise the objective of the conic solver."""
     pytest.importorskip("cvxpy")

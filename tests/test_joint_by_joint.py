@@ -69,6 +69,7 @@ def test_joint_that_stands_still_throughout_a_recording_does_not_count_there():
     assert (np.abs(psi[offset] - PSI[offset]) < 0.05 * COULOMB).all()
 
 
+@pytest.mark.slow
 def test_diagnosis_of_one_file_of_each_joint_predicts_their_motion():
     result = diagnose(
         [*one_file_of_each_joint(1), *one_file_of_each_joint(2), one_after_the_other(3)]

@@ -131,6 +131,7 @@ def test_a_design_that_is_too_large_is_refused_at_once(options, part, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_twelve_joints_are_designed(tmp_path, capsys):
     words = [
         "--no-collision",

@@ -63,5 +63,6 @@ def test_a_simulator_has_no_load():
     np.testing.assert_array_equal(simulator_model(saved, document).psi, saved.psi)
 
 
+@pytest.mark.slow
 def test_recordings_without_a_load_have_none():
     assert not findings_of(diagnosed(0.0))

@@ -5,9 +5,12 @@ from pathlib import Path
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from slow_tests import slow
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 REAL_RECORDINGS = FOLDER.parent.parent / "shared" / "recordings"
+QUICK = ("first_trajectory",)
+"""Notebooks that run within seconds."""
 EXPECTED_TEXT = {"real_machines": "torque_ripple at"}
 """Text that a notebook prints; usually that its trajectory is certified."""
 EXPECTED_FIGURES = {"real_machines": 5}
@@ -20,7 +23,11 @@ EXPECTED_FIGURES = {"real_machines": 5}
     "ignore::DeprecationWarning",
     "ignore::pytest.PytestUnraisableExceptionWarning",
 )
-@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    [p if p.stem in QUICK else slow(p) for p in sorted(FOLDER.glob("*.ipynb"))],
+    ids=lambda p: p.stem,
+)
 def test_notebook_runs(path):
     if path.stem == "real_machines" and not REAL_RECORDINGS.is_dir():
         pytest.skip(f"no real recordings at {REAL_RECORDINGS}")

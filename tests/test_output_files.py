@@ -483,6 +483,7 @@ def test_concurrent_processes_leave_a_complete_set(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="renameat2 is Linux's")
 def test_a_killed_command_leaves_the_old_or_the_new_files() -> None:
     command = [

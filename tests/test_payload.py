@@ -142,6 +142,7 @@ def test_moments_of_inertia_of_a_light_payload_are_not_shown(empty):
     assert "ixx" in result.document()["not_shown"]
 
 
+@pytest.mark.slow
 def test_a_payload_that_was_mounted_differently_is_reported(empty):
     turned = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi), np.zeros(3)).act(BODY)
     first = recording_with(BODY, 2)

@@ -213,6 +213,7 @@ def test_simulated_quantization_residual_has_the_size_of_the_actual_one(tmp_path
     assert (ratio > 0.45).all() and (ratio < 1.8).all()  # less: smoothing is assumed for both
 
 
+@pytest.mark.slow
 def test_rounded_positions_are_no_effect(tmp_path):
     files = []
     for recording in recordings_of(None, (2, 8, 5)):

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import document, link
+from conftest import BUILTIN, document, link
 from conftest import joint as joint_element
 from diagnosis_cases import SUBJECT, recordings_of
 from recording_fixtures import read_with_warnings, two_joint_motion, write_columns
 from shared_inputs import INPUTS, needs_inputs
+from slow_tests import slow
 from synthetic_recordings import write_recording
 
 from excite import api, recordings
@@ -548,8 +549,15 @@ def test_a_clean_simulated_recording_raises_no_doubt():
     assert not recording.doubts and not recording.remarks
 
 
-@pytest.mark.parametrize("name", ["fr3", "iiwa14", "panda", "two_link", "tx40", "ur10e", "ur5e"])
-@pytest.mark.parametrize("setting", [{}, {"rate": 125.0}], ids=["250 Hz", "125 Hz"])
+@pytest.mark.parametrize(
+    ("setting", "name"),
+    [
+        pytest.param(setting, name, marks=[] if name in quick else pytest.mark.slow)
+        for setting, quick in (({}, ("two_link", "tx40", "fr3")), ({"rate": 125.0}, ("ur5e",)))
+        for name in BUILTIN
+    ],
+    ids=lambda value: value if isinstance(value, str) else f"{value.get('rate', 250.0):.0f} Hz",
+)
 def test_a_simulated_builtin_robot_raises_no_doubt(tmp_path, name, setting):
     pytest.importorskip("mujoco", reason="the simulated robot needs pip install 'excite[sim]'")
     trajectory = Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json"
@@ -573,9 +581,9 @@ def test_timestamp_jitter_of_fast_joints_is_no_glitch(tmp_path):
     [
         ("emps", "emps"),
         ("tx40", "tx40"),
-        ("kuka_kr300", "kuka_kr300"),
-        ("lwr4", "lwr4"),
-        ("so101", "so101"),
+        slow("kuka_kr300", "kuka_kr300"),
+        slow("lwr4", "lwr4"),
+        slow("so101", "so101"),
         ("panda_unit2", "panda"),
         ("double_pendulum", "double_pendulum"),
         ("laas_cogging", "motor"),
@@ -614,6 +622,7 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
 # -- diagnosis ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_doubted_recording_names_no_joint(tmp_path):
     """Torque without gravity."""
     model, data = SUBJECT.robot.model, SUBJECT.robot.model.createData()

@@ -63,6 +63,7 @@ def test_the_position_loop_is_fitted_to_the_recorded_torque(model, tmp_path):
     assert result.errors[1].position.max() < 0.02
 
 
+@pytest.mark.slow
 def test_the_lag_of_the_loop_is_found_without_the_delay_of_the_recording(tmp_path):
     delay = {
         "effect": "delay",

@@ -185,6 +185,7 @@ def test_an_impossible_body_is_refused_by_design(tmp_path, capsys):
 
 
 @needs_inputs
+@pytest.mark.slow
 def test_a_robot_without_inertias_gets_nominal_bodies(tmp_path, capsys):
     path = REPORTS / "25-noinertia/ur5e_no_inertial.urdf"
     assert run_cli("design", path, "-o", tmp_path / "none") == 2

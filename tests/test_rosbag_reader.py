@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slow_tests import slow
 
 rosbags = pytest.importorskip("rosbags", reason="bags need pip install 'excite[bags]'")
 
@@ -183,7 +184,7 @@ def test_positions_alone_and_incomplete_arrays(two_link, tmp_path):
     assert len(caught) == 2 and recording.dq is not None and np.isfinite(recording.dq).all()
 
 
-@pytest.mark.parametrize("hashes", range(4))
+@pytest.mark.parametrize("hashes", [0, 1, slow(2), slow(3)])
 def test_messages_with_efforts_precede_those_with_velocities(tmp_path, hashes):
     """Whatever the order of a set, which the seed of Python's hashes decides."""
     rows = [
@@ -290,6 +291,7 @@ def logged_bag(tmp_path_factory) -> tuple[Path, float, tuple[float, float]]:
     return path, period, (start + 5.0 - stamps[0], end + 5.0 - stamps[0])
 
 
+@pytest.mark.slow
 def test_directions_of_a_bag_do_not_depend_on_what_is_stated(logged_bag):
     from excite import api
 

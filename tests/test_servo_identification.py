@@ -114,6 +114,7 @@ def test_an_unseen_motion_is_replayed(identified):
     assert replay.error("command")[0] > 0.1
 
 
+@pytest.mark.slow
 def test_stated_gains_replace_the_scale_of_the_description(pendulum: Path):
     stated = excite.identify_servo(
         pendulum / "servo.urdf", [pendulum / "first.csv"], gains=(2.0 * TRUTH["gain"], 0.0)
@@ -147,6 +148,7 @@ def test_the_model_is_predicted_replayed_and_exported(identified, pendulum: Path
     assert "no torque was recorded" in exported
 
 
+@pytest.mark.slow
 def test_the_command_identifies_from_positions_where_no_torque_was_recorded(
     pendulum: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -242,6 +244,7 @@ def test_speeds_balance_friction_of_any_size():
     assert np.abs(balance).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_an_arm_is_identified_from_its_motion_in_mujoco():
     pytest.importorskip("mujoco")
     model, psi = two_link()

@@ -18,11 +18,13 @@ from diagnosis_cases import (
     added_torque,
     at_joint,
     diagnose,
+    diagnosed,
     findings_of,
     friction_sign,
     noise_ratios,
     recording_of,
 )
+from slow_tests import slow
 from synthetic_recordings import random_fourier, synthetic_recording
 
 from excite._types import FloatArray
@@ -47,16 +49,15 @@ def with_friction(recording: Recording, change: FloatArray) -> Recording:
 
 
 @cache
-def diagnosed_sessions(name: str | None, factor: float = 1.0) -> Diagnosis:
+def diagnosed_sessions(name: str | None) -> Diagnosis:
     """Return the diagnosis of a robot whose friction differs in the held-out session.
 
     Args:
         name: Hidden effect; None: none.
-        factor: Factor on the change of friction.
     """
     effect = None if name is None else HIDDEN[name].torque
     changes = HELD_OUT_CHANGES.items()
-    return diagnose([with_friction(recording_of(effect, s), factor * c) for s, c in changes])
+    return diagnose([with_friction(recording_of(effect, s), c) for s, c in changes])
 
 
 def assert_changes(result: Diagnosis, expected: Mapping[tuple[str, int], float]) -> None:
@@ -90,6 +91,7 @@ def test_a_change_of_the_held_out_session_is_reported_and_no_effect():
     assert noise_ratios(result)[1][0] > 2.0
 
 
+@pytest.mark.slow
 def test_held_out_torque_is_predicted_with_the_mean_friction_of_the_sessions():
     """The friction of the held-out session is the mean of both training sessions."""
     recordings = [
@@ -103,7 +105,9 @@ def test_held_out_torque_is_predicted_with_the_mean_friction_of_the_sessions():
     assert (result.model.change_scale > 0.3).all()
 
 
-@pytest.mark.parametrize("name", ["stribeck", "torque_ripple", "position_friction", "coupling"])
+@pytest.mark.parametrize(
+    "name", ["stribeck", *map(slow, ("torque_ripple", "position_friction", "coupling"))]
+)
 def test_an_effect_is_reported_although_friction_differs(name):
     result = diagnosed_sessions(name)
     assert findings_of(result) == [(name, HIDDEN[name].joint)]
@@ -113,6 +117,7 @@ def test_an_effect_is_reported_although_friction_differs(name):
 
 
 @pytest.mark.parametrize("change", [0.0, 0.5])
+@pytest.mark.slow
 def test_a_recording_in_which_a_joint_creeps_does_not_change_its_friction(change):
     """At one slow speed in one direction, offset and friction cannot be told apart.
 
@@ -138,6 +143,7 @@ def test_a_recording_in_which_a_joint_creeps_does_not_change_its_friction(change
 
 
 @pytest.mark.parametrize("name", ["stribeck", "position_friction"])
+@pytest.mark.slow
 def test_an_effect_is_reported_and_saved_although_offsets_differ_between_sessions(name):
     """The mean error of a session to which a model is not fitted says nothing about an effect."""
     recordings = [
@@ -150,9 +156,9 @@ def test_an_effect_is_reported_and_saved_although_offsets_differ_between_session
     assert_offsets(result, {"2.csv": -1.5, "8.csv": 1.5})
 
 
-@pytest.mark.parametrize("name", [None, "stribeck", "asymmetric_viscous"])
+@pytest.mark.parametrize("name", [None, "stribeck", slow("asymmetric_viscous")])
 def test_no_change_is_reported_within_one_session(name):
-    assert not diagnosed_sessions(name, 0.0).changes
+    assert not diagnosed(name).changes
 
 
 def test_the_report_states_session_changes():
@@ -161,7 +167,7 @@ def test_the_report_states_session_changes():
     assert result.verdict in ("no-mismatch", "unexplained")
 
 
-@pytest.mark.parametrize("planted", [True, False])
+@pytest.mark.parametrize("planted", [True, slow(False)])
 def test_recordings_at_different_speeds_show_an_effect_and_no_session_changes(planted):
     """Separate Coulomb and viscous friction of each recording would explain most of a nonlinear
     friction."""
@@ -183,6 +189,7 @@ def test_recordings_at_different_speeds_show_an_effect_and_no_session_changes(pl
     assert (noise_ratios(result)[1] < 1.3).all()
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_a_change_is_that_of_its_recording():
     """Changes of friction of a robot that does not change are within their standard errors."""
     ratios = list[float]()
@@ -200,7 +207,7 @@ def test_the_uncertainty_of_a_change_is_that_of_its_recording():
 def test_coloured_noise_of_a_short_recording_is_no_change(seconds):
     """White noise that was averaged over half a second hardly ever looks like a change."""
     rng = np.random.default_rng(seconds)
-    held_out = diagnosed_sessions(None, 0.0).held_out
+    held_out = diagnosed(None).held_out
     time = np.concatenate([motion.time for motion in held_out.motions])
     moving = held_out.moving & (time - time[0] < seconds)[:, None]
     width, significant = int(0.5 / np.median(np.diff(time))), list[bool]()
@@ -212,7 +219,7 @@ def test_coloured_noise_of_a_short_recording_is_no_change(seconds):
     assert len(significant) == 200 and sum(significant) <= 2
 
 
-@pytest.mark.parametrize(("change", "verdict"), [(0.0, "same"), (2.0, "undecided")])
+@pytest.mark.parametrize(("change", "verdict"), [slow(0.0, "same"), (2.0, "undecided")])
 def test_a_change_that_a_short_recording_cannot_show_is_undecided(change, verdict):
     """Four seconds, without the ends of the filter, are four blocks, and one more than there are
     parameters."""

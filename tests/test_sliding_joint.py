@@ -83,6 +83,7 @@ def test_forces_and_positions_have_the_units_of_a_sliding_joint(tmp_path, capsys
     assert " m, " in line and " N " in line and "rad" not in line and "N m" not in line
 
 
+@pytest.mark.slow
 def test_the_wave_of_a_ball_screw_is_found(tmp_path):
     def wave(q: FloatArray, dq: FloatArray) -> FloatArray:
         return 3.0 * np.cos(2.0 * np.pi * q / LEAD + 0.7)
@@ -94,6 +95,7 @@ def test_the_wave_of_a_ball_screw_is_found(tmp_path):
     assert result.held_out.rmse_after < 0.3 * result.held_out.rmse_before
 
 
+@pytest.mark.slow
 def test_the_friction_of_a_tight_spot_is_found(tmp_path):
     def spot(q: FloatArray, dq: FloatArray) -> FloatArray:
         return 6.0 * np.cos(2.0 * np.pi * q / 0.15) * np.tanh(dq / WIDTH)
@@ -103,6 +105,7 @@ def test_the_friction_of_a_tight_spot_is_found(tmp_path):
     assert result.held_out.rmse_after < 0.1 * result.held_out.rmse_before
 
 
+@pytest.mark.slow
 def test_presliding_over_a_fraction_of_a_millimetre_is_found(tmp_path):
     """Friction that builds up over 0.3 mm instead of with the speed."""
 
@@ -166,6 +169,7 @@ def record_quill(path: Path, seed: int, travel: float = 0.09) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_screw_that_two_joints_turn_is_a_coupling(tmp_path):
     """Its ratio is a length, three millimetres, and no number near 1."""
     robot = tmp_path / "quill.urdf"
@@ -180,6 +184,7 @@ def test_a_screw_that_two_joints_turn_is_a_coupling(tmp_path):
     assert (result.held_out.rmse_after < 0.2 * result.held_out.rmse_before).all()
 
 
+@pytest.mark.slow
 def test_a_sliding_joint_may_stand_still_in_the_fitted_recordings(tmp_path):
     """No shaft is tried that both joints turn, and its friction is said to be unknown."""
     robot = tmp_path / "quill.urdf"

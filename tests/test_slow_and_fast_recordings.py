@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from diagnosis_cases import (
     COULOMB,
     NOISE,
@@ -47,6 +48,7 @@ def recording(fourier: FourierSeries, seed: int) -> Recording:
     return dataclasses.replace(plain, tau=plain.torque + hidden + noise, source=f"{seed}.csv")
 
 
+@pytest.mark.slow
 def test_what_one_joint_cannot_predict_hides_no_effect_of_another():
     motions = {7: slow_wave(7), 3: random_fourier(2, 3), 5: random_fourier(2, 5)}
     result = diagnose([recording(fourier, seed) for seed, fourier in motions.items()])

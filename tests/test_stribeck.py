@@ -35,6 +35,9 @@ FORMS = {
     "rational": lambda x: 1.0 / (1.0 + (np.e - 1.0) * x**2),
 }
 
+SLOW = ("gaussian", "rational")
+"""Forms whose tests are slow."""
+
 
 class SlowReversals(FourierSeries):
     """A motion with slow reversals: a speed v becomes v³/(v² + c²)."""
@@ -68,7 +71,7 @@ def diagnosed_form(form: str) -> Diagnosis:
 
 @pytest.mark.parametrize(
     "form",
-    known_failures(FORMS, {"gaussian": "nonlinear viscous friction is found too"}),
+    known_failures(FORMS, {"gaussian": "nonlinear viscous friction is found too"}, SLOW),
 )
 def test_stribeck_friction_of_any_form_is_the_only_finding(form):
     assert findings_of(diagnosed_form(form)) == [("stribeck", 0)]
@@ -76,7 +79,7 @@ def test_stribeck_friction_of_any_form_is_the_only_finding(form):
 
 @pytest.mark.parametrize(
     "form",
-    known_failures(FORMS, {"gaussian": "amplitude 4.8 N m, true 1.5 N m"}),
+    known_failures(FORMS, {"gaussian": "amplitude 4.8 N m, true 1.5 N m"}, SLOW),
 )
 def test_slow_reversals_determine_the_size_of_stribeck_friction(form):
     estimates = parameters(diagnosed_form(form), "stribeck", 0)
@@ -84,6 +87,6 @@ def test_slow_reversals_determine_the_size_of_stribeck_friction(form):
     assert estimates["velocity"][0] == pytest.approx(VELOCITY, rel=0.05)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", known_failures(FORMS, {}, SLOW))
 def test_slow_motion_is_predicted_to_the_noise(form):
     assert (noise_ratios(diagnosed_form(form))[1] < 1.4).all()

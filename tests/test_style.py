@@ -7,6 +7,8 @@ import sys
 import types
 from pathlib import Path
 
+import pytest
+
 import excite
 from excite import api
 
@@ -36,6 +38,7 @@ def test_the_public_interface_is_importable_and_documented():
     assert set(excite.__all__) == offered  # of which type checkers know
 
 
+@pytest.mark.slow
 def test_readme_script_runs(tmp_path, monkeypatch):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     script = text.split("```python\n", 1)[1].split("```", 1)[0]

@@ -153,6 +153,7 @@ def test_bodies_keep_their_clearance_from_each_other_and_the_ground(designed):
         assert near.proven >= near.pair.margin
 
 
+@pytest.mark.slow
 def test_an_obstacle_in_the_way_is_kept_clear_of(walker, table, folder, designed):
     """A ball in the world where the hand passes in the motion without it."""
     model, motion = designed.design.cell.robot.model, designed.samples[0]

@@ -166,6 +166,7 @@ def test_the_command_reports_the_band_before_and_after(
     assert main(["verify", str(second / "trajectory.json")]) == 0
 
 
+@pytest.mark.slow
 def test_the_text_states_what_was_optimised(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path, out = write_task(tmp_path), tmp_path / "out"
     assert main(["design", "two_link", "--for", str(path), "-o", str(out), *QUICK]) == 0

@@ -23,6 +23,7 @@ from diagnosis_cases import (
     recordings_of,
 )
 from scipy import integrate, signal
+from slow_tests import slow
 
 from excite._types import FloatArray
 from excite.diagnosis import fitted_effects
@@ -71,7 +72,7 @@ def diagnosed_warmer(dry: bool) -> Diagnosis:
     return diagnose(warmer_recordings(dry))
 
 
-@pytest.mark.parametrize("dry", [True, False])
+@pytest.mark.parametrize("dry", [True, slow(False)])
 def test_temperature_dependent_friction_predicts_a_warmer_recording(dry):
     result = diagnosed_warmer(dry)
     before, after = noise_ratios(result)
@@ -79,7 +80,7 @@ def test_temperature_dependent_friction_predicts_a_warmer_recording(dry):
     assert after[0] < 1.3 and before[0] > 1.5
 
 
-@pytest.mark.parametrize("dry", [True, False])
+@pytest.mark.parametrize("dry", [True, slow(False)])
 def test_the_temperature_and_not_time_is_the_cause(dry):
     (finding, *_) = document(diagnosed_warmer(dry))["findings"]
     assert finding["where"]["statement"] == "joint 'joint_1': friction changes with temperature"
@@ -102,6 +103,7 @@ def test_a_prediction_needs_the_temperature_column():
         fitted_effects.predict(model, dataclasses.replace(warm, temperature=None))
 
 
+@pytest.mark.slow
 def test_self_heating_follows_the_power_of_friction():
     """T ϑ̇ = p/p̄ − ϑ over motions that start and end at rest; a model of run time alone would have
     another time constant."""
@@ -136,6 +138,7 @@ def self_heating(motion: RecordedMotion, constant: float) -> CandidateModel:
     return shape.nonlinear.at(constant)
 
 
+@pytest.mark.slow
 def test_friction_that_follows_its_power_within_half_a_second_is_no_thermal_drift():
     """Heat takes longer: the cause is not known."""
     recordings = recordings_of(None)

@@ -22,6 +22,7 @@ from diagnosis_cases import (
     recordings_of,
 )
 from scipy import signal
+from slow_tests import slow
 
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.identification.lowpass import Grid, LowPassFilter
@@ -65,7 +66,7 @@ def diagnosed_filtered(effect: str | None) -> Diagnosis:
     )
 
 
-@pytest.mark.parametrize("effect", [None, "stribeck"])
+@pytest.mark.parametrize("effect", [slow(None), "stribeck"])
 def test_filtered_torque_is_reported_as_a_delay_and_hides_no_effect(effect):
     result = diagnosed_filtered(effect)
     expected = {("delay", None), *([(effect, HIDDEN[effect].joint)] if effect else [])}
@@ -75,7 +76,7 @@ def test_filtered_torque_is_reported_as_a_delay_and_hides_no_effect(effect):
     assert abs(value - keep / (1.0 - keep) / RATE) < max(2.0 * std, 1e-3)  # of the discrete filter
 
 
-@pytest.mark.parametrize("effect", [None, "stribeck"])
+@pytest.mark.parametrize("effect", [slow(None), "stribeck"])
 def test_filtered_torque_is_predicted(effect):
     assert (noise_ratios(diagnosed_filtered(effect))[1] < 1.6).all()
 
@@ -101,6 +102,7 @@ DELAYED: dict[str, tuple[float, Effect]] = {
             "torque_ripple": "a delay of all joints, and nonlinear viscous friction of joint 1",
             "hysteresis": "a delay of all joints is found too",
         },
+        DELAYED,
     ),
 )
 def test_an_effect_is_reported_jointly_with_the_delay_of_its_joint(effect):

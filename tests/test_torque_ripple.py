@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slow_tests import slow
 from synthetic_recordings import sum_of_sines, write_joint_recording
 
 import excite
@@ -35,7 +36,7 @@ def record(path: Path, seed: int) -> Path:
     return write_joint_recording(path, "table", t, q, torque)
 
 
-@pytest.fixture(scope="module", params=[1, 3])
+@pytest.fixture(scope="module", params=[slow(1), 3])
 def result(request, tmp_path_factory) -> excite.DiagnosisResult:
     folder = tmp_path_factory.mktemp("ripple")
     robot = folder / "turntable.urdf"

@@ -19,6 +19,7 @@ from diagnosis_cases import (
     pushed,
     recording_of,
 )
+from slow_tests import slow
 from synthetic_recordings import PERIOD
 
 from excite.diagnosis.diagnosis import Diagnosis
@@ -44,6 +45,7 @@ def test_a_contact_is_located_in_time():
     assert {model.source for model in finding.models} == {"2.csv"}
 
 
+@pytest.mark.slow
 def test_a_lasting_contact_in_the_only_recording_is_found():
     """A refit of the base model takes much of its torque: the residual hardly stands out."""
     start, end = 2.0, 8.0
@@ -55,22 +57,28 @@ def test_a_lasting_contact_in_the_only_recording_is_found():
     assert model.interval == pytest.approx((start, end), abs=0.1)
 
 
-def test_a_contact_is_one_finding_of_one_model():
-    for name in ("contact", "dragging_contact", "contact_of_a_period"):
-        (finding,) = diagnosed(name).findings
-        assert len(finding.models) == 1
+@pytest.mark.parametrize(
+    "name", ["contact", *map(slow, ("dragging_contact", "contact_of_a_period"))]
+)
+def test_a_contact_is_one_finding_of_one_model(name):
+    (finding,) = diagnosed(name).findings
+    assert len(finding.models) == 1
 
 
-def test_a_contact_does_not_count_as_noise():
+@pytest.mark.parametrize(
+    ("name", "largest_ratio"), [("contact", 1.2), slow("contact_of_a_period", 4.0)]
+)
+def test_a_contact_does_not_count_as_noise(name, largest_ratio):
     floor = diagnosed(None).noise.floor
-    assert (diagnosed("contact").noise.floor < 1.2 * floor).all()
-    assert (diagnosed("contact_of_a_period").noise.floor < 4.0 * floor).all()
+    assert (diagnosed(name).noise.floor < largest_ratio * floor).all()
 
 
+@pytest.mark.slow
 def test_torque_that_recurs_with_the_period_is_no_contact():
     assert "contact" not in {effect for effect, _ in findings_of(recurring_push())}
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(
     strict=True, reason="named spring and position friction; 105 noise floors, base model 13"
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +23,7 @@ from diagnosis_cases import (
     recordings_of,
 )
 from scipy.interpolate import CubicSpline
+from slow_tests import slow
 from synthetic_recordings import pinocchio_model, rnea_torque
 
 import excite
@@ -52,8 +54,21 @@ def changed(places: dict[int, float]) -> list[Recording]:
     return [added_torque(r, parameter_torque(r, change)) for r in recordings_of(None)]
 
 
+@cache
+def with_true_prior() -> Diagnosis:
+    """Return the diagnosis of the robot without effects, with its parameters as the prior."""
+    return diagnose(recordings_of(None), prior=TRUSTED)
+
+
+@cache
+def with_load(mass: float) -> Diagnosis:
+    """Return the diagnosis of the robot with a load of some mass [kg] on its last link."""
+    load = mass * np.array([1.0, 0.05, 0.02, 0.1])  # mass and first moments
+    return diagnose(changed(dict(zip(range(10, 14), load, strict=True))), prior=TRUSTED)
+
+
 def test_nothing_is_found_where_the_prior_is_right():
-    result = diagnose(recordings_of(None), prior=TRUSTED)
+    result = with_true_prior()
     assert result.verdict == "no-mismatch" and not findings_of(result)
 
 
@@ -62,22 +77,28 @@ def doubts(result: Diagnosis) -> str:
     return prior_words(joint_budgets(document(result), SUBJECT.robot))
 
 
+HEAVIER = dict(enumerate(0.4 * PSI[:20]))
+"""Change of the parameters of both links."""
+
+
 def test_a_prior_of_another_robot_is_in_doubt():
     """The links of the robot are 1.4 times as heavy; no single effect of the catalogue is that."""
-    heavier = dict(enumerate(0.4 * PSI[:20]))
-    result = diagnose(changed(heavier), prior=TRUSTED)
+    result = diagnose(changed(HEAVIER), prior=TRUSTED)
     assert "in doubt" in doubts(result)
     assert not [effect for effect, _ in findings_of(result) if EFFECTS_BY_NAME[effect].prior_only]
-    assert not doubts(diagnose(changed(heavier)))
+
+
+@pytest.mark.slow
+def test_without_a_prior_no_prior_is_in_doubt():
+    assert not doubts(diagnose(changed(HEAVIER)))
 
 
 def test_a_prior_that_holds_is_not_in_doubt():
-    assert not doubts(diagnose(recordings_of(None), prior=TRUSTED))
-    load = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])
-    loaded = changed(dict(zip(range(10, 14), load, strict=True)))
-    assert not doubts(diagnose(loaded, prior=TRUSTED))
+    assert not doubts(with_true_prior())
+    assert not doubts(with_load(0.4))
 
 
+@pytest.mark.slow
 def test_a_joint_that_stands_still_keeps_a_finite_friction_next_to_trusted_inertias():
     """Its viscous friction, which the prior does not state, has no column in the fit."""
     moving = recordings_of(None)
@@ -93,6 +114,7 @@ def test_a_joint_that_stands_still_keeps_a_finite_friction_next_to_trusted_inert
     assert noise_ratios(result)[1][0] < 1.5
 
 
+@pytest.mark.slow
 def test_an_offset_is_found_that_a_refit_absorbs():
     recordings = changed({SUBJECT.parameters.block("offset").start + 1: 1.0})
     assert not findings_of(diagnose(recordings))
@@ -108,7 +130,7 @@ def test_a_rotor_inertia_is_found_that_a_refit_absorbs():
     assert parameters(result, "rotor_inertia", 0)["inertia"][0] == pytest.approx(0.2, rel=0.05)
 
 
-@pytest.mark.parametrize("change", [-0.08, 0.25])
+@pytest.mark.parametrize("change", [-0.08, slow(0.25)])
 def test_a_torque_gain_is_found_and_predicted(change):
     recordings = recordings_of(lambda t, q, dq, tau: at_joint(1, change * tau[:, 1]))
     result = diagnose(recordings, prior=TRUSTED)
@@ -119,6 +141,7 @@ def test_a_torque_gain_is_found_and_predicted(change):
 
 
 @pytest.mark.parametrize("mass", [-0.3, 0.0])
+@pytest.mark.slow
 def test_a_tool_that_was_taken_off_or_turned_is_a_payload(mass):
     """The last link lost a body, or carries it elsewhere: only its first moments differ."""
     moments = mass * np.array([0.05, 0.02, 0.1]) if mass else np.array([0.06, -0.05, 0.0])
@@ -133,7 +156,7 @@ def test_a_tool_that_was_taken_off_or_turned_is_a_payload(mass):
 
 def test_a_model_as_prior_keeps_its_widths_of_coulomb_friction():
     """They belong to its friction: other ones would change the torque that it states."""
-    saved = diagnose(recordings_of(None))
+    saved = diagnosed(None)
     model = dataclasses.replace(
         fitted_effects.read_back(saved.document), widths=np.array([0.05, 0.1])
     )
@@ -144,10 +167,9 @@ def test_a_model_as_prior_keeps_its_widths_of_coulomb_friction():
     assert list(stated.values()) == model.widths.tolist()
 
 
-@pytest.mark.parametrize("mass", [0.4, 4.0])
+@pytest.mark.parametrize("mass", [0.4, slow(4.0)])
 def test_a_payload_is_found_and_trusted_parameters_are_kept(mass):
-    load = mass * np.array([1.0, 0.05, 0.02, 0.1])  # mass and first moments of the last link
-    result = diagnose(changed(dict(zip(range(10, 14), load, strict=True))), prior=TRUSTED)
+    result = with_load(mass)
     assert findings_of(result) == [("payload", 1)]
     assert parameters(result, "payload", 1)["mass"][0] == pytest.approx(mass, rel=0.1)
     (saved,) = (e for e in result.final.effects if e.shape.effect == "payload")
@@ -190,7 +212,7 @@ def test_effects_of_the_prior_are_no_findings(tmp_path):
     assert (third.held_out.rmse_after < 1.2 * second.held_out.rmse_after).all()
 
 
-@pytest.mark.parametrize(("roll", "pitch"), [(0.004, -0.006), (-0.3, 0.2)])
+@pytest.mark.parametrize(("roll", "pitch"), [(0.004, -0.006), slow(-0.3, 0.2)])
 def test_the_tilt_of_the_base_is_estimated_with_its_sign(roll, pitch):
     upright = pinocchio_model(SUBJECT, PSI)
     tilted = upright.copy()
@@ -232,6 +254,7 @@ def test_a_tilt_keeps_the_magnitude_of_gravity():
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e"])
+@pytest.mark.slow
 def test_a_payload_is_no_rotor_inertia(name, tmp_path):
     """Only a payload is hidden; the prior file states the joint actuators exactly."""
     pytest.importorskip("mujoco")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import NOISE, added_torque, at_joint, diagnose, findings_of, recordings_of
 from scipy import signal
+from slow_tests import slow
 
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.flexible_models import EXPERIMENTS
@@ -54,8 +55,13 @@ def snag_torque(recording: Recording) -> np.ndarray:
 
 
 TORQUES = {"resonance": oscillator_torque, "dent": dent_torque, "snag": snag_torque}
+RESONANT = slow("resonance")
 SNAG = pytest.param(
-    "snag", marks=pytest.mark.xfail(strict=True, reason="a spring is named, and the rest unknown")
+    "snag",
+    marks=[
+        pytest.mark.slow,
+        pytest.mark.xfail(strict=True, reason="a spring is named, and the rest unknown"),
+    ],
 )
 
 
@@ -73,7 +79,7 @@ def entry_of(name: str) -> UnmodelledTorque:
     return entry
 
 
-@pytest.mark.parametrize("name", ["resonance", "dent", SNAG])
+@pytest.mark.parametrize("name", [RESONANT, "dent", SNAG])
 def test_torque_outside_the_catalogue_is_unknown_and_not_named(name):
     assert entry_of(name).joint == 1 and entry_of(name).probability > 0.9
     assert not [effect for effect, joint in findings_of(result_of(name)) if joint == 1]
@@ -85,6 +91,7 @@ def test_its_size_is_that_of_the_torque(name):
     assert 0.5 * SIZE < entry_of(name).size < 1.1 * SIZE
 
 
+@pytest.mark.slow
 def test_a_resonance_is_found_with_its_frequency():
     entry = entry_of("resonance")
     assert entry.regime.startswith("past") and entry.response.relative
@@ -97,7 +104,7 @@ def test_a_dent_is_found_at_its_place():
     assert entry.response.x[np.argmax(entry.response.y)] == pytest.approx(PLACE, abs=0.06)
 
 
-@pytest.mark.parametrize("name", ["resonance", "dent", SNAG])
+@pytest.mark.parametrize("name", [RESONANT, "dent", SNAG])
 def test_the_report_says_which_experiment_shows_it(name):
     assert entry_of(name).experiment == EXPERIMENTS[entry_of(name).regime]
 
@@ -109,7 +116,7 @@ def test_the_saved_model_does_not_contain_it():
     }
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [slow(0), slow(1), 2])
 def test_coloured_noise_is_not_unknown_torque(seed):
     rng = np.random.default_rng(seed)
     recordings = []

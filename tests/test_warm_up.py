@@ -70,6 +70,7 @@ def test_saved_warm_up_predicts_the_next_recording():
     assert (after < 1.4).all() and before[0] > 1.5
 
 
+@pytest.mark.slow
 def test_without_a_clock_nothing_predicts_worse_than_the_base_model():
     before, after = noise_ratios(session(is_one_clock=False))
     assert (after <= 1.05 * np.maximum(before, 1.0)).all()

@@ -14,17 +14,18 @@ import pinocchio as pin
 import pytest
 from conftest import BUILTIN, document, link
 from conftest import joint as joint_element
-from diagnosis_cases import SUBJECT, recordings_of
+from diagnosis_cases import PSI, SUBJECT, recordings_of
 from recording_fixtures import read_with_warnings, two_joint_motion, write_columns
 from shared_inputs import INPUTS, needs_inputs
 from slow_tests import slow
-from synthetic_recordings import write_recording
+from synthetic_recordings import random_fourier, synthetic_recording, write_recording
 
 from excite import api, recordings
 from excite.api.identification_result import read_both
 from excite.cli.main import main
 from excite.errors import UnusableInput
 from excite.identification import nominal_comparison, torque_check
+from excite.identification.exchanged_torque import find_exchange
 from excite.recordings import Recording, RemarkKind
 from excite.robot.dynamics import inverse_dynamics
 from excite.robot.limits import resolve
@@ -285,6 +286,23 @@ def test_exchanged_torques_are_named_where_the_robot_description_is_poor():
         changed = exchanged(recording, 0, 1, "tau")
         (doubt,) = torque_check.check_torque(changed, robot, resolve(robot)).doubts
     assert doubt.kind is RemarkKind.EXCHANGED and "'joint_1' and 'joint_2'" in doubt.text
+
+
+def test_a_torque_that_is_recorded_twice_is_no_exchange():
+    """The copy belongs to the other joint, but the noisy original does not belong to its joint."""
+    fourier = random_fourier(2, 5)
+    moving = np.array([[1.0], [0.0]])
+    fourier = dataclasses.replace(
+        fourier, sine=moving * fourier.sine, cosine=moving * fourier.cosine
+    )
+    recording = synthetic_recording(SUBJECT, PSI, fourier, 4.0, 0.02, 200.0)
+    motion, first = fourier.samples(recording.t), recording.torque[:, 0]
+    noise = 0.3 * first.std() * np.random.default_rng(5).normal(size=len(first))
+    torque = np.column_stack([first + noise, first])
+    assert find_exchange(SUBJECT.robot, motion, torque, 1.0) is None
+    own = np.column_stack([first + noise, recording.torque[:, 1]])
+    exchange = find_exchange(SUBJECT.robot, motion, own[:, ::-1], 1.0)
+    assert exchange is not None and (exchange.first, exchange.second) == (0, 1)
 
 
 @pytest.mark.parametrize(("first", "second"), [(4, 5), (1, 2)])

@@ -92,7 +92,9 @@ def find_exchange(
         after = _errors(equations, order, noise, independent) / size[order] + ROUNDING
         pair = [first, second]
         gain = 0.5 * float(np.log(before / after).sum())
-        if gain > best_gain and after[pair].max() < MAX_UNEXPLAINED:
+        # each of the two torques must belong to the other joint, not one of them alone
+        are_exchanged = bool((after[pair[::-1]] < before[pair]).all())
+        if gain > best_gain and are_exchanged and after[pair].max() < MAX_UNEXPLAINED:
             best, best_gain = TorqueExchange(first, second, before[pair], after[pair]), gain
     return best
 

@@ -34,10 +34,10 @@ from excite import effects
 from excite._types import FloatArray
 from excite.cli import main as main_module
 from excite.cli.diagnose import diagnosis_text
-from excite.diagnosis import estimates, posterior
+from excite.diagnosis import estimates, joint_model, posterior
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
-from excite.effects import EFFECTS_BY_NAME, nonlinear_viscous
+from excite.effects import EFFECTS_BY_NAME, nonlinear_viscous, recorded_motion
 from excite.errors import UnusableInput
 from excite.robot.samples import Samples
 from excite.trajectory.fourier import FourierSeries
@@ -337,6 +337,14 @@ def test_a_short_recording_is_refused():
     short = dataclasses.replace(held_out.between(0.0, 0.6), sidecar=sidecar)
     with pytest.raises(UnusableInput, match=r"short|stretch"):
         diagnose([train, short])
+
+
+def test_a_stretch_of_more_than_the_stated_length_is_used():
+    identified, segment = diagnosed(None).identified, motions()[0].segment
+    needed = recorded_motion.needed_samples(segment.band(10.0))
+    for count, used in ((needed, 0), (needed + 1, 1)):
+        parts = joint_model.identified_motions(identified, [segment.head(count)], 10.0)
+        assert len(parts) == used
 
 
 def test_a_recording_without_a_long_enough_stretch_is_refused():

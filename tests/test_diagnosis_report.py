@@ -29,6 +29,7 @@ from excite.diagnosis.probability import Probability
 from excite.effects import EFFECTS_BY_NAME
 from excite.recordings import Remark, RemarkKind
 from excite.report import diagnosis_page
+from excite.report import verdict as verdict_module
 from excite.report.figures.diagnosis import draw_budget
 from excite.report.figures.trajectory import short_names
 from excite.report.formatting import number, significant, value_with_error
@@ -195,6 +196,13 @@ def test_base_parameters_that_were_fitted_jointly_are_a_part_of_the_budget() -> 
     assert "more than 1.2 times the noise at joint_2" in banners
     assert "each joint alone" in banners and "nothing is needed" not in banners
     assert answer(page, "what") == "No finding: no known effect explains the error that remains."
+    budgets = joint_budgets(stated, result.identified.model.robot)
+    assert verdict_module.tone(stated, budgets) == "warn"
+    within = [dataclasses.replace(b, after=b.floor, before=b.floor) for b in budgets]
+    assert verdict_module.tone(stated, within) == "good"
+    assert verdict_module.verdict_words(stated, within).startswith("the base model lacks nothing")
+    fast = [dataclasses.replace(b, speed_ratio=3.0) for b in budgets]
+    assert verdict_module.verdict_words(stated, fast).startswith("no effect is found")
     printed = diagnosis_text(stated, result.identified.model.robot, [])
     assert "more than 1.2 times the noise at joint_2" in printed
     assert "base parameters fitted jointly" in draw_budget([mostly])

@@ -26,7 +26,7 @@ from excite.errors import ExciteWarning, UnusableInput
 from excite.identification import torque_check
 from excite.recordings import RemarkKind
 from excite.robot.limits import resolve
-from excite.robot.robot import locate
+from excite.robot.robot import Robot, locate
 
 
 def written(path: Path, content: bytes) -> Path:
@@ -283,7 +283,7 @@ def test_wrong_torque_of_a_joint_is_remarked_there(
     assert all(joint in text and part in text for text in texts)
 
 
-def test_a_torque_limit_that_cannot_hold_the_robot_is_doubted_and_not_the_torque(
+def test_a_torque_limit_that_cannot_hold_the_robot_is_no_doubt_about_its_torque(
     torque_columns, two_link, tmp_path, capsys
 ):
     robot, limits = tmp_path / "robot.urdf", tmp_path / "limits.toml"
@@ -338,7 +338,7 @@ def test_torque_that_may_be_constant_is_not_doubted(torque_columns, two_link, tm
 
 
 @pytest.mark.parametrize("value", [0.0, 3.3])
-def test_torque_of_one_value_in_several_stretches_is_warned_of(
+def test_torque_of_one_repeated_value_is_warned_of(
     value, torque_columns, two_link, tmp_path, capsys
 ):
     """Five stretches of 6 rows; also of 0 where all other torque is positive."""
@@ -349,7 +349,7 @@ def test_torque_of_one_value_in_several_stretches_is_warned_of(
     cli.main(["identify", "two_link", str(path), "-o", str(tmp_path / "out")])
     text = f"joint 'joint_2': tau is {value:g} N m in 30 rows of its motion"
     err = capsys.readouterr().err
-    assert text in err and "in 5 stretches of up to 6 rows" in err
+    assert text in err and "no other value in more than 1;" in err
     assert not recordings.read(path, two_link).doubts
     for name, values in torque_columns.items():  # at rest, any torque is constant
         torque_columns[name] = np.concatenate([values, np.full(400, values[-1])])
@@ -359,6 +359,29 @@ def test_torque_of_one_value_in_several_stretches_is_warned_of(
     remarks = recordings.read(path, two_link).remarks
     repeated = [r for r in remarks if r.kind is RemarkKind.REPEATED_TORQUE]
     assert [r.joint for r in repeated] == ["joint_2"] and "30 rows" in repeated[0].text
+
+
+def repeated_torque(columns, robot: Robot, path: Path) -> list[str | None]:
+    """Return the joints whose torque is remarked for one repeated value."""
+    remarks = recordings.read(write_columns(path, columns), robot).remarks
+    return [r.joint for r in remarks if r.kind is RemarkKind.REPEATED_TORQUE]
+
+
+def test_torque_that_is_off_every_other_row_is_warned_of(torque_columns, two_link, tmp_path):
+    torque_columns["tau.joint_2"][::2] = 0.0
+    assert repeated_torque(torque_columns, two_link, tmp_path / "r.csv") == ["joint_2"]
+    for joint in ("joint_1", "joint_2"):  # commanded to move as it does
+        torque_columns[f"qref.{joint}"] = torque_columns[f"q.{joint}"] + 1e-4
+    assert repeated_torque(torque_columns, two_link, tmp_path / "r.csv") == ["joint_2"]
+    torque_columns["qref.joint_2"][:] = 0.3  # commanded to stand: the drive may be off
+    assert repeated_torque(torque_columns, two_link, tmp_path / "r.csv") == []
+
+
+def test_repeated_torque_of_a_joint_at_rest_is_not_remarked(torque_columns, two_link, tmp_path):
+    rng = np.random.default_rng(0)
+    torque_columns["q.joint_2"] = 0.3 + 2e-5 * rng.normal(size=400)
+    torque_columns["tau.joint_2"][:40] = 0.5
+    assert repeated_torque(torque_columns, two_link, tmp_path / "r.csv") == []
 
 
 @pytest.mark.parametrize("distinct", [8, 30, 300])

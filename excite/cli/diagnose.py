@@ -23,6 +23,7 @@ from ..report.torque_budget import (
     known_words,
     origin_words,
     parameter_words,
+    prior_words,
     probability_words,
     sorted_findings,
     undecided_words,
@@ -86,6 +87,8 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
         "and its causes:",
     ]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
+    if doubts and (refuted := prior_words(budgets)):
+        lines += ["", f"{capitalized(refuted)}."]
     for words in filter_words(document), known_words(document):
         lines += ["", words] if words else []
     if document["findings"]:

@@ -86,8 +86,6 @@ class OrderSpectrum:
             low: Smallest order [1/rad or 1/m].
             grows_with_speed: Whether the amplitude grows with the square of the speed.
         """
-        from scipy.fft import next_fast_len  # slow to import
-
         rows = np.flatnonzero(fitted.regression.moving[:, joint])
         angle, speed = (x[rows] for x in angle_and_speed(fitted.motions, joint))
         size = np.ones(len(rows))
@@ -95,7 +93,7 @@ class OrderSpectrum:
             size = (speed / max(float(np.abs(speed).max()), 1e-300)) ** 2
         unit = recorded_motion.radian(fitted.motions, joint)
         place = np.rint((angle - angle.min()) / (ANGLE_BIN * unit)).astype(int)
-        length = next_fast_len(int(ORDER_STEPS * (int(place.max()) + 1)), real=True)
+        length = int(2 ** np.ceil(np.log2(ORDER_STEPS * (int(place.max()) + 1))))
         orders = 2.0 * np.pi * np.arange(length // 2 + 1) / (length * ANGLE_BIN * unit)
         wanted = np.flatnonzero((orders >= low) & (orders <= MAX_RIPPLE_ORDER / unit))
         highest = 2.0 * np.pi * fitted.motions[0].band.hertz / np.maximum(np.abs(speed), 1e-9)
@@ -113,7 +111,7 @@ class OrderSpectrum:
             speed_class=speed_class,
             length=length,
             wanted=wanted,
-            orders=orders[wanted],
+            orders=np.asarray(orders[wanted]),
             below=below,
             products=np.zeros((3, len(wanted))),
             usable=number > MIN_WAVE_ROWS * float(np.sum(size**2)),

@@ -53,9 +53,8 @@ MAX_EXPECTED_RATIO = 3.0
 """Measured over nominal torque, or its inverse, from which the difference is remarked [1]. With
 calibrated torque and all bodies in the model the ratio is 0.41 to 1.3 on the same machines."""
 MAX_WEIGHT_RATIO = 10.0
-"""Ratio of measured torque to a nearly constant torque of gravity, or its inverse, from which the
-difference is remarked [1]: an order of magnitude. On nine real machines the RMS of the measured
-torque is at least 0.25 of it, and the mean at the joint with the largest at most 3.5 times."""
+"""Ratio of a nearly constant torque of gravity to the RMS of measured torque from which the
+difference is remarked [1]: an order of magnitude. On nine real machines it is at most 4."""
 SLOPE_AGREEMENT = 4.0
 """Largest ratio of the largest to the smallest slope at which all joints share one unit [1]."""
 NOMINAL_ERROR = 1.3
@@ -352,39 +351,28 @@ def _weight_remarks(
     gravity: FloatArray,
     nominal: FloatArray,
 ) -> Iterator[Remark]:
-    """Yield a remark for each joint whose torque contradicts a nearly constant weight.
+    """Yield a remark for each joint whose torque is far less than a nearly constant weight.
 
     Such a weight has no slope, as that of a vertical slide, so that an offset of any size fits it.
-    Small torque is remarked by its RMS at each joint: a counterbalance may carry the weight. Large
-    torque is remarked by its mean at the joint with the largest weight, as that of a wrist may be
-    less than friction or the bias of its sensor.
+    Larger torque is not remarked: it may be friction, which differs between the directions.
     """
-    weight = np.abs(gravity.mean(axis=0))
-    size, mean = np.sqrt(np.mean(torque**2, axis=0)), np.abs(torque.mean(axis=0))
+    weight, size = np.abs(gravity.mean(axis=0)), np.sqrt(np.mean(torque**2, axis=0))
     is_constant = (weight > nominal.std(axis=0)) & (weight > ROUNDING * size) & (size > 0.0)
-    is_small = size < weight / MAX_WEIGHT_RATIO
-    is_large = (mean > MAX_WEIGHT_RATIO * weight) & (weight == weight.max())
-    for j in np.flatnonzero(is_constant & (is_small | is_large)).tolist():
+    for j in np.flatnonzero(is_constant & (MAX_WEIGHT_RATIO * size < weight)).tolist():
         joint, entry = recording.joints[j], robot.entries[j]
         subject = "force" if entry.kind == "prismatic" else "torque"
         unit = entry.unit("N m")
-        measured = f"{size[j]:.3g} {unit} (RMS)" if is_small[j] else f"{mean[j]:.3g} {unit} (mean)"
         remedy = (
             f"is it in another unit (convert it, or name it i.{joint} and state drive_gain)"
             if recording.has("tau", joint)
             else "is the drive_gain wrong"
         )
-        bodies = (
-            "does a counterbalance, a brake or a self-locking gear carry the weight"
-            if is_small[j]
-            else "is a load missing in the robot description"
-        )
         text = (
-            f"joint '{joint}': measured {subject} is {measured}, but the nominal weight needs "
-            f"{weight[j]:.3g} {unit}, and identified mass and offset follow it; {remedy}, or "
-            f"{bodies}?"
+            f"joint '{joint}': measured {subject} is {size[j]:.3g} {unit} (RMS), but the nominal "
+            f"weight needs {weight[j]:.3g} {unit}, and identified mass and offset follow it; "
+            f"{remedy}, or does a counterbalance, a brake or a self-locking gear carry the weight?"
         )
-        yield Remark(RemarkKind.TORQUE_SCALE, text, joint)
+        yield Remark(RemarkKind.WEIGHT, text, joint)
 
 
 def _likely_unit(size: float, recording: Recording, joint: str, agree: bool) -> str:

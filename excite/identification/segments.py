@@ -114,8 +114,9 @@ def too_short(source: str, needed: float, hertz: float) -> UnusableInput:
         needed: Length of a stretch of which the filter leaves something [s].
         hertz: Cutoff frequency [Hz].
     """
+    rounded = np.ceil(100.0 * needed) / 100.0
     return UnusableInput(
-        f"{source}: no gap-free stretch is longer than the {needed:.2g} s that a band of "
+        f"{source}: no gap-free stretch is longer than the {rounded:g} s that a band of "
         f"{hertz:.3g} Hz needs; record for longer or give a higher --band"
     )
 

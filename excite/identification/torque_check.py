@@ -25,7 +25,7 @@ from ..robot.samples import Samples
 from . import nominal_comparison
 from .exchanged_torque import find_exchange
 
-WARNED = (RemarkKind.CLIPPED, RemarkKind.REPEATED_TORQUE)
+WARNED_KINDS = (RemarkKind.CLIPPED, RemarkKind.REPEATED_TORQUE)
 """Remarks of `signal_checks` that are given as warnings."""
 MAX_TORQUE_RATIO = 3.0
 """Largest |torque| over the torque limit without a remark. Recordings of ten real machines reach
@@ -69,8 +69,8 @@ def check_torque(
         remarks = [r for r in remarks if r.doubt or r.kind is not RemarkKind.TORQUE_SCALE]
     if not planned and not any(remark.doubt for remark in remarks):
         remarks += _exchanged_torque(recording, robot)
-    measured = [remark for remark in recording.remarks if remark.kind in WARNED]
-    for remark in (*recording.doubts, *measured, *remarks):
+    warned = [remark for remark in recording.remarks if remark.kind in WARNED_KINDS]
+    for remark in (*recording.doubts, *warned, *remarks):
         warnings.warn(f"{recording.source}: {remark.text}", ExciteWarning, stacklevel=2)
     return dataclasses.replace(recording, remarks=(*recording.remarks, *remarks))
 
@@ -119,8 +119,10 @@ def _excessive_torque(
     if not excessive.any():
         return
     gravity = _largest_gravity(recording, robot)
-    plausible = np.abs(torque).max(axis=0) < nominal_comparison.PLAUSIBLE_SLOPE[1] * gravity.max()
-    too_small = limits.torque < gravity
+    slides = np.array([entry.kind == "prismatic" for entry in robot.entries])
+    largest = np.array([gravity[slides == is_slide].max() for is_slide in slides.tolist()])
+    plausible = np.abs(torque).max(axis=0) < nominal_comparison.PLAUSIBLE_SLOPE[1] * largest
+    too_small = MAX_TORQUE_RATIO * limits.torque < gravity
     for i in np.flatnonzero(excessive).tolist():
         same = limits.torque == limits.torque[i]
         if plausible[i] and (same & too_small).any():
@@ -156,8 +158,7 @@ def _placeholder_limit(
     text = (
         f"{'joint' if len(joints) == 1 else 'joints'} {names}: the torque limit of "
         f"{limits.torque[heaviest]:.4g} cannot hold the robot, gravity needs {gravity:.3g} "
-        f"{robot.entries[heaviest].unit('N m')} at '{robot.joints[heaviest]}'; it is doubtful, not "
-        f"the torque that exceeds it: correct it in {robot.source if source == URDF else source}, "
-        "or give --limits FILE"
+        f"{robot.entries[heaviest].unit('N m')} at '{robot.joints[heaviest]}'; correct it in "
+        f"{robot.source if source == URDF else source}, or give --limits FILE"
     )
     return Remark(RemarkKind.TORQUE_LIMIT, text, robot.joints[joints[0]])

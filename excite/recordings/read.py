@@ -99,10 +99,10 @@ def stream(
     Each block is repaired as `read` repairs the recording, on the grid of the first block. Not
     judged are properties of the complete recording: clock steps, held values, wrapped positions,
     glitches, the period, joints that never move, locked joints that move, timestamp jitter,
-    quantization, and coarse, frozen or clipped signals. Shares of missing values are judged by
-    block. A repair is warned of where it first occurs; numbers in a remark may include up to 32
-    rows around the block. Memory is bounded for CSV, bags and .npz, except 2-D arrays in Fortran
-    order.
+    quantization, and coarse, frozen, repeated or clipped signals. Shares of missing values are
+    judged by block. A repair is warned of where it first occurs; numbers in a remark may include up
+    to 32 rows around the block. Memory is bounded for CSV, bags and .npz, except 2-D arrays in
+    Fortran order.
 
     Args:
         path: As of `read`.

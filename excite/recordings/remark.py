@@ -41,6 +41,7 @@ class RemarkKind(Enum):
     TORQUE_SIGN = "torque sign"
     TORQUE_SCALE = "torque scale"
     TORQUE_LIMIT = "torque limit"
+    WEIGHT = "weight"
     GRAVITY = "gravity"
     EXCHANGED = "exchanged joints"
     POSITION = "position"

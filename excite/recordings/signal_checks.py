@@ -47,6 +47,8 @@ MIN_REPEATED_SHARE = 0.03
 """Share of the rows in motion from which a torque with one repeated value is remarked [1]. In
 recordings of nine real machines, chance explains up to 0.01, and the dead band of a servo's current
 (SO-101) 0.18 to 0.41."""
+MIN_JUMP_STEPS = 1.5
+"""Difference of successive values over the resolution from which a signal jumps [1]."""
 MIN_CLIPPED_COUNT = 5
 """Smallest number of measurements at the extreme value of a clipped signal. Where ten neighbouring
 values occur once, five by chance at the extreme are rarer than 1 in 1000."""
@@ -85,12 +87,17 @@ def check_signals(block: Block, robot: Robot, limits: Limits | None) -> list[Rem
         ]
         for name in ("tau", "current"):
             if name in block.values and np.isfinite(block.values[name][:, i]).all():
-                frozen = check_frozen_torque(block, robot, i, name)
-                if frozen is None or not frozen.doubt:
-                    clipped = check_clipped(block, robot, i, name)
-                    frozen = clipped or check_repeated_torque(block, robot, i, name) or frozen
-                out.append(frozen)
+                out.append(_check_torque(block, robot, i, name))
     return [remark for remark in out if remark is not None]
+
+
+def _check_torque(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
+    """Return the most serious remark on a torque or current; None if there is none."""
+    frozen = check_frozen_torque(block, robot, i, name)
+    if frozen is not None and frozen.doubt:
+        return frozen
+    clipped = check_clipped(block, robot, i, name)
+    return clipped or check_repeated_torque(block, robot, i, name) or frozen
 
 
 def _tolerance(robot: Robot, i: int) -> float:
@@ -195,51 +202,53 @@ def check_frozen_torque(block: Block, robot: Robot, i: int, name: str) -> Remark
 
 
 def check_repeated_torque(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
-    """Remark a torque or current that has one repeated value in several per cent of the rows in
-    which the joint moves, as in a dead band or where the measurement fails.
+    """Remark a torque or current that has one value in several per cent of the rows in which the
+    joint moves, as in a dead band or where the measurement fails.
 
-    Runs of that value count where they are longer than the longest run of any other value, and if
-    they hold three times as many rows as there are at any other value: less than that is explained
-    by the resolution, at the turning points of a torque (MIN_CLIPPED_RATIO).
+    They must be three times as many as at any other value. Around a turning point of the torque its
+    resolution repeats a value, too, but the values before and after it are the next ones: only
+    stretches to which the torque jumps count. Neither do rows in which the joint is commanded to
+    stand, as it has no torque where the drive is off.
     """
-    values, moving = block.values[name][:, i], _is_moving(block.t, block.values["q"][:, i])
-    starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    if not moving.any() or len(np.unique(values)) < MIN_DISTINCT_VALUES:
+    q, values = block.values["q"][:, i], block.values[name][:, i]
+    moving = _is_moving(block.t, q, _tolerance(robot, i))
+    if "qref" in block.values:
+        moving &= _is_moving(block.t, block.values["qref"][:, i], _tolerance(robot, i))
+    distinct, place, counts = np.unique(values[moving], return_inverse=True, return_counts=True)
+    if len(distinct) < MIN_DISTINCT_VALUES:
         return None
-    ends = np.append(starts[1:], len(values))
-    lengths = np.add.reduceat(moving.astype(int), starts)
-    value = values[starts[np.argmax(lengths)]]
-    longest_other = int(lengths[values[starts] != value].max())
-    is_repeated = (values[starts] == value) & (lengths > longest_other)
-    others = np.unique(values[moving & (values != value)], return_counts=True)[1]
-    runs = [
-        slice(starts[k], ends[k])
-        for k in np.flatnonzero(is_repeated)
-        if not _is_off(block, slice(starts[k], ends[k]), i, name)
-    ]
-    count = sum(int(moving[run].sum()) for run in runs)
+    jumps = np.abs(np.diff(values, prepend=np.inf, append=np.inf))
+    starts = np.flatnonzero(jumps[:-1])
+    edges = np.minimum(jumps[starts], jumps[np.append(starts[1:], len(values))])
+    lengths = np.diff(np.append(starts, len(values)))
+    apart = np.repeat(edges > MIN_JUMP_STEPS * np.diff(distinct).min(), lengths)
+    count_apart = np.bincount(place[apart[moving]], minlength=len(distinct))
+    k = int(np.argmax(count_apart))
+    count, others = int(count_apart[k]), int(np.delete(counts, k).max())
     smallest = max(MIN_FROZEN_ROWS, MIN_REPEATED_SHARE * moving.sum())
-    if count < max(smallest, MIN_CLIPPED_RATIO * others.max(initial=0)):
+    if count < max(smallest, MIN_CLIPPED_RATIO * others):
         return None
-    joint = robot.joints[i]
+    value = float(distinct[k]) + 0.0  # no −0
+    joint, rows = robot.joints[i], np.flatnonzero(moving & apart & (values == value))
     unit = "A" if name == "current" else robot.entries[i].unit("N m")
-    stretches = f"{len(runs)} stretches" if len(runs) > 1 else "one stretch"
     text = (
         f"joint '{joint}': {name} is {value:.5g} {unit} in {count} rows of its motion "
-        f"({100.0 * count / moving.sum():.2g} %), in {stretches} of up to {lengths.max()} rows, "
-        f"where no other value lasts longer than {longest_other}; if that is a dead band or a "
-        "fault of the measurement, cut these rows out"
+        f"({100.0 * count / moving.sum():.2g} %), and no other value in more than {others}; if "
+        "that is a dead band or a fault of the measurement, cut these rows out"
     )
-    start, end = float(block.t[runs[0].start]), float(block.t[runs[-1].stop - 1])
+    start, end = (float(block.t[row]) for row in rows[[0, -1]])
     return Remark(RemarkKind.REPEATED_TORQUE, text, joint, start, end)
 
 
-def _is_moving(t: FloatArray, q: FloatArray) -> BoolArray:
-    """Mark rows around which a joint moves by 0.1 % of its range within 0.1 s. Shape (N,)."""
+def _is_moving(t: FloatArray, q: FloatArray, tolerance: float) -> BoolArray:
+    """Mark rows around which a joint moves within 0.1 s. Shape (N,).
+
+    By 0.1 % of its range, and by twice a tolerance, which a joint that stands still does not reach.
+    """
     before = q[np.searchsorted(t, t - 0.5 * MIN_FROZEN_TIME)]
     after = q[np.minimum(np.searchsorted(t, t + 0.5 * MIN_FROZEN_TIME), len(t) - 1)]
     distance = np.minimum(np.abs(q - before), np.abs(after - q))
-    return np.asarray(distance > 0.5 * MIN_POSE_SHARE * np.ptp(q))
+    return np.asarray(distance > max(0.5 * MIN_POSE_SHARE * float(np.ptp(q)), tolerance))
 
 
 def _is_off(block: Block, rows: slice, i: int, name: str) -> bool:

@@ -44,7 +44,7 @@ def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
     extrapolated = [b.joint for b in budgets if b.is_extrapolated]
     above = unforeseen(budgets)
-    if above and verdict == "no-mismatch":
+    if verdict == "no-mismatch" and not all(b.is_explained for b in budgets):
         text = "no effect is found that the base model lacks"
     if unknown:
         places = joint_words(unknown, len(budgets))
@@ -72,7 +72,7 @@ def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
 
 
 def tone(document: Document, budgets: Sequence[JointBudget]) -> str:
-    """Return "good" where nothing is left to explain, else "warn" or "bad".
+    """Return "good" where the error is near that of noise at every joint, else "warn" or "bad".
 
     Args:
         document: The diagnosis.
@@ -80,8 +80,7 @@ def tone(document: Document, budgets: Sequence[JointBudget]) -> str:
     """
     if document["verdict"] == "unexplained":
         return "bad"
-    is_left = document["verdict"] == "partly-explained" or unforeseen(budgets)
-    return "warn" if is_left else "good"
+    return "good" if all(b.is_explained for b in budgets) else "warn"
 
 
 def unforeseen(budgets: Sequence[JointBudget]) -> list[str]:

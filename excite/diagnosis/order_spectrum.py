@@ -7,7 +7,8 @@ frequency do not count; the speeds are divided into classes for that.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,8 +59,6 @@ class OrderSpectrum:
         wanted: Places of the orders in the transform, shape (K,).
         orders: Spatial frequencies [1/rad or 1/m], shape (K,).
         below: Orders that lie below the cutoff frequency in each class of speed, shape (C, K).
-        products: Sums of cos², sin² and cos · sin over the rows, shape (3, K).
-        usable: Orders whose cosine and sine differ in enough rows, shape (K,).
     """
 
     joint: int
@@ -71,8 +70,6 @@ class OrderSpectrum:
     wanted: IntArray
     orders: FloatArray
     below: BoolArray
-    products: FloatArray
-    usable: BoolArray
 
     @classmethod
     def of(
@@ -102,8 +99,7 @@ class OrderSpectrum:
         below = np.zeros((SPEED_CLASSES, len(wanted)), bool)
         for k in np.unique(speed_class):
             below[k] = orders[wanted] <= float(np.median(highest[speed_class == k]))
-        number = np.bincount(speed_class, size**2, SPEED_CLASSES) @ below
-        out = cls(
+        return cls(
             joint=joint,
             rows=rows,
             size=size,
@@ -113,13 +109,22 @@ class OrderSpectrum:
             wanted=wanted,
             orders=np.asarray(orders[wanted]),
             below=below,
-            products=np.zeros((3, len(wanted))),
-            usable=number > MIN_WAVE_ROWS * float(np.sum(size**2)),
         )
-        square = out._transform(size**2, 2 * wanted)
+
+    @cached_property
+    def _products(self) -> tuple[BoolArray, FloatArray]:
+        """Orders whose cosine and sine differ in enough rows, shape (K,).
+
+        And for these the sums of cos², sin² and cos · sin over the rows, shape (3, U).
+        """
+        squares = self.size**2
+        number = np.bincount(self.speed_class, squares, SPEED_CLASSES) @ self.below
+        square = self._transform(squares, 2 * self.wanted)
         cc, ss, cs = 0.5 * (number + square.real), 0.5 * (number - square.real), -0.5 * square.imag
-        is_wave = cc * ss - cs**2 > 1e-3 * (cc + ss) ** 2
-        return replace(out, products=np.array([cc, ss, cs]), usable=out.usable & is_wave)
+        usable = (cc * ss - cs**2 > 1e-3 * (cc + ss) ** 2) & (
+            number > MIN_WAVE_ROWS * float(np.sum(squares))
+        )
+        return usable, np.array([cc, ss, cs])[:, usable]
 
     def peak(self, fitted: JointModel) -> tuple[float, float]:
         """Return the order [1/rad or 1/m] that fits the residual best, and half its power [(N m)²].
@@ -129,15 +134,15 @@ class OrderSpectrum:
         Args:
             fitted: A joint model of the same motions.
         """
-        if not self.usable.any():
+        usable, (cc, ss, cs) = self._products
+        if not usable.any():
             return 0.0, 0.0
         residual = fitted.regression.residual_of(self.joint)[self.rows]
-        wave = self._transform(residual * self.size, self.wanted)[self.usable]
+        wave = self._transform(residual * self.size, self.wanted)[usable]
         yc, ys = wave.real, -wave.imag
-        cc, ss, cs = self.products[:, self.usable]
         power = (ss * yc**2 - 2.0 * cs * yc * ys + cc * ys**2) / (cc * ss - cs**2)
         k = int(np.argmax(power))
-        return float(self.orders[self.usable][k]), 0.5 * float(power[k])
+        return float(self.orders[usable][k]), 0.5 * float(power[k])
 
     def _transform(self, values: FloatArray, places: IntArray) -> NDArray[np.complex128]:
         """Fourier transform of values at the rows, where the orders are below the cutoff, (K,).

@@ -33,7 +33,7 @@ its stops as well, as little would remain."""
 MIN_SPEED = 1e-9
 """Smallest speed that scales others, above the rounding errors of filters [rad/s or m/s]."""
 MIN_KEPT_ROWS = 8
-"""Rows that the low-pass filter must leave of a motion."""
+"""Rows that the low-pass filter must leave of a motion [1]: four periods of its cutoff."""
 HELD_SHARE = 0.03
 """Share of the time of all motions that a joint moves up to which it counts as held and is judged
 at all times, as nothing would remain [1]: 1/33, so that 30 joints that move one after the other are

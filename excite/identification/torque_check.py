@@ -122,15 +122,11 @@ def _excessive_torque(
     slides = np.array([entry.kind == "prismatic" for entry in robot.entries])
     largest = np.array([gravity[slides == is_slide].max() for is_slide in slides.tolist()])
     plausible = np.abs(torque).max(axis=0) < nominal_comparison.PLAUSIBLE_SLOPE[1] * largest
-    too_small = MAX_TORQUE_RATIO * limits.torque < gravity
-    for i in np.flatnonzero(excessive).tolist():
-        same = limits.torque == limits.torque[i]
-        if plausible[i] and (same & too_small).any():
-            if not (excessive & plausible & same)[:i].any():
-                where = np.flatnonzero(excessive & plausible & same).tolist()
-                heaviest = int(np.argmax(np.where(same, gravity, 0.0)))
-                yield _placeholder_limit(robot, limits, where, heaviest, float(gravity[heaviest]))
-            continue
+    too_small = limits.torque[MAX_TORQUE_RATIO * limits.torque < gravity]
+    excused = excessive & plausible & np.isin(limits.torque, too_small)
+    for limit in np.unique(limits.torque[excused]).tolist():
+        yield _placeholder_limit(robot, limits, excused & (limits.torque == limit), gravity)
+    for i in np.flatnonzero(excessive & ~excused).tolist():
         joint, row = recording.joints[i], int(np.argmax(ratio[:, i]))
         text = (
             f"joint '{joint}': torque reaches {torque[row, i]:.4g}, {ratio[row, i]:.4g} times its "
@@ -150,15 +146,22 @@ def _largest_gravity(recording: Recording, robot: Robot) -> FloatArray:
 
 
 def _placeholder_limit(
-    robot: Robot, limits: Limits, joints: list[int], heaviest: int, gravity: float
+    robot: Robot, limits: Limits, excused: BoolArray, gravity: FloatArray
 ) -> Remark:
-    """Remark a torque limit that is less than gravity needs at a joint, and that others share."""
+    """Remark a torque limit that is less than gravity needs at a joint, and that others share.
+
+    The joints `excused` (n,) have this limit and exceed it; `gravity` (n,) is the largest torque.
+    """
+    joints = np.flatnonzero(excused).tolist()
     names = ", ".join(f"'{robot.joints[i]}'" for i in joints)
+    same = limits.torque == limits.torque[joints[0]]
+    heaviest = int(np.argmax(np.where(same, gravity, 0.0)))
     source = limits.sources["torque"][heaviest]
     text = (
         f"{'joint' if len(joints) == 1 else 'joints'} {names}: the torque limit of "
-        f"{limits.torque[heaviest]:.4g} cannot hold the robot, gravity needs {gravity:.3g} "
-        f"{robot.entries[heaviest].unit('N m')} at '{robot.joints[heaviest]}'; correct it in "
+        f"{limits.torque[heaviest]:.4g} cannot hold the robot, gravity needs "
+        f"{gravity[heaviest]:.3g} {robot.entries[heaviest].unit('N m')} at "
+        f"'{robot.joints[heaviest]}'; correct it in "
         f"{robot.source if source == URDF else source}, or give --limits FILE"
     )
     return Remark(RemarkKind.TORQUE_LIMIT, text, robot.joints[joints[0]])

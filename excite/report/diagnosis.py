@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -41,9 +40,7 @@ from .torque_budget import (
     probability_words,
     sorted_findings,
 )
-
-Document = Mapping[str, Any]
-"""The diagnosis as in `diagnosis.json`, or a part of it."""
+from .verdict import Document
 
 DRAWN_CURVES = 15
 """Curves of effects that are drawn, those of the largest effects."""

@@ -10,7 +10,7 @@ from .formatting import significant
 from .torque_budget import JointBudget, joint_words, prior_words, sorted_findings
 
 Document = Mapping[str, Any]
-"""The diagnosis as in `diagnosis.json`."""
+"""The diagnosis as in `diagnosis.json`, or a part of it."""
 
 SURE_PROBABILITY = 0.9
 """Probability from which no experiment to confirm a finding is proposed."""

@@ -7,7 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 from diagnosis_cases import (
+    COULOMB,
     HELD_OUT,
+    VISCOUS,
     added_torque,
     at_joint,
     diagnose,
@@ -20,7 +22,7 @@ from diagnosis_cases import (
     recording_of,
 )
 from slow_tests import slow
-from synthetic_recordings import PERIOD
+from synthetic_recordings import FRICTION_WIDTH, PERIOD
 
 from excite.diagnosis.diagnosis import Diagnosis
 
@@ -55,6 +57,17 @@ def test_a_lasting_contact_in_the_only_recording_is_found():
     assert (finding.effect, finding.joint) == ("contact", 1)
     (model,) = finding.models
     assert model.interval == pytest.approx((start, end), abs=0.1)
+
+
+def test_friction_that_is_larger_for_some_time_is_no_contact():
+    """No friction has exactly the form of its model: between two reversals it may be larger."""
+
+    def larger(t, q, dq, tau):
+        friction = COULOMB[0] * np.tanh(dq[:, 0] / FRICTION_WIDTH) + VISCOUS[0] * dq[:, 0]
+        return at_joint(0, np.where((t > 2.365) & (t < 3.15), 0.15, 0.0) * friction)
+
+    recordings = [recording_of(larger, 2, 0.01), recording_of(None, HELD_OUT, 0.01)]
+    assert "contact" not in {effect for effect, _ in findings_of(diagnose(recordings))}
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ import numpy as np
 from .._types import FloatArray
 from ..effects.effect import CandidateModel, Key
 from ..effects.form_error import with_form_error
-from ..schemas.effects import MIN_SEVERITY
+from ..schemas.effects import FORM_ERROR_STD, MIN_SEVERITY
 from . import probability
 from .joint_model import FRICTIONS, JointModel, transient_rows
 from .normal_equations import Solution
@@ -242,24 +242,46 @@ def _gain_of_transient(
 
     The error of a robot's model varies over time, and a transient effect is sought where the
     residual is largest. The residual variance in the rows in which it acts therefore has a prior,
-    the inverse gamma distribution about σ_j² with ν degrees of freedom. Other rows do not count:
+    the inverse gamma distribution about σ_j² with ν degrees of freedom, truncated below σ_j²: a
+    force that fits the usual error of the model in its interval does not make that error smaller.
+    Other rows do not count:
 
         ½ Σ_j (ν + ρ N_j) ln((ν σ_j² + ρ E_j without the effect) / (ν σ_j² + ρ E_j with it))
 
-    over the joints j, with N_j rows in which it acts, and their squared errors E_j. Its size is
-    that of the growth of E_j/N_j without it, over σ_j.
+    over the joints j, with N_j rows in which it acts, and their squared errors E_j ≥ N_j σ_j², less
+    what another size of the friction of the joint would explain, within its form error η:
+
+        E_j = r_jᵀr_j − (t_jᵀr_j)² / (t_jᵀt_j + σ_j²/(ρ η²)),   friction torque t_j, residual r_j
+
+    Its size is that of the growth of E_j/N_j without it, over σ_j.
     """
     regression = model.regression
     acting = transient_rows(shapes, model.motions)[:, None] & regression.moving
     rows, share = acting.sum(axis=0), regression.independent_share
-    without, with_ = (
-        np.sum(np.where(acting, regression.residual(solution) / regression.sigma, 0.0) ** 2, axis=0)
-        for solution in (reduced, current)
-    )
-    gains = np.log((VARIANCE_FREEDOM + share * without) / (VARIANCE_FREEDOM + share * with_))
+    friction = np.where(acting, _friction_torque(model, current) / regression.sigma, 0.0)
+    of_friction = np.sum(friction**2, axis=0) + 1.0 / (share * FORM_ERROR_STD**2)
+
+    def squared_error(solution: Solution) -> FloatArray:
+        residual = np.where(acting, regression.residual(solution) / regression.sigma, 0.0)
+        absorbed = np.sum(friction * residual, axis=0) ** 2 / of_friction
+        return np.asarray(np.sum(residual**2, axis=0) - absorbed)
+
+    without, with_ = squared_error(reduced), squared_error(current)
+    unusual, usual = (np.maximum(squares, rows) for squares in (without, with_))
+    gains = np.log((VARIANCE_FREEDOM + share * unusual) / (VARIANCE_FREEDOM + share * usual))
     growth = np.maximum(without - with_, 0.0) / np.maximum(rows, 1)
     gain = 0.5 * float((VARIANCE_FREEDOM + share * rows) @ gains)
     return gain, float(np.sqrt(growth.max()))
+
+
+def _friction_torque(model: JointModel, solution: Solution) -> FloatArray:
+    """Return the friction torque of every joint in a fit, shape (N, n) [N m]."""
+    coefficients = np.zeros_like(solution.coefficients)
+    for effect, part in zip(model.models, model.regression.slices, strict=True):
+        if effect.effect in FRICTIONS:
+            coefficients[part] = solution.coefficients[part]
+    base = np.concatenate([motion.base_friction for motion in model.motions])
+    return base + model.regression.torque_along(coefficients)
 
 
 def evidence_of(

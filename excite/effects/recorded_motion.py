@@ -187,6 +187,13 @@ class RecordedMotion:
         return self.lowpass(np.tanh(self.samples.dq / self.widths))
 
     @cached_property
+    def base_friction(self) -> FloatArray:
+        """Coulomb and viscous friction of the base model [N m], shape (N, n)."""
+        parameter = self.fitted_robot.actuator_parameter
+        speed = self.at_rows(self.samples.dq)
+        return parameter("viscous") * speed + parameter("coulomb") * self.coulomb_columns
+
+    @cached_property
     def torque_slope(self) -> FloatArray:
         """Time derivative of the measured torque [N m/s], shape (N, n)."""
         return self.band.filter(self.segment.torque, Grid.KEPT, 1)[self.kept]

@@ -52,7 +52,8 @@ def test_ratio_of_the_speeds_is_stated():
 def test_error_at_higher_speeds_is_no_change_of_the_robot():
     _, (first, _), page = faster()
     assert first.is_extrapolated and not first.is_changed
-    assert "speeds 2.0 times those of the fitted recordings" in first.causes
+    ratios = "speeds 2.0 and accelerations 4.0 times those of the fitted recordings"
+    assert ratios in first.causes
     assert "record training motion as fast as the motion that is to be predicted" in page
     assert "in one session" not in page
 

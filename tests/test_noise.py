@@ -21,6 +21,7 @@ from excite.identification import identification, segments
 from excite.identification.identification import Identification
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording, Sidecar
+from excite.trajectory.fourier import FourierSeries
 
 
 def noise_and_residual(
@@ -83,6 +84,24 @@ def test_the_noise_floor_is_that_of_the_rows_in_motion(subject, share, periods):
     assert (estimate.method == "periods") is (periods > 1)
     actual = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0, where=moving))
     np.testing.assert_allclose(estimate.floor, actual, rtol=0.2)
+
+
+def test_the_noise_floor_is_not_larger_than_the_residual(subject):
+    """The power of what was recorded in steps may lie above the motion alone."""
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    waves = 0.02 * np.random.default_rng(6).normal(size=(2, 2, 80))
+    quick = FourierSeries(*waves, np.zeros(2), period=8.0)
+    recording = synthetic_recording(subject, psi, quick, 1.0, 0.1)
+    done = identified(subject, recording)
+    motions = motions_of(done.model, recording, done.psi)
+    time = motions[0].time
+    spectrum = np.fft.rfft(np.random.default_rng(5).normal(size=(len(time), 2)), axis=0)
+    spectrum[np.fft.rfftfreq(len(time), time[1] - time[0]) < 13.0] = 0.0
+    high = np.fft.irfft(spectrum, len(time), axis=0)
+    residual = np.where(motions[0].moving, high, 0.0)
+    estimate = noise.estimate_noise(done.model, motions, [residual], [recording])
+    actual = np.sqrt(np.mean(residual**2, axis=0, where=motions[0].moving))
+    np.testing.assert_allclose(estimate.floor, actual)
 
 
 def with_rests(

@@ -60,7 +60,8 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
     torque_rms = rms(held_out.torque, held_out.moving)
-    speed_ratio = _speed_ratio(diagnosis.model.motions, held_out.motions)
+    speed_ratio = _motion_ratio(diagnosis.model.motions, held_out.motions, "dq")
+    acceleration_ratio = _motion_ratio(diagnosis.model.motions, held_out.motions, "ddq")
     rows = {
         joint: _joint_entry(
             float(noise.floor[i]),
@@ -68,7 +69,11 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
             float(held_out.rmse_before[i]),
             float(held_out.rmse_after[i]),
         )
-        | {"torque_rms": float(torque_rms[i]), "speed_ratio": speed_ratio[i]}
+        | {
+            "torque_rms": float(torque_rms[i]),
+            "speed_ratio": speed_ratio[i],
+            "acceleration_ratio": acceleration_ratio[i],
+        }
         for i, joint in enumerate(joints)
     }
     if held_out.rmse_refit is not None:
@@ -104,27 +109,29 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     }
 
 
-def _speed_ratio(
-    fitted: Sequence[RecordedMotion], held_out: Sequence[RecordedMotion]
+def _motion_ratio(
+    fitted: Sequence[RecordedMotion], held_out: Sequence[RecordedMotion], quantity: str
 ) -> list[float | None]:
-    """Largest held-out speed of each joint over that of the fitted recordings [1].
+    """Largest held-out speed or acceleration of each joint over that of the fitted recordings [1].
 
     None for a joint that moves in the held-out recordings alone, 1 for one that never moves.
+    `quantity` is the field of `Samples`.
     """
-    out: list[float | None] = (_largest_speed(held_out) / _largest_speed(fitted)).tolist()
+    largest, known = (_largest(motions, quantity) for motions in (held_out, fitted))
+    out: list[float | None] = (largest / known).tolist()
     for joint in range(len(out)):
         if stands_still(fitted, joint):
             out[joint] = 1.0 if stands_still(held_out, joint) else None
     return out
 
 
-def _largest_speed(motions: Sequence[RecordedMotion]) -> FloatArray:
-    """Return the largest speed of each joint in the fitted rows, shape (n,) [rad/s or m/s]."""
+def _largest(motions: Sequence[RecordedMotion], quantity: str) -> FloatArray:
+    """Return the largest speed or acceleration of each joint in the fitted rows, shape (n,)."""
     largest = [
-        np.abs(m.samples.dq[(m.times >= m.time[0]) & (m.times <= m.time[-1])]).max(axis=0)
+        np.abs(getattr(m.samples, quantity)[(m.times >= m.time[0]) & (m.times <= m.time[-1])])
         for m in motions
     ]
-    return np.maximum(np.max(largest, axis=0), MIN_SPEED)
+    return np.maximum(np.max([x.max(axis=0) for x in largest], axis=0), MIN_SPEED)
 
 
 def _joint_entry(floor: float, method: str, before: float, after: float) -> dict[str, Any]:

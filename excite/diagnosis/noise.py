@@ -82,7 +82,7 @@ def estimate_noise(
     """Estimate the noise of residuals, of shapes (N, n) [N m], from the part that does not repeat.
 
     Only the rows at which a joint moves count. Where nothing repeats, the residual's spectral
-    density above the motion gives a lower bound.
+    density above the motion stands for that of the noise, which is not larger than the residual.
     """
     moving = np.concatenate([motion.moving for motion in motions])
     rows = np.concatenate(quantization_residuals(model, motions))
@@ -103,9 +103,13 @@ def estimate_noise(
         and (square := _noise_square(motion, residual, periods[motion.segment.source])) is not None
     ]
     spread = _repetition_noise(squares, len(steps))
-    if not np.isfinite(spread).all():
-        spread = np.where(np.isfinite(spread), spread, _spectral_noise(motions, residuals))
+    is_repeated = np.isfinite(spread)
+    if not is_repeated.all():
+        spread = np.where(is_repeated, spread, _spectral_noise(motions, residuals))
     floor = np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2)
+    # the density may be larger above the motion than below, as of positions recorded in steps
+    largest = np.maximum(rms(np.concatenate(residuals), moving), 1e-12)
+    floor = np.where(is_repeated, floor, np.minimum(floor, largest))
     return NoiseEstimate(floor, "periods" if squares else "differences", steps, periods)
 
 

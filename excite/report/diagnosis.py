@@ -142,7 +142,7 @@ def _budget_section(
         causes = {
             "parameters of the prior that are in doubt": misled,
             "friction or offset that changed between the recordings": changed,
-            "friction at speeds that the fitted recordings do not have": fast,
+            "speeds that the fitted recordings do not have": fast,
             "torque that no known effect explains": unknown,
         }
         texts = [
@@ -258,8 +258,10 @@ def _next_section(
     ]
     causes = {
         f"{verdict.ONE_SESSION}: friction or offset changed": changed,
-        f"{verdict.AS_FAST}: friction is extrapolated": fast,
-        f"{verdict.ALONE}: the cause of what remains is not known": verdict.unforeseen(budgets),
+        f"{verdict.AS_FAST}: the model is extrapolated": fast,
+        f"{verdict.ALONE if count > 1 else verdict.ALONE_OF_ONE}: the cause of what remains is not known": verdict.unforeseen(
+            budgets
+        ),
     }
     lines = [
         f"{capitalized(cause)} at {joint_words(joints, count)}."

@@ -18,6 +18,7 @@ from ..robot.parameter_names import listed, some
 from ..robot.robot import Robot
 from ..schemas.effects import effect_words
 from .formatting import number, significant, value_with_error
+from .prediction import FAIR_RELATIVE_ERROR
 
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
@@ -36,7 +37,7 @@ MISLED_SHARE = 0.5
 """Share of the squared error that must go without the trusted prior for the prior to be in doubt:
 parameters that are refit without need differ from true ones by less than the noise."""
 EXTRAPOLATED_SPEED_RATIO = 1.5
-"""Largest held-out speed over that of the fitted recordings from which friction is extrapolated:
+"""Largest held-out speed over that of the fitted recordings from which it is extrapolated:
 other motions within the same limits differ by less."""
 _MILLISECONDS = 1e3
 _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z": "centre z"}
@@ -152,6 +153,7 @@ class JointBudget:
         speed_ratio: Largest held-out speed over that of the fitted recordings; infinite if the
             joint stands still in those [1].
         refit: RMSE of the base model identified without the trusted prior; infinite without one.
+        acceleration_ratio: Largest held-out acceleration over that of the fitted recordings [1].
     """
 
     joint: str
@@ -170,6 +172,7 @@ class JointBudget:
     absent: tuple[str, ...] = ()
     speed_ratio: float = 1.0
     refit: float = inf
+    acceleration_ratio: float = 1.0
 
     @property
     def removed(self) -> float:
@@ -183,7 +186,7 @@ class JointBudget:
 
     @property
     def is_extrapolated(self) -> bool:
-        """True if there is an error at speeds to which friction was not fitted."""
+        """True if there is an error at speeds to which the model was not fitted."""
         return self.speed_ratio > EXTRAPOLATED_SPEED_RATIO and not self.is_explained
 
     @property
@@ -239,12 +242,30 @@ class JointBudget:
         return self.after / max(self.floor, 1e-300)
 
     @property
+    def relative_error(self) -> float:
+        """RMSE of the saved model over the RMS torque [1]."""
+        return self.after / max(self.torque, 1e-300)
+
+    @property
+    def is_poor(self) -> bool:
+        """True if its error is a large part of the torque."""
+        return self.relative_error > FAIR_RELATIVE_ERROR
+
+    @property
+    def is_useless(self) -> bool:
+        """True if a prediction of no torque would have a smaller error than either model."""
+        return min(self.before, self.after) > self.torque
+
+    @property
     def error(self) -> str:
-        """The error in words: '3.2 → 0.20 N m (1.3 × noise)'."""
+        """The error in words: '3.2 → 0.20 N m (1.3 × noise)'; of a poor model, of the torque."""
         values = [significant(self.after)]
         if self.is_improved or self.is_worse:
             values.insert(0, significant(self.before))
-        return f"{' → '.join(values)} {self.unit} ({significant(self.noise_ratio)} × noise)"
+        sizes = [f"{significant(self.noise_ratio)} × noise"]
+        if self.is_poor:
+            sizes.append(f"{100.0 * self.relative_error:.0f} % of the torque")
+        return f"{' → '.join(values)} {self.unit} ({', '.join(sizes)})"
 
     @property
     def causes(self) -> str:
@@ -252,11 +273,14 @@ class JointBudget:
         if self.is_withheld:
             return "findings are withheld"
         texts = [*self._removed(), *self._remaining()]
-        if self.before > self.torque:
-            ratio = f"{100.0 * self.before / self.torque:.0f} %"
-            texts.append(
-                f"the base model alone is worse than predicting no torque ({ratio} of the torque)"
-            )
+        worse = [
+            f"{name} ({100.0 * error / self.torque:.0f} % of the torque)"
+            for name, error in (("the base model", self.before), ("the saved model", self.after))
+            if error > self.torque
+        ]
+        if worse:
+            verb = "are" if worse[1:] else "is"
+            texts.append(f"{listed(worse)} {verb} worse than predicting no torque")
         return "; ".join(texts)
 
     def change_words(self, share: float) -> str:
@@ -305,8 +329,8 @@ class JointBudget:
             )
         if self.is_extrapolated:
             texts.append(
-                f"friction is extrapolated to speeds {self.speed_ratio:.1f} times those of the "
-                "fitted recordings"
+                f"the model is extrapolated to speeds {self.speed_ratio:.1f} and accelerations "
+                f"{self.acceleration_ratio:.1f} times those of the fitted recordings"
                 if isfinite(self.speed_ratio)
                 else "its friction is not known, as it stands still in the fitted recordings"
             )
@@ -499,6 +523,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 tuple(name for name in effects if name not in named),
                 inf if errors["speed_ratio"] is None else errors["speed_ratio"],
                 errors.get("rmse_refit", inf),
+                inf if errors["acceleration_ratio"] is None else errors["acceleration_ratio"],
             )
         )
     return out

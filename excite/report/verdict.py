@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO
 from .formatting import significant
 from .torque_budget import JointBudget, joint_words, prior_words, sorted_findings
 
@@ -26,8 +25,15 @@ ONE_SESSION = (
 """Action on friction that changed between recordings."""
 ALONE = "record twice, each joint alone at several speeds in both directions"
 """Action on an error whose cause is not known."""
+ALONE_OF_ONE = "record twice, at several constant speeds in both directions"
+"""The same for a robot with a single joint."""
 AS_FAST = "record training motion as fast as the motion that is to be predicted"
-"""Action on friction that is extrapolated."""
+"""Action on a model that is extrapolated."""
+LONGER = "record a longer motion"
+"""Action on changes between recordings that cannot be told from chance."""
+_CHECK_ROBOT = (
+    "check the robot description, the order and signs of the joints, gravity and the time stamps"
+)
 _WITHOUT_PRIOR = "diagnose without --prior, or with a prior that states only what is known"
 
 
@@ -44,6 +50,7 @@ def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
     extrapolated = [b.joint for b in budgets if b.is_extrapolated]
     above = unforeseen(budgets)
+    useless = [b.joint for b in budgets if b.is_useless]
     if verdict == "no-mismatch" and not all(b.is_explained for b in budgets):
         text = "no effect is found that the base model lacks"
     if unknown:
@@ -59,15 +66,21 @@ def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
         text += f"; {doubted}"
     if extrapolated:
         text += (
-            f"; friction is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
+            f"; the model is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
             "held-out motion is faster than the fitted recordings"
         )
     if above:
-        ratio = f"{EXPLAINED_RMSE_RATIO:g} times the noise"
+        worst = max((b for b in budgets if b.is_unforeseen), key=lambda b: b.noise_ratio)
+        ratio = f"{'up to ' if above[1:] else ''}{significant(worst.noise_ratio)} times the noise"
         if document["joints"][above[0]]["noise_floor_method"] != "periods":
             ratio += ", which is only estimated,"
         places = joint_words(above, len(budgets))
-        text += f"; the error of the held-out motion is still more than {ratio} at {places}"
+        text += f"; the error of the held-out motion is still {ratio} at {places}"
+    if useless:
+        text += (
+            f"; no model fits {joint_words(useless, len(budgets))}: a prediction of no torque "
+            "would be better"
+        )
     return text
 
 
@@ -78,7 +91,7 @@ def tone(document: Document, budgets: Sequence[JointBudget]) -> str:
         document: The diagnosis.
         budgets: The torque budget of each joint.
     """
-    if document["verdict"] == "unexplained":
+    if document["verdict"] == "unexplained" or any(b.is_useless for b in budgets):
         return "bad"
     return "good" if all(b.is_explained for b in budgets) else "warn"
 
@@ -101,6 +114,8 @@ def use_words(budgets: Sequence[JointBudget]) -> str:
     improved = [b.joint for b in budgets if b.is_improved]
     worse = [b.joint for b in budgets if b.is_worse]
     spoiled = [b.joint for b in budgets if b.is_spoiled]
+    if useless := [b.joint for b in budgets if b.is_useless]:
+        return f"none; model.json does not predict {joint_words(useless, len(budgets))}"
     if spoiled:
         return (
             f"model.json with care; it predicts {joint_words(spoiled, len(budgets))} worse than "
@@ -113,10 +128,13 @@ def use_words(budgets: Sequence[JointBudget]) -> str:
         )
         if worse:
             places = joint_words(worse, len(budgets))
-            return f"{text}, worse only by what changed between the recordings at {places}"
-        return text + (", worse at none" if budgets[1:] else "")
+            text += f", worse only by what changed between the recordings at {places}"
+        elif budgets[1:]:
+            text += ", worse at none"
+        return text + _poor_words(budgets)
     if all(b.is_explained for b in budgets):
-        return "load model.json; it predicts unseen motion down to the noise"
+        text = "load model.json; it predicts unseen motion down to the noise"
+        return text + _poor_words(budgets)
     worst = max(budgets, key=lambda b: b.noise_ratio)
     text = (
         f"model.json is no better than the base model, with errors up to "
@@ -125,6 +143,18 @@ def use_words(budgets: Sequence[JointBudget]) -> str:
     if any(b.is_changed for b in budgets):
         text += "; its friction holds only in the session that it was fitted to"
     return text
+
+
+def _poor_words(budgets: Sequence[JointBudget]) -> str:
+    """Say which joints have errors that are a large part of their torque; "" if none has."""
+    poor = [b for b in budgets if b.is_poor]
+    if not poor:
+        return ""
+    ratio = 100.0 * max(b.relative_error for b in poor)
+    return (
+        f"; its error is {'up to ' if poor[1:] else ''}{ratio:.0f} % of the torque at "
+        f"{joint_words([b.joint for b in poor], len(budgets))}"
+    )
 
 
 def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
@@ -136,6 +166,8 @@ def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     """
     if any(b.is_misled for b in budgets):
         return _WITHOUT_PRIOR  # what else there is shows without it
+    if any(b.is_useless for b in budgets):
+        return _CHECK_ROBOT
     actions = [ONE_SESSION] if any(b.is_changed for b in budgets) else []
     if any(b.is_extrapolated for b in budgets):
         actions.append(AS_FAST)
@@ -149,7 +181,11 @@ def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
             "between the effects that resemble each other"
         ]
     if not actions and (places := unforeseen(budgets)):
-        actions = [f"{ALONE} ({joint_words(places, len(budgets))})"]
+        actions = [
+            f"{ALONE if budgets[1:] else ALONE_OF_ONE} ({joint_words(places, len(budgets))})"
+        ]
+    if not actions and document["undecided_between_recordings"]:
+        actions = [LONGER]
     return "; ".join(actions) or "nothing is needed"
 
 

@@ -46,6 +46,7 @@ from .input_files import argument_files
 from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_identification import SavedIdentification
+from .stated_recordings import stated_columns, with_recording_columns
 
 if TYPE_CHECKING:
     from .floating_result import PredictedWrench
@@ -106,7 +107,7 @@ class IdentificationResult(SavedIdentification):
             out["doubts"] = [dict(doubt) for doubt in self.doubts]
         if self.lmi is not None:
             out["lmi"] = {"gap": self.lmi.gap, "agrees": self.lmi.agrees}
-        return out
+        return with_recording_columns(out, [*self.recordings, *self.validation])
 
     def html(self) -> str:
         """Return the report as HTML."""
@@ -376,7 +377,8 @@ def predict(
     Args:
         model: Path of a `model.json`.
         recording: Recording of the motion, or a designed `trajectory.csv`.
-        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file;
+            without any those that the model states for the recording.
 
     Raises:
         UnusableInput: A file cannot be used.
@@ -388,10 +390,13 @@ def predict(
         from .floating_result import predict_floating  # imports this module
 
         return predict_floating(
-            floating_model.model_from_document(file, content), recording, columns
+            floating_model.model_from_document(file, content),
+            recording,
+            columns or stated_columns(content, recording),
         )
     fitted = identified_model.model_from_document(file, content)
-    motion = read_recording(recording, fitted.robot, columns=columns)
+    named = columns or stated_columns(content, recording)
+    motion = read_recording(recording, fitted.robot, columns=named)
     for remark in motion.doubts:
         if remark.kind is RemarkKind.LOCKED:
             warnings.warn(f"{motion.source}: {remark.text}", ExciteWarning, stacklevel=2)

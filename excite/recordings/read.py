@@ -63,10 +63,10 @@ def read(
     Raises:
         UnusableInput: It cannot be read, assigned to the robot's joints or repaired.
     """
-    context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
+    context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits, dict(columns))
     blocks, rows, numbers = list[Block](), 0, 0
     positions = locked_joints.LockedPositions(robot)
-    for block in map(positions.watched, _read_blocks(path, context, columns, floating=floating)):
+    for block in map(positions.watched, _read_blocks(path, context, floating=floating)):
         if len(block) or block.remarks:
             blocks.append(block)
         rows += len(block)
@@ -138,7 +138,6 @@ def stream(
 def _read_blocks(
     path: Path,
     context: RecordingContext,
-    columns: Mapping[str, str] = MappingProxyType({}),
     *,
     floating: bool = False,
 ) -> Iterator[Block]:
@@ -151,6 +150,7 @@ def _read_blocks(
         raise UnusableInput(
             f"{path}: is no recording but JSON; give the recording of that name: {FORMATS}"
         )
+    columns = context.columns
     row, holds_current = 1, context.sidecar.effort == "current"
     if columns and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
         raise UnusableInput(f"{path}: has no named columns; leave --columns out")

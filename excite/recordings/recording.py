@@ -60,6 +60,7 @@ class Recording:
         smoothed: True for joints whose `q` was smoothed within the encoder's resolution. Shape
             (n,), or (1,) if there are none.
         run_in: Number of leading rows that repeat the end of the previous block of a `stream`.
+        columns: Standard names of columns -> differing names in the file, with which it was read.
     """
 
     source: str
@@ -80,6 +81,7 @@ class Recording:
     encoder_noise: FloatArray | None = None
     smoothed: BoolArray = field(default_factory=lambda: np.zeros(1, bool))
     run_in: int = 0
+    columns: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.t)

@@ -31,6 +31,7 @@ from . import (
     timestamp_jitter,
     uneven_stamps,
     units,
+    unsigned_values,
 )
 from .block import QUANTITIES, Block
 from .recording import MIN_ROWS, Recording
@@ -101,6 +102,7 @@ def check_and_repair(
     repairs = list[Remark]()
     held: list[Remark] = []
     if complete:
+        unsigned_values.check_signs(source, block, robot)
         block, held = held_values.keep_updates(block)
         grid = find_grid(source, block.t) if held else grid
         block, repairs = glitches.mask_glitches(source, block, robot, context.limits)

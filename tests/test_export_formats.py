@@ -138,6 +138,27 @@ def test_numbered_joints_are_in_the_order_of_the_robot(two_link, tmp_path, spell
     assert any(f"{second} = joint_2" in text for text in warned) is not is_named
 
 
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("spelling", ["{}_{}", "{}{}", "{}[{}]", "field.{}{}"])
+@pytest.mark.parametrize("time", ["time", "timestamp"])
+def test_elements_with_numbers_alone_count_from_0_or_1(two_link, tmp_path, time, spelling, first):
+    columns = {time: COLUMNS["t"]}
+    for word, quantity in (("position", "q"), ("velocity", "dq"), ("effort", "tau")):
+        for k in range(2):
+            columns[spelling.format(word, k + first)] = COLUMNS[f"{quantity}.joint_{k + 1}"]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    recording, warned = read_with_warnings(path, two_link)
+    assert_same_motion(recording)
+    assert any(f"{spelling.format('position', first + 1)} = joint_2" in text for text in warned)
+
+
+def test_elements_with_other_numbers_need_names(two_link, tmp_path):
+    columns = {"time": COLUMNS["t"], "position_3": COLUMNS["q.joint_1"]}
+    columns |= {"position_4": COLUMNS["q.joint_2"], "effort_3": COLUMNS["tau.joint_1"]}
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    assert_refused(path, two_link, "the numbers 3, 4", "--columns q.joint_1=COLUMN")
+
+
 @pytest.mark.parametrize("first", ["q1", "Q_1", "q[1]", "q1 [rad]"])
 def test_numbers_that_are_names_of_joints_are_not_warned_of(tmp_path, first):
     path = tmp_path / "robot.urdf"

@@ -126,7 +126,7 @@ def find_spelled_columns(
         if not set(positions) <= set(names_of):
             return None
         ordered = tuple(names_of[column] for column in positions)
-        if len(robot.joints) > 1 and not all(map(_holds_name, ordered, robot.joints)):
+        if len(robot.joints) > 1 and not all(map(holds_name, ordered, robot.joints)):
             numbered = ordered
     first: dict[str, str] = {}
     for name, (column, unit) in places.items():
@@ -196,7 +196,7 @@ def _of_number(
     }
 
 
-def _holds_name(column: str, joint: str) -> bool:
+def holds_name(column: str, joint: str) -> bool:
     """Return True if a column with a number holds the name of a joint, as `q1` that of `q1`.
 
     Separators and capital letters do not count: `q_joint1` holds `joint_1`, and `q_joint2` none.

@@ -16,6 +16,7 @@ from ..robot.robot import Robot
 from . import (
     csv_reader,
     data_quality,
+    interleaved_rows,
     locked_joints,
     magnitudes,
     npz_reader,
@@ -75,8 +76,9 @@ def read(
     if not blocks:
         raise UnusableInput(f"{path}: has no rows; record again")
     cut, steps = remove_clock_steps(concatenate(blocks))
-    ordered, late = sort_rows(str(path), cut)
-    remarks = [*steps, *late]
+    joined, interleaved = interleaved_rows.join_rows(cut)
+    ordered, late = sort_rows(str(path), joined)
+    remarks = [*steps, *interleaved, *late]
     window = RowWindow(ordered, remarks=tuple(remarks))
     grid = find_grid(str(path), ordered.t)
     recording = data_quality.check_and_repair(context, window, grid, complete=True)
@@ -97,12 +99,12 @@ def stream(
     """Read consecutive blocks of a recording in memory that depends on `rows` alone.
 
     Each block is repaired as `read` repairs the recording, on the grid of the first block. Not
-    judged are properties of the complete recording: clock steps, held values, wrapped positions,
-    glitches, the period, joints that never move, locked joints that move, timestamp jitter,
-    quantization, and coarse, frozen, repeated or clipped signals. Shares of missing values are
-    judged by block. A repair is warned of where it first occurs; numbers in a remark may include up
-    to 32 rows around the block. Memory is bounded for CSV, bags and .npz, except 2-D arrays in
-    Fortran order.
+    judged are properties of the complete recording: clock steps, interleaved rows, held values,
+    wrapped positions, glitches, the period, joints that never move, locked joints that move,
+    timestamp jitter, quantization, and coarse, frozen, repeated or clipped signals. Shares of
+    missing values are judged by block. A repair is warned of where it first occurs; numbers in a
+    remark may include up to 32 rows around the block. Memory is bounded for CSV, bags and .npz,
+    except 2-D arrays in Fortran order.
 
     Args:
         path: As of `read`.

@@ -33,6 +33,7 @@ from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
 from ..recordings import Recording, RemarkKind, executed_motion, recording_cost, require_distinct
 from ..recordings.periodicity import check_repetition, with_detected_period
+from ..recordings.recording import require_drive_gains
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -473,6 +474,7 @@ def read_both(
         for paths in (train, held_out)
     ]
     require_distinct(*sets)
+    require_drive_gains([recording for group in sets for recording in group])
     if trajectory:  # a validation recording may hold another motion
         sets = [
             [

@@ -127,10 +127,13 @@ def _keep_new_rows(block: Block) -> tuple[Block, list[Remark]]:
     Returns:
         The rows, and remarks; the rows as they are if none is dropped.
     """
-    signals = np.hstack([block.values[name] for name in MEASURED if name in block.values])
-    before, after = signals[:-1], signals[1:]
-    is_same = (before == after) | (np.isnan(before) & np.isnan(after))
-    rows = np.flatnonzero(~is_same.all(axis=1)) + 1
+    is_new = np.zeros(max(len(block) - 1, 0), bool)
+    for name in MEASURED:
+        if name in block.values:
+            before, after = block.values[name][:-1], block.values[name][1:]
+            is_same = (before == after) | (np.isnan(before) & np.isnan(after))
+            is_new |= ~is_same.all(axis=1)
+    rows = np.flatnonzero(is_new) + 1
     q = block.values["q"]
     steps = np.nan_to_num(np.abs(np.diff(q, axis=0)))
     is_clear = (steps > MIN_CHANGE) & (steps >= CLEAR_STEPS * smallest_steps(q))

@@ -138,7 +138,7 @@ def offset_notes(model: SimulatorModel) -> list[str]:
         return []
     return [
         f"offsets: MJCF has none of joints; a spring of stiffness {OFFSET_STIFFNESS:g} with a far",
-        f"  springref is the constant torque stiffness * springref: {', '.join(offsets)}",
+        f"  springref (rad, m) is the constant torque stiffness * springref: {', '.join(offsets)}",
     ]
 
 

@@ -144,6 +144,15 @@ def test_positions_alone_that_repeat_at_random_are_no_repeated_rows(two_link, tm
     assert not is_remarked(recording)
 
 
+def test_positions_without_torques_are_not_judged(two_link, tmp_path):
+    """As of a tracker of human motion, whose solver repeats poses."""
+    t = np.arange(600) / 100.0
+    q = held(position(t), hold_at_random(len(t), 1.83))
+    named = {name: value for name, value in columns(t, q, q).items() if "tau" not in name}
+    recording, _ = DamagedMotion(named).read(tmp_path, two_link)
+    assert not is_remarked(recording)
+
+
 @pytest.mark.parametrize("every", [1, 4])
 def test_a_freeze_of_all_joints_in_motion_is_named(two_link, tmp_path, every):
     t = np.arange(600 * every) / (100.0 * every)

@@ -46,8 +46,8 @@ are not used [1]. In the recordings of ten real machines it is at most 0.02."""
 MIN_JUMP_SHARE = 0.5
 """Motion at the end of a freeze over the one at the speed before and after it [1]: a robot that
 stood still in between continues with the motion of a single row."""
-MEASURED = ("q", "dq", "tau", "current", "qlink")
-"""Quantities of a complete row: commands may be logged at another rate."""
+NOT_MEASURED = ("qref", *SLOW)
+"""Quantities that do not count in a complete row: commands may be logged at another rate."""
 SUBJECTS = {
     "q": "positions",
     "dq": "velocities",
@@ -121,17 +121,20 @@ def _remark(updates: dict[str, Updates], step: float) -> Remark:
 def _keep_new_rows(block: Block) -> tuple[Block, list[Remark]]:
     """Drop complete rows that repeat the one before: all if they are frequent, else freezes.
 
+    A row is complete if it holds torques or currents next to positions.
+
     Args:
         block: Rows with increasing times.
 
     Returns:
         The rows, and remarks; the rows as they are if none is dropped.
     """
+    if not {"tau", "current"} & set(block.values):
+        return block, []  # positions alone may be those of a slower tracker
     is_new = np.zeros(max(len(block) - 1, 0), bool)
-    for name in MEASURED:
-        if name in block.values:
-            before, after = block.values[name][:-1], block.values[name][1:]
-            is_same = (before == after) | (np.isnan(before) & np.isnan(after))
+    for name, value in block.values.items():
+        if name not in NOT_MEASURED:
+            is_same = (value[:-1] == value[1:]) | (np.isnan(value[:-1]) & np.isnan(value[1:]))
             is_new |= ~is_same.all(axis=1)
     rows = np.flatnonzero(is_new) + 1
     q = block.values["q"]

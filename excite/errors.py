@@ -76,10 +76,10 @@ class MissingLimit(UnusableInput):
         self.faults = tuple(faults)
         first = self.faults[0]
         example = f"([joints.{toml_key(first.joint)}] {first.quantity} = …)"
+        place = _place_of_limits(source)
         if len(self.faults) == 1:
             super().__init__(
-                f"{source}: {first}; set it in the URDF's <limit> or with --limits FILE.toml "
-                f"{example}"
+                f"{source}: {first}; set it in {place} or with --limits FILE.toml {example}"
             )
             return
         joints = dict.fromkeys(fault.joint for fault in self.faults)
@@ -89,9 +89,18 @@ class MissingLimit(UnusableInput):
         )
         super().__init__(
             f"{source}: {len(self.faults)} limits are missing or unusable ({listed}); set them in "
-            f"the URDF's <limit> or with --limits FILE.toml {example}; 'excite check {source} "
+            f"{place} or with --limits FILE.toml {example}; 'excite check {source} "
             "--limits-template FILE.toml' writes a file to fill in"
         )
+
+
+def _place_of_limits(source: str) -> str:
+    """Return the place of limits in a robot's file, by the suffix of its format."""
+    if source.lower().endswith((".xml", ".mjcf")):
+        return (
+            "the MJCF (range and actuatorfrcrange of the <joint>; it has no place for a velocity)"
+        )
+    return "the URDF's <limit>"
 
 
 class Infeasible(ExciteError):

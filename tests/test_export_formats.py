@@ -138,6 +138,44 @@ def test_numbered_joints_are_in_the_order_of_the_robot(two_link, tmp_path, spell
     assert any(f"{second} = joint_2" in text for text in warned) is not is_named
 
 
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("spelling", ["{}_{}", "{}{}", "{}[{}]", "field.{}{}"])
+@pytest.mark.parametrize("time", ["time", "timestamp"])
+def test_elements_with_numbers_alone_count_from_0_or_1(two_link, tmp_path, time, spelling, first):
+    columns = {time: COLUMNS["t"]}
+    for word, quantity in (("position", "q"), ("velocity", "dq"), ("effort", "tau")):
+        for k in range(2):
+            columns[spelling.format(word, k + first)] = COLUMNS[f"{quantity}.joint_{k + 1}"]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    recording, warned = read_with_warnings(path, two_link)
+    assert_same_motion(recording)
+    assert any(f"{spelling.format('position', first + 1)} = joint_2" in text for text in warned)
+
+
+@pytest.mark.parametrize("names", [("q1", "q2"), ("joint_1_pos", "q.joint_2"), ("q_1", "q_2")])
+def test_positions_without_a_time_are_answered_by_the_way_to_add_it(two_link, tmp_path, names):
+    columns = dict(zip(names, (COLUMNS["q.joint_1"], COLUMNS["q.joint_2"]), strict=True))
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    text = assert_refused(path, two_link, "no column 't' of time", "add a column t [s]")
+    assert "row" in text and "--columns t=COLUMN" in text
+
+
+@pytest.mark.parametrize("time", ["time", "Timestamp [ms]"])
+@pytest.mark.parametrize(("torque", "missing"), [("load", "and no torque"), ("tau_joint_1", "of")])
+def test_what_is_missing_is_named_not_the_time(two_link, tmp_path, time, torque, missing):
+    columns = {time: COLUMNS["t"], "angle": COLUMNS["q.joint_1"], torque: COLUMNS["tau.joint_1"]}
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    text = assert_refused(path, two_link, f"no position {missing}", "--columns q.joint_1=COLUMN")
+    assert "column 't'" not in text and "'angle'" in text
+
+
+def test_elements_with_other_numbers_need_names(two_link, tmp_path):
+    columns = {"time": COLUMNS["t"], "position_3": COLUMNS["q.joint_1"]}
+    columns |= {"position_4": COLUMNS["q.joint_2"], "effort_3": COLUMNS["tau.joint_1"]}
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    assert_refused(path, two_link, "the numbers 3, 4", "--columns q.joint_1=COLUMN")
+
+
 @pytest.mark.parametrize("first", ["q1", "Q_1", "q[1]", "q1 [rad]"])
 def test_numbers_that_are_names_of_joints_are_not_warned_of(tmp_path, first):
     path = tmp_path / "robot.urdf"
@@ -204,8 +242,8 @@ def test_names_that_scripts_spell_are_read_only_if_they_are_clear(two_link, tmp_
     assert "--columns q.joint_1=" in both
     assert_refused(named("q_joint_1 (deg)", "q_joint_2 (deg)"), two_link, "is in deg", "SI units")
     # a joint less or more than the robot has: numbers say nothing
-    assert_refused(named("q1"), two_link, "no column 't'")
-    assert_refused(named("q1", "q2", "q3"), two_link, "no column 't'")
+    assert_refused(named("q1"), two_link, "no position", "'q1'")
+    assert_refused(named("q1", "q2", "q3"), two_link, "no position", "'q3'")
 
 
 @pytest.mark.parametrize("separator", [";", "\t"])
@@ -242,7 +280,7 @@ def test_columns_are_named_by_the_user(two_link, tmp_path, capsys):
         **{f"{p}.joint_{k}": f"channel {p} {k}" for p in ("q", "dq", "tau") for k in (1, 2)},
     }
     path = write(tmp_path / "r.csv", [renamed[name] for name in COLUMNS], rows(*COLUMNS.values()))
-    assert_refused(path, two_link, "--columns t=COLUMN")
+    assert_refused(path, two_link, "no position", "'Time'", "--columns q.joint_1=COLUMN")
     assert_same_motion(recordings.read(path, two_link, columns=renamed))
     stated = ",".join(f"{name}={column}" for name, column in renamed.items())
     arguments = ["identifiability", "two_link", str(path), "-o", str(tmp_path / "out")]

@@ -105,3 +105,83 @@ def test_coarse_encoders_and_slow_motions_are_not_held(two_link, tmp_path, rate,
     recording, _ = motion.read(tmp_path, two_link)
     assert RemarkKind.HELD not in remark_kinds(recording)
     assert len(recording) == len(t)
+
+
+HOLDS = {1.1: [1] * 9 + [2], 1.83: [1] * 20 + [2] * 77 + [3] * 3, 3.0: [1, 2, 3, 4, 5]}
+"""Numbers of rows from update to update, by their mean."""
+
+
+def hold_at_random(rows: int, mean: float) -> np.ndarray:
+    """Rows of updates that come irregularly, every `mean` rows on average."""
+    updates = np.cumsum(np.random.default_rng(0).choice(HOLDS[mean], rows))
+    return np.union1d([0], updates[updates < rows])
+
+
+def is_remarked(recording) -> bool:
+    """Return True for a remark on repeated rows or on a freeze of all joints."""
+    return any("complete rows" in r.text or "all signals" in r.text for r in recording.remarks)
+
+
+@pytest.mark.parametrize("mean", [1.1, 1.83, 3.0])
+def test_complete_rows_that_repeat_at_any_ratio_are_not_used(two_link, tmp_path, mean):
+    t = np.arange(600) / 100.0
+    updates = hold_at_random(len(t), mean)
+    motion = DamagedMotion(columns(t, held(position(t), updates), held(torque(t), updates)))
+    recording, texts = motion.read(tmp_path, two_link)
+    remark = next(r for r in recording.remarks if r.kind is RemarkKind.REPEATED)
+    assert remark.repaired and "repeat the one before" in texts[0]
+    frequency = float(remark.text.split("(")[1].split()[0])
+    assert frequency == pytest.approx(100.0 / mean, rel=0.15)
+    assert np.abs(recording.q - position(recording.t)).max() < 0.02
+
+
+def test_positions_alone_that_repeat_at_random_are_no_repeated_rows(two_link, tmp_path):
+    t = np.arange(600) / 100.0
+    updates = hold_at_random(len(t), 1.83)
+    recording, _ = DamagedMotion(columns(t, held(position(t), updates), torque(t))).read(
+        tmp_path, two_link
+    )
+    assert not is_remarked(recording)
+
+
+def test_positions_without_torques_are_not_judged(two_link, tmp_path):
+    """As of a tracker of human motion, whose solver repeats poses."""
+    t = np.arange(600) / 100.0
+    q = held(position(t), hold_at_random(len(t), 1.83))
+    named = {name: value for name, value in columns(t, q, q).items() if "tau" not in name}
+    recording, _ = DamagedMotion(named).read(tmp_path, two_link)
+    assert not is_remarked(recording)
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_a_freeze_of_all_joints_in_motion_is_named(two_link, tmp_path, every):
+    t = np.arange(600 * every) / (100.0 * every)
+    updates = np.arange(0, len(t), every)
+    freeze = (updates > 120 * every) & (updates < 134 * every)
+    updates = updates[~freeze]
+    motion = DamagedMotion(columns(t, held(position(t), updates), held(torque(t), updates)))
+    recording, texts = motion.read(tmp_path, two_link)
+    remark = next(r for r in recording.remarks if r.kind is RemarkKind.FROZEN)
+    assert remark.start == pytest.approx(1.2) and remark.end == pytest.approx(1.33, abs=0.01)
+    assert any("all signals of all joints are frozen" in text for text in texts)
+    inside = (recording.t > 1.21) & (recording.t < 1.33)
+    assert not inside.any()
+
+
+def test_a_robot_that_stops_abruptly_between_motions_is_not_frozen(two_link, tmp_path):
+    """Constant speed, a stop for 20 rows without noise, the same speed again."""
+    t = np.arange(800) / 100.0
+    moving = np.minimum(t, 4.0) + np.maximum(t - 4.2, 0.0)
+    q = moving[:, None] * np.array([0.3, 0.2])
+    recording, _ = DamagedMotion(columns(t, q, np.sign(np.gradient(q, axis=0)))).read(
+        tmp_path, two_link
+    )
+    assert not is_remarked(recording)
+
+
+def test_slow_motion_of_one_joint_with_a_coarse_encoder_repeats_no_rows(two_link, tmp_path):
+    t = np.arange(2000) / 100.0
+    q = np.column_stack([np.round(0.2 * np.sin(0.5 * t) / 2e-3) * 2e-3, np.zeros_like(t)])
+    tau = np.round(3.0 * np.cos(0.5 * t[:, None] + np.array([0.0, 0.4])) / 0.1) * 0.1
+    recording, _ = DamagedMotion(columns(t, q, tau)).read(tmp_path, two_link)
+    assert not is_remarked(recording)

@@ -472,3 +472,13 @@ def test_a_recording_shorter_than_the_margins_of_the_filter_is_refused(folder, c
     path = tmp_path / "short.csv"
     path.write_text("\n".join(lines[:100]) + "\n")
     assert "stretch" in error_line(capsys, "identify", "two_link", path, "-o", tmp_path / "out")
+
+
+def test_missing_drive_gains_of_all_recordings_are_named_at_once(folder, tmp_path, capsys):
+    for name in ("train", "other"):
+        text = (folder / f"{name}.csv").read_text().replace("tau.joint", "i.joint")
+        (tmp_path / f"{name}.csv").write_text(text)
+    words = ("identify", "two_link", tmp_path / "train.csv", "--validate", tmp_path / "other.csv")
+    line = error_line(capsys, *words, "-o", tmp_path / "out")
+    for part in ("train.csv", "other.csv", "train.json", "other.json", '"joint_2": N m/A'):
+        assert part in line

@@ -317,6 +317,21 @@ def test_a_warning_names_the_repaired_link(sick):
     assert np.linalg.matrix_rank(standard.scale[10:20, 10:20]) == 10
 
 
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        (link("arm", 2.0, (0.3, 0, 0), np.diag([0.1, 0.1, 0.5])), "exceeds the sum"),
+        (link("arm", 2.0, (0.3, 0, 0), np.diag([0.0, 0.1, 0.1])), "singular inertia"),
+    ],
+)
+def test_a_repair_states_what_is_wrong_with_the_body(body, reason):
+    robot = loaded(pendulum(body=body))
+    with pytest.warns(ExciteWarning, match=reason) as caught:
+        inertial_parameters.standard_parameters(robot, resolve(robot), ())
+    words = {"exceeds the sum", "singular inertia", "massless"} - {reason}
+    assert not any(word in str(caught[0].message) for word in words)
+
+
 def test_a_repair_does_not_change_the_nominal_torque():
     text = pendulum(body=link("arm", 2.0, (0.3, 0, 0), np.diag([0.0, 0.1, 0.1])))
     robot, motion = loaded(text), states(1)

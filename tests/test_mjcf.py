@@ -209,6 +209,8 @@ def test_limits_come_from_ranges_and_actuators(tmp_path):
     assert (entries["roll"].viscous, entries["roll"].rotor_inertia) == (0.05, 0.004)
     with pytest.raises(MissingLimit) as caught:
         resolve(robot)
+    text = str(caught.value)
+    assert "URDF" not in text and "actuatorfrcrange" in text and "--limits FILE" in text
     missing = [(fault.joint, fault.quantity) for fault in caught.value.faults]
     assert missing == [
         *((joint, "velocity") for joint in ("pan", "lift")),

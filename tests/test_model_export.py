@@ -260,6 +260,17 @@ def test_every_file_states_what_its_simulator_cannot_hold(tmp_path):
         assert "monday.csv" in exported.text and "+- 0.1" in exported.text
 
 
+def test_the_springs_that_stand_for_offsets_are_named_in_the_comment(tmp_path):
+    path = write_model(
+        tmp_path, "two_link", (effect_entry("spring", "joint_2", {"form": 0.0}, 1.7),)
+    )
+    text = excite.export_model(path, "mjcf").text
+    note = next(line for line in text.splitlines() if "constant torque" in line)
+    offset = read_model(path).psi[read_model(path).layout.block("offset")][0]
+    assert f"joint_1 {-offset:.4g} N m" in note and "joint_2" not in note  # it has a true spring
+    assert "stiffness 1e-12" in text
+
+
 def test_a_spring_with_an_offset_has_its_rest_position_where_its_torque_is_zero():
     rng, q = np.random.default_rng(0), np.linspace(-2.0, 2.0, 9)
     for coefficients in (*rng.normal(size=(20, 4)), np.array([0.3, 2.0, 0.0, 0.0])):

@@ -191,3 +191,10 @@ def test_a_file_that_is_no_robot_is_one_line(tmp_path, capsys):
     assert main(["check", str(written(tmp_path, "<model/>"))]) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.startswith("excite: ") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("joints", "words"), [("joint_1", "1 moving joint,"), (None, "2 moving")])
+def test_the_number_of_joints_is_in_the_right_grammatical_number(capsys, joints, words):
+    options = () if joints is None else ("--joints", joints)
+    main(["check", "two_link", *options])
+    assert words in capsys.readouterr().out

@@ -46,7 +46,12 @@ from ..robot.samples import Samples
 from ..trajectory.trajectory_file import Trajectory
 from . import identification_result
 from .discriminating_design import DiagnosisQuestions, read_questions
-from .identification_result import reference_samples, robot_of_torque, with_trajectory
+from .identification_result import (
+    TrajectorySources,
+    reference_samples,
+    robot_of_torque,
+    with_trajectory,
+)
 from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
@@ -337,6 +342,8 @@ def design(
     time: float | None = None,
     start: Sequence[float] | None = None,
     given: Sequence[str | Path] = (),
+    trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
     for_task: str | Path | None = None,
     discriminate: str | Path | None = None,
     validate: bool = False,
@@ -370,6 +377,10 @@ def design(
             motion for a payload whose period and repeats are not stated.
         start: Pose at which the motion begins and ends at rest. Shape (n,) [rad or m].
         given: Trajectories or recordings whose information is already available.
+        trajectory: The `trajectory.json` that was executed in recordings of `given`, or several:
+            each recording takes its period and window from the one that it holds.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in the CSV files
+            of `given` and `for_task`.
         for_task: Motion of a task, a recording or a `trajectory.json`, along which the identified
             model is to predict the torque with the least variance (V-optimality); replaces the
             criterion.
@@ -404,7 +415,7 @@ def design(
     if chosen.payload_link is not None and not is_timed:
         time = PAYLOAD_SECONDS
     pose = None if start is None else np.asarray(start, float)
-    recorded = [motion_samples(Path(path), loaded)[:2] for path in given]
+    recorded = [motion_samples(Path(path), loaded, trajectory, columns)[:2] for path in given]
     questions = None
     if discriminate is not None:
         questions = read_questions(Path(discriminate), loaded, table, chosen).with_given(recorded)
@@ -413,7 +424,7 @@ def design(
         chosen = replace(chosen, criterion=Criterion.D, samples=count, noise=noise)
     earlier = _information(recorded, loaded, table, chosen)
     information = None if earlier is None else earlier.T @ earlier
-    task = None if for_task is None else read_task(Path(for_task), loaded, table, chosen)
+    task = None if for_task is None else read_task(Path(for_task), loaded, table, chosen, columns)
     if task is not None:
         weak = task_variance.prior_information(task.parameters)
         information = weak if information is None else information + weak
@@ -490,7 +501,7 @@ def design(
         questions,
         inputs=argument_files(
             loaded.source,
-            *(limits, cell.scene, cell.srdf, for_task, discriminate),
+            *(limits, cell.scene, cell.srdf, for_task, discriminate, trajectory),
             recordings=given,
         ),
     )
@@ -571,7 +582,7 @@ def compare_experiments(
 def motion_samples(
     path: Path,
     robot: Robot,
-    executed: Sequence[str | Path] = (),
+    executed: TrajectorySources = (),
     columns: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Samples, Robot, Trajectory | None]:
     """Read the samples of a trajectory, or of a recording, at REFERENCE_RATE.

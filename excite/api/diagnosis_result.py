@@ -38,6 +38,7 @@ from .identification_result import (
 from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
+from .stated_recordings import with_recording_columns
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
 """Files of a diagnosis."""
@@ -93,7 +94,7 @@ class DiagnosisResult(SavedResult):
         out["without_effects"] = dict(
             zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)
         )
-        return out
+        return with_recording_columns(out, [*self.recordings, *self.validation])
 
     def html(self) -> str:
         """Return the report as HTML."""

@@ -28,6 +28,7 @@ from .input_files import argument_files
 from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
 from .robots import RobotSource
 from .saved_identification import SavedIdentification
+from .stated_recordings import with_recording_columns
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class FloatingIdentificationResult(SavedIdentification):
 
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""
-        return floating_model.model_document(self.identification, self.recordings)
+        out = floating_model.model_document(self.identification, self.recordings)
+        return with_recording_columns(out, [*self.recordings, *self.validation])
 
     def html(self) -> str:
         """Return the report as HTML."""

@@ -33,6 +33,7 @@ from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
 from ..recordings import Recording, RemarkKind, executed_motion, recording_cost, require_distinct
 from ..recordings.periodicity import check_repetition, with_detected_period
+from ..recordings.recording import require_drive_gains
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -46,6 +47,7 @@ from .input_files import argument_files
 from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_identification import SavedIdentification
+from .stated_recordings import stated_columns, with_recording_columns
 
 if TYPE_CHECKING:
     from .floating_result import PredictedWrench
@@ -106,7 +108,7 @@ class IdentificationResult(SavedIdentification):
             out["doubts"] = [dict(doubt) for doubt in self.doubts]
         if self.lmi is not None:
             out["lmi"] = {"gap": self.lmi.gap, "agrees": self.lmi.agrees}
-        return out
+        return with_recording_columns(out, [*self.recordings, *self.validation])
 
     def html(self) -> str:
         """Return the report as HTML."""
@@ -376,7 +378,8 @@ def predict(
     Args:
         model: Path of a `model.json`.
         recording: Recording of the motion, or a designed `trajectory.csv`.
-        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file;
+            without any those that the model states for the recording.
 
     Raises:
         UnusableInput: A file cannot be used.
@@ -388,10 +391,13 @@ def predict(
         from .floating_result import predict_floating  # imports this module
 
         return predict_floating(
-            floating_model.model_from_document(file, content), recording, columns
+            floating_model.model_from_document(file, content),
+            recording,
+            columns or stated_columns(content, recording),
         )
     fitted = identified_model.model_from_document(file, content)
-    motion = read_recording(recording, fitted.robot, columns=columns)
+    named = columns or stated_columns(content, recording)
+    motion = read_recording(recording, fitted.robot, columns=named)
     for remark in motion.doubts:
         if remark.kind is RemarkKind.LOCKED:
             warnings.warn(f"{motion.source}: {remark.text}", ExciteWarning, stacklevel=2)
@@ -468,6 +474,7 @@ def read_both(
         for paths in (train, held_out)
     ]
     require_distinct(*sets)
+    require_drive_gains([recording for group in sets for recording in group])
     if trajectory:  # a validation recording may hold another motion
         sets = [
             [

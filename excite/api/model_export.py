@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import os.path
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from .._system.output_files import output_files
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..exporters.model_formats import model_text, remainders, require_format
 from ..exporters.simulator_model import Remainder, SimulatorModel, simulator_model
-from ..identification.identified_model import model_file, model_from_document
-from ..recordings import Recording
+from ..identification.identified_model import IdentifiedModel, model_file, model_from_document
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from .identification_result import RecordingSource, read_recording
 from .input_files import argument_files
 from .robots import resolve_limits
+from .stated_recordings import stated_columns, stated_recording
 
 
 @dataclass(frozen=True)
@@ -89,54 +90,58 @@ def is_model(path: str | Path) -> bool:
     return isinstance(schema, str) and schema == MODEL_SCHEMA
 
 
+def read_fitted_model(model: str | Path) -> tuple[IdentifiedModel, dict[str, Any]]:
+    """Read an identified robot, and the content of its `model.json`.
+
+    Raises:
+        UnusableInput: The file cannot be used.
+    """
+    file = model_file(Path(model))
+    content = file.json()
+    file.schema(content, (MODEL_SCHEMA,))
+    return model_from_document(file, content), content
+
+
 def read_simulator_model(
     model: str | Path,
     *,
     recording: RecordingSource | None = None,
     limits: str | Path | None = None,
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> SimulatorModel:
     """Read an identified robot and prepare it for the files of simulators.
 
     Args:
         model: Path of a `model.json`.
         recording: Motion along which the torque of the effects is evaluated; None: the first
-            recording of the model that is still in its place.
+            recording of the model that is still in its place, if it can be read.
         limits: Limits file; None: the limits of the URDF.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file;
+            without any those that the model states for the recording.
 
     Raises:
         UnusableInput: A file cannot be used.
     """
-    file = model_file(Path(model))
-    content = file.json()
-    file.schema(content, (MODEL_SCHEMA,))
-    fitted = model_from_document(file, content)
-    motion: Recording | None = None
-    if recording is None:
-        recording = _stated_recording(content, Path(model))
-    if recording is not None:
-        motion = read_recording(recording, fitted.robot)
+    fitted, content = read_fitted_model(model)
     table = None if limits is None else resolve_limits(fitted.robot, limits)
-    return simulator_model(fitted, content, recording=motion, limits=table)
-
-
-def _stated_recording(content: Mapping[str, Any], path: Path) -> Path | None:
-    """The first of the model's recordings that is in the place that it states; a model without
-    effects needs none."""
-    for key in ("validation", "fit"):
-        for entry in content.get(key) or []:
-            stated = Path(str(entry.get("recording", "")))
-            for place in (stated, path.parent / stated.name):
-                if os.path.isfile(place):  # False for names that no file can have
-                    return place
-    return next(
-        (
-            place
-            for stated in content.get("recordings", [])
-            for place in (Path(str(stated)), path.parent / Path(str(stated)).name)
-            if os.path.isfile(place)
-        ),
-        None,
-    )
+    if recording is not None:
+        named = columns or stated_columns(content, recording)
+        motion = read_recording(recording, fitted.robot, columns=named)
+        return simulator_model(fitted, content, recording=motion, limits=table)
+    stated = stated_recording(content, Path(model).parent)
+    if stated is not None:
+        path, named = stated
+        try:
+            motion = read_recording(path, fitted.robot, columns=columns or named)
+            return simulator_model(fitted, content, recording=motion, limits=table)
+        except UnusableInput as error:  # the robot is complete without the recording
+            warnings.warn(
+                f"{error}; the torque of what a format does not hold is therefore unknown, all "
+                "else is exported (--recording FILE states another motion)",
+                ExciteWarning,
+                stacklevel=3,
+            )
+    return simulator_model(fitted, content, limits=table)
 
 
 def export_model(
@@ -146,6 +151,7 @@ def export_model(
     into: str | Path | None = None,
     recording: RecordingSource | None = None,
     limits: str | Path | None = None,
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> ExportedModel:
     """Export an identified robot for a simulator, as `excite export MODEL` does.
 
@@ -154,14 +160,16 @@ def export_model(
         format: Name of a format; `excite.exporters.MODEL_FORMATS` lists them.
         into: The user's own MJCF, of which only what was identified changes.
         recording: Motion along which the torque of what the format does not hold is evaluated;
-            None: the first recording of the model that is still in its place.
+            None: the first recording of the model that is still in its place, if it can be read.
         limits: Limits file; None: the limits of the URDF.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in the CSV file
+            of the recording; without any those that the model states for it.
 
     Raises:
         UnusableInput: A file cannot be used, or the format is unknown.
     """
     require_format(format)  # before anything is computed
-    prepared = read_simulator_model(model, recording=recording, limits=limits)
+    prepared = read_simulator_model(model, recording=recording, limits=limits, columns=columns)
     text = model_text(prepared, format, None if into is None else Path(into))
     measured = [] if recording is None else [recording]
     inputs = argument_files(None, model, into, limits, recordings=measured)

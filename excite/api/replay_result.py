@@ -22,11 +22,12 @@ from ..recordings import Recording
 from ..robot.inertial_parameters import COULOMB_WIDTH, DRIVE
 from .identification_result import RecordingSource, read_recording
 from .input_files import argument_files
-from .model_export import read_simulator_model
+from .model_export import read_fitted_model
 from .mujoco_extra import require_mujoco
 from .robots import load_robot
 from .saved_result import SavedResult
 from .servo_identification_result import gain_pairs
+from .stated_recordings import stated_columns
 
 REPLAY_FILES = ("replay.json", "report.html")
 """Files of a replay."""
@@ -129,15 +130,17 @@ def replay(
             recorded torque.
         robot: Description of the robot before its identification; None: the one that the model
             states.
-        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file;
+            without any those that the model states for the recording.
 
     Raises:
         UnusableInput: MuJoCo is not installed, or a file or an option cannot be used.
     """
     require_mujoco()
-    prepared = read_simulator_model(model, recording=None)
-    fitted = prepared.model
-    measured = read_recording(recording, fitted.robot, columns=columns)
+    fitted, content = read_fitted_model(model)
+    prepared = simulator_model(fitted, content)
+    named = columns or stated_columns(content, recording)
+    measured = read_recording(recording, fitted.robot, columns=named)
     if command is None:
         command = "torque" if measured.qref is None and gains is None else "qref"
     data = mujoco_replay.replay_input(fitted, measured, command == "torque")

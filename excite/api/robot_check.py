@@ -124,7 +124,7 @@ class RobotCheck:
         """One page for people."""
         robot = self.robot
         locked: Mapping[str, float] = robot.options["locked"]  # type: ignore[assignment]
-        counts = [f"{robot.n} moving joints", f"{self.fixed} fixed"]
+        counts = [f"{robot.n} moving joint{'s' if robot.n != 1 else ''}", f"{self.fixed} fixed"]
         counts += [f"{len(locked)} locked"] if locked else []
         counts += [f"{len(robot.followers)} mimic"] if robot.followers else []
         out = [

@@ -33,6 +33,7 @@ from .identification_result import (
 from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_identification import SavedIdentification
+from .stated_recordings import with_recording_columns
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class ServoIdentificationResult(SavedIdentification):
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return servo_model_document(self.identification, self.recordings)
+        out = servo_model_document(self.identification, self.recordings)
+        return with_recording_columns(out, [*self.recordings, *self.validation])
 
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""

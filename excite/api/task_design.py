@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -82,7 +84,13 @@ class TaskDesign:
         )
 
 
-def read_task(path: Path, robot: Robot, limits: Limits, options: DesignOptions) -> TaskDesign:
+def read_task(
+    path: Path,
+    robot: Robot,
+    limits: Limits,
+    options: DesignOptions,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> TaskDesign:
     """Read the motion of a task.
 
     Args:
@@ -90,6 +98,7 @@ def read_task(path: Path, robot: Robot, limits: Limits, options: DesignOptions) 
         robot: The robot.
         limits: Its limits.
         options: Options of the design.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
 
     Raises:
         UnusableInput: The file cannot be used, moves other joints or does not move at all, or the
@@ -99,7 +108,7 @@ def read_task(path: Path, robot: Robot, limits: Limits, options: DesignOptions) 
         raise UnusableInput(
             f"--for {path}: replaces the criterion; leave out --criterion and --plain"
         )
-    samples = _task_samples(path, robot)
+    samples = _task_samples(path, robot, columns)
     samples = samples.rows(
         np.linspace(0, len(samples) - 1, min(len(samples), MAX_TASK_SAMPLES)).round().astype(int)
     )
@@ -110,10 +119,10 @@ def read_task(path: Path, robot: Robot, limits: Limits, options: DesignOptions) 
     return TaskDesign(str(path), standard, dynamics.regressor(robot, standard, samples), noise)
 
 
-def _task_samples(path: Path, robot: Robot) -> Samples:
+def _task_samples(path: Path, robot: Robot, columns: Mapping[str, str]) -> Samples:
     """Read a task at about REFERENCE_RATE."""
     if path.suffix != ".json":
-        recording = recordings.read(path, robot)
+        recording = recordings.read(path, robot, columns=columns)
         samples = recording.samples()
         step = max(1, round(recording.rate / REFERENCE_RATE))
         return samples.rows(slice(None, None, step))

@@ -47,6 +47,8 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         time=arguments.time,
         start=None if not arguments.start else shared.of_joints("--start", arguments.start, robot),
         given=arguments.given,
+        trajectory=arguments.trajectory,
+        columns=shared.columns(arguments),
         for_task=arguments.for_task,
         discriminate=arguments.discriminate,
         validate=arguments.validation,

@@ -25,7 +25,7 @@ OF_TRAJECTORIES = {
     "--force": "force",
 }
 """Options that concern trajectories only, with the names of their attributes."""
-OF_MODELS = {"--into": "into", "--recording": "recording"}
+OF_MODELS = {"--into": "into", "--recording": "recording", "--columns": "columns"}
 """Options that concern identified robots only."""
 
 
@@ -68,6 +68,7 @@ def _export_model(arguments: argparse.Namespace) -> Outcome:
         into=arguments.into,
         recording=arguments.recording,
         limits=arguments.limits,
+        columns=shared.columns(arguments),
     )
     written = output.replace({path.name: result.text})[0]
     along = f", along {result.model.rms_source}" if result.model.rms_source else ""

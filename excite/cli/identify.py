@@ -147,8 +147,10 @@ def _run_without_torque(
             errors = replay.error("command")[j], replay.error()[j]
             gain = identification.loop.proportional[j]
             ratio = document["over_gain"][joint].get("coulomb", float("nan"))
+            spread = document["over_gain_std"][joint].get("coulomb", float("nan"))
             lines.append(
-                f"{joint:25} {errors[0]:10.4g} {errors[1]:10.4g} {gain:10.4g} {ratio:11.4g}"
+                f"{joint:25} {errors[0]:10.4g} {errors[1]:10.4g} {gain:10.4g} {ratio:11.4g} "
+                f"± {spread:.2g}"
             )
     return 0, with_files(document, written), "\n".join([*lines, *written_lines(written)])
 

@@ -385,6 +385,7 @@ def _design(commands: Commands) -> None:
         default=[],
         help="trajectory.json or recording whose information is already available; may be repeated",
     )
+    _recording_options(group)
     group.add_argument(
         "--for",
         dest="for_task",
@@ -662,6 +663,7 @@ def _export(commands: Commands) -> None:
         help="motion along which the torque of what the format cannot hold is stated (default: a "
         "recording of the model, if it is still in its place)",
     )
+    _columns_option(group)
     group = sub.add_argument_group("ROS 2")
     group.add_argument(
         "--lead",

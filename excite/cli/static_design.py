@@ -17,6 +17,8 @@ from .outcome import Outcome, with_files, written_lines
 UNSUPPORTED = (
     "--plain",
     "--given",
+    "--columns",
+    "--trajectory",
     "--for",
     "--discriminate",
     "--validation",

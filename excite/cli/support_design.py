@@ -22,6 +22,8 @@ from .outcome import Outcome, with_files, written_lines
 UNSUPPORTED = (
     "--plain",
     "--given",
+    "--columns",
+    "--trajectory",
     "--for",
     "--for-payload",
     "--static",

@@ -108,7 +108,7 @@ def mjcf_text(model: SimulatorModel, *, servos: bool = True) -> str:
     else:
         _add_actuators(model, root)
     lost = [name for name, entry in attributes.items() if not entry.holds_offset]
-    lines = [*model.header("MJCF", HOLDS), *_notes(TIMESTEP, lost)]
+    lines = [*model.header("MJCF", HOLDS), *offset_notes(model), *_notes(TIMESTEP, lost)]
     if is_servo:
         lines.append("actuators: kv brakes the joint; the identified K_d acts on the error's rate")
     return with_comment(root, lines)
@@ -125,6 +125,21 @@ def with_comment(root: ElementTree.Element, lines: Sequence[str]) -> str:
     comment = xml_comment(f"  {line}" for line in lines)
     body = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0"?>\n{comment}\n{body}\n'
+
+
+def offset_notes(model: SimulatorModel) -> list[str]:
+    """Lines that say which springs stand for a constant torque, as MJCF has no place for one."""
+    offsets = [
+        f"{name} {-torque[0]:.4g} {model.model.robot.entries[j].unit('N m')}"
+        for j, (name, torque) in enumerate(zip(model.joints, model.torques.spring, strict=True))
+        if torque[0] and not np.any(torque[1:])
+    ]
+    if not offsets:
+        return []
+    return [
+        f"offsets: MJCF has none of joints; a spring of stiffness {OFFSET_STIFFNESS:g} with a far",
+        f"  springref (rad, m) is the constant torque stiffness * springref: {', '.join(offsets)}",
+    ]
 
 
 def _notes(timestep: float, lost: Sequence[str]) -> list[str]:

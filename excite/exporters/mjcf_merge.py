@@ -36,6 +36,7 @@ from .mjcf_file import (
     inertial_element,
     inverse_mass_diagonal,
     joint_attributes,
+    offset_notes,
 )
 from .simulator_model import SimulatorModel
 
@@ -229,7 +230,8 @@ class _Merge:
         edits = [*self._joint_edits(text), *self._inertia_edits(text)]
         for start, end, new in sorted(edits, key=lambda edit: -edit[0]):
             text = text[:start] + new + text[end:]
-        header = xml_comment(f"  {line}" for line in self._model.header("MJCF", HOLDS))
+        lines = [*self._model.header("MJCF", HOLDS), *offset_notes(self._model)]
+        header = xml_comment(f"  {line}" for line in lines)
         match = ROOT.search(xml_file.COMMENT.sub(lambda m: " " * len(m[0]), text))
         assert match is not None  # it has been compiled
         return f"{text[: match.start()]}{header}\n{text[match.start() :]}"

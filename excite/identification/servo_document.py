@@ -57,6 +57,12 @@ def servo_model_document(
         },
         "position_loop": position_loop_table(identification),
         "over_gain": _ratio_table(identification),
+        "over_gain_std": {
+            joint: dict(
+                zip(parameters.drive, identification.ratio_deviation[:, j].tolist(), strict=True)
+            )
+            for j, joint in enumerate(robot.joints)
+        },
         "prior": {
             "distance": identification.options.distance.value,
             "gamma": {"bodies": prior.inertial_weight, **joint_gamma(parameters, prior)},

@@ -153,6 +153,8 @@ class ServoIdentification:
         options: The options.
         loop: Position loops.
         loop_deviation: Standard deviations of K_p, K_d and delay, 0 where stated. Shape (3, n).
+        ratio_deviation: Standard deviations of the joint parameters over K_p, by their covariance
+            with K_p. Shape (kinds, n).
         reference_gain: `position_gain` to which K_p belongs. Shape (n,).
         error_limit: Position error at which the motors saturate at that gain, ∞ if never. Shape
             (n,) [rad or m].
@@ -167,6 +169,7 @@ class ServoIdentification:
     options: ServoOptions
     loop: ServoLoop
     loop_deviation: FloatArray
+    ratio_deviation: FloatArray
     reference_gain: FloatArray
     error_limit: FloatArray
     posterior: ConsistentEstimate
@@ -238,13 +241,14 @@ def identify_servo(
     )
     simulated = dataclasses.replace(problem, predicted=_SimulatedErrors(model, groups))
     iterate, problem, costs = _estimate(simulated, iterate, MAX_ROUNDS, progress)
-    posterior, deviation = problem.posterior(iterate)
+    posterior, deviation, ratio_deviation = problem.posterior(iterate)
     replays = _replay(model, [*recordings, *validate], reference, iterate)
     return ServoIdentification(
         model=model,
         options=options,
         loop=iterate.loop,
         loop_deviation=deviation,
+        ratio_deviation=ratio_deviation,
         reference_gain=reference,
         error_limit=np.min([(g.error_limit * g.gain).min(axis=0) for g in groups], axis=0),
         posterior=posterior,
@@ -795,8 +799,9 @@ class _ServoProblem:
             start, inertial_weight=max(inertial, MIN_INERTIAL_WEIGHT), joint_weights=joint
         )
 
-    def posterior(self, iterate: _Iterate) -> tuple[ConsistentEstimate, FloatArray]:
-        """Estimate with covariance at an iterate, and standard deviations of the loops (3, n)."""
+    def posterior(self, iterate: _Iterate) -> tuple[ConsistentEstimate, FloatArray, FloatArray]:
+        """Estimate with covariance at an iterate, and standard deviations of the loops (3, n) and
+        of the joint parameters over K_p (kinds, n)."""
         n = self.model.robot.n
         free = self._free(iterate.loop, set())
         loops, root, target = self.eliminated(
@@ -816,7 +821,31 @@ class _ServoProblem:
         estimate = dataclasses.replace(
             solution, psi=iterate.psi, misfit=0.5 * float(misfit @ misfit)
         )
-        return estimate, deviation.reshape(LOOP_PARAMETERS, n)
+        with_psi = np.zeros((LOOP_PARAMETERS * n, len(iterate.psi)))  # of ln K_p, K_d, delay and ψ
+        with_psi[free] = -by_theta @ solution.covariance
+        ratio = self._ratio_deviation(iterate, solution.covariance, deviation[:n], with_psi[:n])
+        return estimate, deviation.reshape(LOOP_PARAMETERS, n), ratio
+
+    def _ratio_deviation(
+        self, iterate: _Iterate, covariance: FloatArray, deviation: FloatArray, mixed: FloatArray
+    ) -> FloatArray:
+        """Standard deviations of r = ψ/K_p by error propagation, dr = (dψ − ψ d ln K_p)/K_p.
+
+        Args:
+            iterate: Estimate.
+            covariance: Of ψ. Shape (P, P).
+            deviation: Of K_p. Shape (n,).
+            mixed: Covariance of ln K_p and ψ. Shape (n, P).
+        """
+        parameters, gain = self.model.parameters, iterate.loop.proportional
+        joints, rows = np.arange(len(gain)), []
+        for kind in parameters.drive:
+            places = np.arange(len(iterate.psi))[parameters.block(kind)]
+            psi = iterate.psi[places]
+            variance = covariance[places, places] - 2.0 * psi * mixed[joints, places]
+            variance += (psi * deviation / gain) ** 2
+            rows.append(np.sqrt(np.maximum(variance, 0.0)) / gain)
+        return np.array(rows).reshape(len(parameters.drive), len(gain))
 
 
 def _bounded(loop: ServoLoop) -> ServoLoop:

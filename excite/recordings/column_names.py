@@ -11,7 +11,7 @@ import numpy as np
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
-from . import floating_signals
+from . import floating_signals, spelled_columns
 from .block import QUANTITIES, Block
 
 PREFIXES = {
@@ -126,10 +126,7 @@ def find_columns(
     if _lacks_names_of_rtde(header, robot):
         return _find_rtde_columns(source, header, robot)
     if any(name not in header for name, _ in time):
-        raise UnusableInput(
-            f"{source}: has no column 't' but {listed(header)}; the first row should name the "
-            "columns t,q.<joint>,…, or name them with --columns t=COLUMN,q.<joint>=COLUMN,…"
-        )
+        raise UnusableInput(f"{source}: {_missing_columns(header, robot)}")
     for joint in robot.joints:
         if f"q.{joint}" not in header:
             raise UnusableInput(
@@ -151,6 +148,35 @@ def find_columns(
         from_first,
         signals,
         locked,
+    )
+
+
+def _missing_columns(header: Sequence[str], robot: Robot) -> str:
+    """Say which columns a header without the column `t` lacks, and the remedy.
+
+    It may have a column of time by another name, or all positions.
+    """
+    spelled = spelled_columns.standard_names(header, robot)
+    positions = [f"q.{joint}" for joint in robot.joints if f"q.{joint}" not in spelled]
+    if not positions:
+        return (
+            f"has no column 't' of time but {listed(header)}; add a column t [s], the number of "
+            "the row divided by the rows a second, or name it with --columns t=COLUMN"
+        )
+    if not spelled_columns.time_columns(header):
+        return (
+            f"has no column 't' but {listed(header)}; the first row should name the columns "
+            "t,q.<joint>,…, or name them with --columns t=COLUMN,q.<joint>=COLUMN,…"
+        )
+    torques = [
+        f"tau.{joint}" for joint in robot.joints if not {f"tau.{joint}", f"i.{joint}"} & spelled
+    ]
+    missing = "position" if len(torques) < robot.n else "position and no torque"
+    joint = positions[0].removeprefix("q.")
+    named = [f"{name}=COLUMN" for name in (*positions[:1], *torques[:1])]
+    return (
+        f"has no {missing} of joint '{joint}' but {listed(header)}; name the columns with "
+        f"--columns {','.join(named)}{',…' if len(positions) > 1 else ''}"
     )
 
 

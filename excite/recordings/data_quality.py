@@ -10,8 +10,8 @@ remarks only.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from . import (
     timestamp_jitter,
     uneven_stamps,
     units,
+    unsigned_values,
 )
 from .block import QUANTITIES, Block
 from .recording import MIN_ROWS, Recording
@@ -51,12 +52,14 @@ class RecordingContext:
         robot: Robot that it records.
         sidecar: Its sidecar.
         limits: Limits of the robot, None: those of the URDF.
+        columns: Standard names of columns -> differing names in the file.
     """
 
     source: str
     robot: Robot
     sidecar: Sidecar
     limits: Limits | None
+    columns: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ def check_and_repair(
     repairs = list[Remark]()
     held: list[Remark] = []
     if complete:
+        unsigned_values.check_signs(source, block, robot)
         block, held = held_values.keep_updates(block)
         grid = find_grid(source, block.t) if held else grid
         block, repairs = glitches.mask_glitches(source, block, robot, context.limits)
@@ -149,6 +153,7 @@ def check_and_repair(
         encoder_noise=encoder_resolution.quantization_noise(block.values["q"]),
         smoothed=smoothed,
         run_in=int(np.searchsorted(inside.t, window.done, side="right")),
+        columns=context.columns,
     )
 
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .joint_state_cells import ElementColumns, ListCells, Rewrite, is_list
-from .spelled_columns import find_spelled_columns
+from .spelled_columns import find_spelled_columns, holds_name
 
 PLOTJUGGLER_TIME = "__time"
 """Column of time of PlotJuggler [s since 1970]."""
@@ -214,7 +214,7 @@ def _indexed(
         for match, cell in zip(fields, first_row, strict=False)
         if match is not None and match[1] == "name"
     }
-    rewrite = None
+    rewrite, numbered = None, tuple[str, ...]()
     if joints:
         place = {(m[1], m[2]): k for k, m in enumerate(fields) if m is not None}
         elements = [
@@ -226,22 +226,63 @@ def _indexed(
         rewrite = ElementColumns(
             source, separator, columns, elements, list(joints.values()), robot.joints
         ).rewrite
-    else:  # positions without names are in the order of the robot
-        count = sum(match is not None and match[1] == "position" for match in fields)
-        if count != robot.n and not all(f"q.{joint}" in names for joint in robot.joints):
-            raise UnusableInput(
-                f"{source}: has the positions of {count} joints without their names, but "
-                f"{robot.n} joints of the robot move; name the columns with --columns "
-                f"q.{robot.joints[0]}=COLUMN,…"
-            )
-        joints = {str(i): joint for i, joint in enumerate(robot.joints)}
+    else:
+        joints, numbered = _joints_by_number(source, names, fields, robot)
     renamed = tuple(
         f"{prefixes[match[1]]}.{joints[match[2]]}"
         if match is not None and match[1] in prefixes and match[2] in joints
         else name
         for name, match in zip(names, fields, strict=True)
     )
-    return Header(renamed, time, True, True, rewrite)
+    return Header(renamed, time, True, True, rewrite, numbered)
+
+
+def _joints_by_number(
+    source: str, names: Sequence[str], fields: Sequence[re.Match[str] | None], robot: Robot
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Return the joint of each number in the order of the robot, from 0 or 1.
+
+    Args:
+        source: Name of the file, for messages.
+        names: Names of all columns.
+        fields: Matches of INDEXED with the names.
+        robot: Robot whose joints are recorded.
+
+    Returns:
+        Joints by their numbers as they stand in the file, and the names of the columns of positions
+        if the numbers alone tell the joints apart, else none.
+
+    Raises:
+        UnusableInput: The positions are not numbered 0 … n − 1 or 1 … n.
+    """
+    elements = {int(match[2]): match[2] for match in fields if match is not None}
+    positions = {
+        int(match[2]): name
+        for name, match in zip(names, fields, strict=True)
+        if match is not None and match[1] == "position"
+    }
+    is_named = all(f"q.{joint}" in names for joint in robot.joints)
+    first = min(elements if is_named else positions, default=0)
+    expected = list(range(first, first + robot.n))
+    if is_named:  # by --columns
+        is_clear = not positions and first in (0, 1) and sorted(elements) == expected
+        order = dict(zip(expected, robot.joints, strict=True)) if is_clear else {}
+        return {elements[number]: joint for number, joint in order.items()}, ()
+    remedy = f"name the columns with --columns q.{robot.joints[0]}=COLUMN,…"
+    if len(positions) != robot.n:
+        raise UnusableInput(
+            f"{source}: has the positions of {len(positions)} joints without their names, but "
+            f"{robot.n} joints of the robot move; {remedy}"
+        )
+    if first not in (0, 1) or sorted(positions) != expected:
+        raise UnusableInput(
+            f"{source}: its positions have the numbers {', '.join(map(str, sorted(positions)))}, "
+            f"neither 0 to {robot.n - 1} nor 1 to {robot.n}; {remedy}"
+        )
+    ordered = tuple(positions[number] for number in expected)
+    joints = {elements[number]: joint for number, joint in zip(expected, robot.joints, strict=True)}
+    is_numbered = robot.n > 1 and not all(map(holds_name, ordered, robot.joints))
+    return joints, ordered if is_numbered else ()
 
 
 def _echoed(

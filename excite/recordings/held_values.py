@@ -7,20 +7,25 @@ by up to one refresh. The first row of each update is the measurement; the rows 
 A joint at rest and a coarse encoder at low speed repeat values, too. They differ from a refresh in
 two ways: the value does not change by several resolution steps at once, and the time between
 changes depends on the speed.
+
+Where updates arrive irregularly, or more often than every second row, complete rows are compared:
+all measured signals of all joints at once repeat the row before only if nothing was measured, while
+the robot moves. A long repetition is a freeze of the source, whose rows are dropped in any case.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from .._types import FloatArray, IntArray
+from .._types import BoolArray, FloatArray, IntArray
 from .block import Block
 from .encoder_resolution import MIN_CHANGE, smallest_steps
 from .missing_values import REQUIRED, SLOW
-from .remark import Remark, RemarkKind
-from .time_axis import spline_columns
+from .remark import Remark, RemarkKind, shown_time
+from .time_axis import MAX_FILLED_STEPS, spline_columns
 
 CLEAR_STEPS = 3.0
 """Change between two rows over the resolution from which a joint clearly moves [1]. A coarse
@@ -35,6 +40,14 @@ MAX_INTERVAL_ERROR = 0.5
 late or early by a quarter of the interval changes two of them."""
 MIN_REGULAR_SHARE = 0.9
 """Share of regular intervals between clear updates of held values [1]."""
+MIN_REPEATED_SHARE = 0.05
+"""Share of clear intervals in which complete rows repeat the one before, from which repeated rows
+are not used [1]. In the recordings of ten real machines it is at most 0.02."""
+MIN_JUMP_SHARE = 0.5
+"""Motion at the end of a freeze over the one at the speed before and after it [1]: a robot that
+stood still in between continues with the motion of a single row."""
+NOT_MEASURED = ("qref", *SLOW)
+"""Quantities that do not count in a complete row: commands may be logged at another rate."""
 SUBJECTS = {
     "q": "positions",
     "dq": "velocities",
@@ -69,7 +82,7 @@ def keep_updates(block: Block) -> tuple[Block, list[Remark]]:
         block: Rows with increasing times.
 
     Returns:
-        The rows, and a remark; the rows as they are if each holds new values.
+        The rows, and remarks; the rows as they are if each holds new values.
     """
     updates = {}
     for name, value in block.values.items():
@@ -78,7 +91,7 @@ def keep_updates(block: Block) -> tuple[Block, list[Remark]]:
             updates[name] = updated
     required = [name for name in REQUIRED if name in updates]
     if not required:
-        return block, []
+        return _keep_new_rows(block)
     # of equal rates, the first: positions are interpolated only where torques are slower
     slowest = max(required, key=lambda name: round(updates[name].interval))
     kept = block.rows(updates[slowest].rows)
@@ -88,7 +101,8 @@ def keep_updates(block: Block) -> tuple[Block, list[Remark]]:
             held = block.values[name][updated.rows]
             values[name] = spline_columns(block.t[updated.rows], held, kept.t)
     step = float(np.median(np.diff(block.t)))
-    return Block(kept.t, values, block.remarks), [_remark(updates, step)]
+    new, freezes = _keep_new_rows(Block(kept.t, values, block.remarks))
+    return new, [_remark(updates, step), *freezes]
 
 
 def _remark(updates: dict[str, Updates], step: float) -> Remark:
@@ -102,6 +116,86 @@ def _remark(updates: dict[str, Updates], step: float) -> Remark:
     text = ", ".join([first.replace(" every", " are refreshed every"), *others])
     text += "; rows in between repeat them and are not used"
     return Remark(RemarkKind.HELD, text, repaired=True)
+
+
+def _keep_new_rows(block: Block) -> tuple[Block, list[Remark]]:
+    """Drop complete rows that repeat the one before: all if they are frequent, else freezes.
+
+    A row is complete if it holds torques or currents next to positions.
+
+    Args:
+        block: Rows with increasing times.
+
+    Returns:
+        The rows, and remarks; the rows as they are if none is dropped.
+    """
+    if not {"tau", "current"} & set(block.values):
+        return block, []  # positions alone may be those of a slower tracker
+    is_new = np.zeros(max(len(block) - 1, 0), bool)
+    for name, value in block.values.items():
+        if name not in NOT_MEASURED:
+            is_same = (value[:-1] == value[1:]) | (np.isnan(value[:-1]) & np.isnan(value[1:]))
+            is_new |= ~is_same.all(axis=1)
+    rows = np.flatnonzero(is_new) + 1
+    q = block.values["q"]
+    steps = np.nan_to_num(np.abs(np.diff(q, axis=0)))
+    is_clear = (steps > MIN_CHANGE) & (steps >= CLEAR_STEPS * smallest_steps(q))
+    clear = np.asarray(is_clear.any(axis=1))
+    intervals, in_motion = np.diff(rows), clear[rows - 1][1:] & clear[rows - 1][:-1]
+    if in_motion.sum() < MIN_CLEAR_UPDATES:
+        return block, []
+    repeats = intervals[in_motion] > 1
+    is_held = repeats.mean() >= MIN_REPEATED_SHARE
+    usual = float(intervals[in_motion].mean()) if is_held else 1.0
+    frozen = np.asarray(in_motion & (intervals > MAX_FILLED_STEPS * usual))
+    frozen[frozen] = _jumps(steps, rows, np.flatnonzero(frozen), intervals)
+    freezes = [slice(rows[k], rows[k + 1]) for k in np.flatnonzero(frozen)]
+    remarks = _freeze_remarks(block.t, freezes)
+    if not is_held:
+        keep = np.ones(len(block), bool)
+        for freeze in freezes:
+            keep[freeze.start + 1 : freeze.stop] = False
+        return (block.rows(keep) if freezes else block), remarks
+    held = intervals[in_motion & ~frozen]
+    kept = _with_unchanged_updates(rows, float(held.mean()), float(held.max()), len(block), frozen)
+    frequency = 1.0 / (float(held.mean()) * float(np.median(np.diff(block.t))))
+    text = (
+        f"{100.0 * (1.0 - 1.0 / held.mean()):.0f} % of the complete rows repeat the one before "
+        f"while the robot moves: new values come every {held.mean():.3g} rows on average "
+        f"({frequency:.3g} Hz); repeated rows are not used"
+    )
+    return block.rows(kept), [Remark(RemarkKind.REPEATED, text, repaired=True), *remarks]
+
+
+def _jumps(steps: FloatArray, rows: IntArray, places: IntArray, intervals: IntArray) -> BoolArray:
+    """Return whether the robot went on during intervals without an update. Shape (F,).
+
+    Args:
+        steps: |change| of positions from each row to the next. Shape (N − 1, n) [rad or m].
+        rows: Rows of updates. Shape (M,).
+        places: Indices of the intervals. Shape (F,).
+        intervals: Rows between updates. Shape (M − 1,).
+    """
+    jump, speed = steps[rows[places + 1] - 1], steps[rows[places] - 1]
+    if len(places) and places[-1] + 2 < len(rows):
+        speed = np.minimum(speed, steps[rows[places + 2] - 1])
+    expected = MIN_JUMP_SHARE * intervals[places][:, None] * speed
+    return np.asarray(((jump > expected) & (speed > 0.0)).any(axis=1))
+
+
+def _freeze_remarks(t: FloatArray, freezes: Sequence[slice]) -> list[Remark]:
+    """Name the longest of the times in which all signals are frozen while the robot moves."""
+    if not freezes:
+        return []
+    longest = max(freezes, key=lambda rows: int(rows.stop - rows.start))
+    start, end = float(t[longest.start]), float(t[longest.stop - 1])
+    text = (
+        f"all signals of all joints are frozen for {longest.stop - longest.start} rows, from "
+        f"{shown_time(start)} to {shown_time(end)} s, while the robot moves"
+    )
+    text += f", and {len(freezes) - 1} more times" if len(freezes) > 1 else ""
+    text += "; these rows are not used"
+    return [Remark(RemarkKind.FROZEN, text, start=start, end=end, repaired=True)]
 
 
 def find_updates(values: FloatArray) -> Updates | None:
@@ -137,7 +231,11 @@ def find_updates(values: FloatArray) -> Updates | None:
 
 
 def _with_unchanged_updates(
-    rows: IntArray, interval: float, longest: float, count: int
+    rows: IntArray,
+    interval: float,
+    longest: float,
+    count: int,
+    frozen: BoolArray | None = None,
 ) -> IntArray:
     """Add updates that change no value: before, between and after those that do.
 
@@ -146,11 +244,13 @@ def _with_unchanged_updates(
         interval: Rows between updates [1].
         longest: Largest number of rows between consecutive updates [1].
         count: Number of all rows.
+        frozen: Intervals without updates. Shape (M − 1,); None: there are none.
     """
     before = int(rows[0] / interval)
     after = int((count - 1 - rows[-1]) / interval)
     between = np.diff(rows)
-    parts = np.where(between > longest, np.round(between / interval), 1.0).astype(int)
+    is_long = between > longest if frozen is None else (between > longest) & ~frozen
+    parts = np.where(is_long, np.round(between / interval), 1.0).astype(int)
     numbers = np.concatenate([[0], np.cumsum(parts)])
     places = np.concatenate(
         [
@@ -159,4 +259,4 @@ def _with_unchanged_updates(
             rows[-1] + interval * np.arange(1, after + 1),
         ]
     )
-    return np.asarray(np.round(places).astype(int))
+    return np.unique(np.round(places).astype(int))

@@ -16,6 +16,7 @@ from ..robot.robot import Robot
 from . import (
     csv_reader,
     data_quality,
+    interleaved_rows,
     locked_joints,
     magnitudes,
     npz_reader,
@@ -63,10 +64,10 @@ def read(
     Raises:
         UnusableInput: It cannot be read, assigned to the robot's joints or repaired.
     """
-    context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
+    context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits, dict(columns))
     blocks, rows, numbers = list[Block](), 0, 0
     positions = locked_joints.LockedPositions(robot)
-    for block in map(positions.watched, _read_blocks(path, context, columns, floating=floating)):
+    for block in map(positions.watched, _read_blocks(path, context, floating=floating)):
         if len(block) or block.remarks:
             blocks.append(block)
         rows += len(block)
@@ -75,8 +76,9 @@ def read(
     if not blocks:
         raise UnusableInput(f"{path}: has no rows; record again")
     cut, steps = remove_clock_steps(concatenate(blocks))
-    ordered, late = sort_rows(str(path), cut)
-    remarks = [*steps, *late]
+    joined, interleaved = interleaved_rows.join_rows(cut)
+    ordered, late = sort_rows(str(path), joined)
+    remarks = [*steps, *interleaved, *late]
     window = RowWindow(ordered, remarks=tuple(remarks))
     grid = find_grid(str(path), ordered.t)
     recording = data_quality.check_and_repair(context, window, grid, complete=True)
@@ -97,12 +99,12 @@ def stream(
     """Read consecutive blocks of a recording in memory that depends on `rows` alone.
 
     Each block is repaired as `read` repairs the recording, on the grid of the first block. Not
-    judged are properties of the complete recording: clock steps, held values, wrapped positions,
-    glitches, the period, joints that never move, locked joints that move, timestamp jitter,
-    quantization, and coarse, frozen, repeated or clipped signals. Shares of missing values are
-    judged by block. A repair is warned of where it first occurs; numbers in a remark may include up
-    to 32 rows around the block. Memory is bounded for CSV, bags and .npz, except 2-D arrays in
-    Fortran order.
+    judged are properties of the complete recording: clock steps, interleaved rows, held values,
+    wrapped positions, glitches, the period, joints that never move, locked joints that move,
+    timestamp jitter, quantization, and coarse, frozen, repeated or clipped signals. Shares of
+    missing values are judged by block. A repair is warned of where it first occurs; numbers in a
+    remark may include up to 32 rows around the block. Memory is bounded for CSV, bags and .npz,
+    except 2-D arrays in Fortran order.
 
     Args:
         path: As of `read`.
@@ -138,7 +140,6 @@ def stream(
 def _read_blocks(
     path: Path,
     context: RecordingContext,
-    columns: Mapping[str, str] = MappingProxyType({}),
     *,
     floating: bool = False,
 ) -> Iterator[Block]:
@@ -151,6 +152,7 @@ def _read_blocks(
         raise UnusableInput(
             f"{path}: is no recording but JSON; give the recording of that name: {FORMATS}"
         )
+    columns = context.columns
     row, holds_current = 1, context.sidecar.effort == "current"
     if columns and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
         raise UnusableInput(f"{path}: has no named columns; leave --columns out")

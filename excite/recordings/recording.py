@@ -60,6 +60,7 @@ class Recording:
         smoothed: True for joints whose `q` was smoothed within the encoder's resolution. Shape
             (n,), or (1,) if there are none.
         run_in: Number of leading rows that repeat the end of the previous block of a `stream`.
+        columns: Standard names of columns -> differing names in the file, with which it was read.
     """
 
     source: str
@@ -80,6 +81,7 @@ class Recording:
     encoder_noise: FloatArray | None = None
     smoothed: BoolArray = field(default_factory=lambda: np.zeros(1, bool))
     run_in: int = 0
+    columns: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -186,19 +188,19 @@ class Recording:
     def _drive_gain(self, joint: str) -> float:
         """Drive gain of a joint [N m/A]."""
         if joint not in self.sidecar.drive_gain:
-            path = sidecar_path(Path(self.source))
-            gains = ", ".join(
-                f'"{name}": N m/A'
-                for name in self.joints
-                if self.has("current", name)
-                and not self.has("tau", name)
-                and name not in self.sidecar.drive_gain
-            )
-            raise UnusableInput(
-                f"{self.source}: joint '{joint}' has a current but no drive gain; put "
-                f'"drive_gain": {{{gains}}} into {path.name} ("schema": "excite.recording/1")'
-            )
+            require_drive_gains([self])
         return self.sidecar.drive_gain[joint]
+
+    @property
+    def lacks_drive_gain(self) -> tuple[str, ...]:
+        """Names of the joints with a current, no torque and no drive gain."""
+        return tuple(
+            name
+            for name in self.joints
+            if self.has("current", name)
+            and not self.has("tau", name)
+            and name not in self.sidecar.drive_gain
+        )
 
     def rows(self, which: IntArray | BoolArray | slice) -> Recording:
         """Return the rows of an index, a mask or a slice, with all remarks."""
@@ -294,6 +296,25 @@ class Recording:
         dq = [np.gradient(q, dt, axis=0) for q in filtered]
         ddq = [np.gradient(v, dt, axis=0) for v in dq]
         return Samples(np.concatenate(filtered), np.concatenate(dq), np.concatenate(ddq))
+
+
+def require_drive_gains(recordings: Sequence[Recording]) -> None:
+    """Check that all joints with a current and no torque have a drive gain.
+
+    Raises:
+        UnusableInput: Some have none; the message names all recordings.
+    """
+    lacking = [recording for recording in recordings if recording.lacks_drive_gain]
+    if not lacking:
+        return
+    joints = list(dict.fromkeys(name for r in lacking for name in r.lacks_drive_gain))
+    sources = ", ".join(recording.source for recording in lacking)
+    files = ", ".join(sidecar_path(Path(recording.source)).name for recording in lacking)
+    gains = ", ".join(f'"{name}": N m/A' for name in joints)
+    raise UnusableInput(
+        f"{sources}: joint '{joints[0]}' has a current but no drive gain; put "
+        f'"drive_gain": {{{gains}}} into {files} ("schema": "excite.recording/1")'
+    )
 
 
 def require_distinct(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:

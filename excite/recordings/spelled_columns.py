@@ -107,9 +107,7 @@ def find_spelled_columns(
     Raises:
         UnusableInput: Two columns hold the same quantity of a joint, or one has another unit.
     """
-    times = [
-        (name, match) for kind in TIMES for name in names if (match := kind.fullmatch(name.strip()))
-    ]
+    times = time_columns(names)
     positions = [f"q.{joint}" for joint in robot.joints]
     if not times or {"t", *positions} <= set(names):
         return None
@@ -126,7 +124,7 @@ def find_spelled_columns(
         if not set(positions) <= set(names_of):
             return None
         ordered = tuple(names_of[column] for column in positions)
-        if len(robot.joints) > 1 and not all(map(_holds_name, ordered, robot.joints)):
+        if len(robot.joints) > 1 and not all(map(holds_name, ordered, robot.joints)):
             numbered = ordered
     first: dict[str, str] = {}
     for name, (column, unit) in places.items():
@@ -143,6 +141,25 @@ def find_spelled_columns(
             )
     renamed = tuple(places[name][0] if name in places else name for name in names)
     return SpelledColumns(renamed, (time, SECONDS[(match[1] or "s").lower()]), numbered)
+
+
+def time_columns(names: Sequence[str]) -> list[tuple[str, re.Match[str]]]:
+    """Return the columns of time and the matches of their units, the preferred first."""
+    return [
+        (name, match) for kind in TIMES for name in names if (match := kind.fullmatch(name.strip()))
+    ]
+
+
+def standard_names(names: Sequence[str], robot: Robot) -> set[str]:
+    """Return the standard names of all columns that are known by any spelling.
+
+    Args:
+        names: Names of all columns.
+        robot: Robot whose joints are recorded.
+    """
+    by_name = {place[0] for name in names if (place := _of_joint(name, robot.joints, "tau"))}
+    by_number = {column for column, _ in _of_number(names, robot.joints, "tau").values()}
+    return {*names, *(by_name or by_number)}
 
 
 def _of_joint(name: str, joints: Sequence[str], effort: str) -> tuple[str, str] | None:
@@ -196,7 +213,7 @@ def _of_number(
     }
 
 
-def _holds_name(column: str, joint: str) -> bool:
+def holds_name(column: str, joint: str) -> bool:
     """Return True if a column with a number holds the name of a joint, as `q1` that of `q1`.
 
     Separators and capital letters do not count: `q_joint1` holds `joint_1`, and `q_joint2` none.

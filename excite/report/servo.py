@@ -114,14 +114,19 @@ def _joint_section(identification: ServoIdentification) -> Section:
     """Joint parameters, and their ratios to K_p."""
     parameters, rows = identification.model.parameters, []
     deviation = np.sqrt(np.maximum(np.diag(identification.posterior.covariance), 0.0))
-    for kind in parameters.drive:
+    for k, kind in enumerate(parameters.drive):
         block = parameters.block(kind)
         for j, joint in enumerate(parameters.joints):
             value, std = identification.psi[block][j], deviation[block][j]
             ratio = value / identification.loop.proportional[j]
             unit = identification.model.robot.entries[j].unit(JOINT_PARAMETER_UNITS[kind])
             name = kind.replace("_", " ")
-            cells = (number(float(value), 3), number(float(std), 2), number(float(ratio), 3))
+            spread = float(identification.ratio_deviation[k, j])
+            cells = (
+                number(float(value), 3),
+                number(float(std), 2),
+                f"{number(float(ratio), 3)} ± {number(spread, 2)}",
+            )
             rows.append((joint, name, *cells, unit))
     head = ("joint", "parameter", "value", "std", "value / Kp", "unit")
     return Section(

@@ -23,10 +23,6 @@ ONE_SESSION = (
     "warm up alike, or record temp.<joint>, and record training and validation again in one session"
 )
 """Action on friction that changed between recordings."""
-ALONE = "record twice, each joint alone at several speeds in both directions"
-"""Action on an error whose cause is not known."""
-ALONE_OF_ONE = "record twice, at several constant speeds in both directions"
-"""The same for a robot with a single joint."""
 AS_FAST = "record training motion as fast as the motion that is to be predicted"
 """Action on a model that is extrapolated."""
 LONGER = "record a longer motion"
@@ -187,6 +183,16 @@ def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     if not actions and document["undecided_between_recordings"]:
         actions = [LONGER]
     return "; ".join(actions) or "nothing is needed"
+
+
+def alone_words(count: int) -> str:
+    """Return the action on an error whose cause is not known.
+
+    Args:
+        count: Number of joints of the robot.
+    """
+    alone = "each joint alone at several speeds" if count > 1 else "at several constant speeds"
+    return f"record twice, {alone} in both directions"
 
 
 def open_effects(document: Document) -> dict[tuple[str, ...], list[str]]:

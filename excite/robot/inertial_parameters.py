@@ -17,6 +17,7 @@ import pinocchio as pin
 from .._types import FloatArray
 from ..errors import ExciteWarning, UnusableInput
 from .limits import Limits
+from .link_inertia import impossible_moments
 from .robot import Robot
 
 INERTIAL = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -302,6 +303,14 @@ def _robot_mass(bodies: Iterable[FloatArray]) -> float:
     return float(sum(max(phi[0], 0.0) for phi in bodies)) or 1.0
 
 
+def _fault_of_body(phi: FloatArray) -> str:
+    """Say why inertial parameters are those of no rigid body with an extent. Shape (10,)."""
+    if phi[0] <= 0.0:
+        return "massless"
+    moments = np.linalg.eigvalsh(body_inertia(phi).inertia)
+    return impossible_moments(moments) or "singular inertia"
+
+
 def assembled_parameters(
     robot: Robot,
     kinds: tuple[str, ...],
@@ -327,9 +336,14 @@ def assembled_parameters(
     roots = [inverse_root(phi) for phi, _ in proper]
     repaired = [link for link, (_, changed) in zip(links, proper, strict=True) if changed]
     if repaired:
+        reasons = [
+            f"{link} ({_fault_of_body(phi)})"
+            for link, phi, (_, changed) in zip(links, bodies, proper, strict=True)
+            if changed
+        ]
         text = (
-            f"{robot.source}: no proper body in link(s) {', '.join(repaired)} (massless or "
-            "singular inertia); the metric uses a substitute"
+            f"{robot.source}: no proper body in link(s) {', '.join(reasons)}; the metric uses a "
+            "substitute"
         )
         warnings.warn(text, ExciteWarning, stacklevel=3)
     size = 10 * len(bodies)

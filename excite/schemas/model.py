@@ -193,6 +193,8 @@ class ModelDocument(msgspec.Struct):
         floating_base: Present if the base moves freely: `links` then contains the base, and only
             links with a mass.
         recordings: Paths of the recordings that the model was fitted to.
+        recording_columns: Standard names of columns -> differing names in the file, of fitted and
+            held-out recordings that were read with `--columns`.
         link_estimates: Masses of the links.
         fit: Torque errors along the fitted recordings.
         validation: Torque errors along the held-out recordings.
@@ -215,6 +217,7 @@ class ModelDocument(msgspec.Struct):
     position_loop: dict[str, PositionLoopDocument] = {}
     floating_base: FloatingBaseDocument | None = None
     recordings: list[Text] = []
+    recording_columns: dict[str, dict[str, str]] = {}
     link_estimates: list[LinkEstimateDocument] | None = None
     fit: list[PredictionDocument] | None = None
     validation: list[PredictionDocument] | None = None

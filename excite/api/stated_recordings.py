@@ -1,0 +1,67 @@
+"""Recordings that a `model.json` states: where they are, and how their columns are read."""
+
+from __future__ import annotations
+
+import os.path
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..recordings import Recording
+
+COLUMNS_KEY = "recording_columns"
+"""Key of the columns of recordings that were read with `--columns`."""
+
+
+def with_recording_columns(
+    document: Mapping[str, Any], recordings: Iterable[Recording]
+) -> dict[str, Any]:
+    """Return the content of a `model.json` with the names of columns of its recordings.
+
+    Args:
+        document: The content.
+        recordings: Recordings that the model was fitted to, and those held out.
+    """
+    columns = {
+        recording.source: dict(recording.columns) for recording in recordings if recording.columns
+    }
+    return {**document, COLUMNS_KEY: columns} if columns else dict(document)
+
+
+def stated_columns(content: Mapping[str, Any], recording: object) -> Mapping[str, str]:
+    """Return the names of columns with which the model's recording at a path was read.
+
+    Args:
+        content: Content of a `model.json`.
+        recording: Path of a recording; other objects are no file of the model.
+    """
+    if not isinstance(recording, str | Path):
+        return {}
+    for source, columns in (content.get(COLUMNS_KEY) or {}).items():
+        if os.path.abspath(source) == os.path.abspath(recording):
+            return dict(columns)
+    return {}
+
+
+def stated_recording(
+    content: Mapping[str, Any], folder: Path
+) -> tuple[Path, Mapping[str, str]] | None:
+    """Return the first of a model's recordings that still exists, and the names of its columns.
+
+    Args:
+        content: Content of a `model.json`.
+        folder: Folder of the `model.json`, in which recordings are searched, too.
+
+    Returns:
+        Path and columns; None if no recording is in its place.
+    """
+    sources = [
+        str(entry.get("recording", ""))
+        for key in ("validation", "fit")
+        for entry in content.get(key) or []
+    ]
+    for source in (*sources, *map(str, content.get("recordings", []))):
+        for place in (Path(source), folder / Path(source).name):
+            if os.path.isfile(place):  # False for names that no file can have
+                return place, dict((content.get(COLUMNS_KEY) or {}).get(source, {}))
+    return None

@@ -1,0 +1,82 @@
+"""Positions and torques in different rows, as in a table that merges messages of several topics.
+
+PlotJuggler and scripts that join topics by their stamps write a row for each message, in which the
+columns of all other topics are empty.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._types import BoolArray, FloatArray
+from .block import QUANTITIES, Block
+from .held_values import SUBJECTS
+from .missing_values import REQUIRED
+from .remark import Remark, RemarkKind
+from .time_axis import MAX_FILLED_STEPS, spline_columns
+
+MAX_SHARED = 0.5
+"""Share of the values of a column in rows with a position below which the column belongs to other
+rows [1]: messages of several topics have a common stamp by chance alone."""
+
+
+def join_rows(block: Block) -> tuple[Block, list[Remark]]:
+    """Interpolate quantities that are never in one row with the positions at the times of these.
+
+    The rows are those of the joint with the most positions. Values are interpolated by cubic
+    splines over their own stamps; there is none in gaps of more than five usual steps between them.
+
+    Args:
+        block: Rows as they were read.
+
+    Returns:
+        The rows with a position, and a remark; the rows as they are if they hold all quantities.
+    """
+    known = {name: np.isfinite(value) for name, value in block.values.items()}
+    has_time = np.isfinite(block.t)
+    counts = (known["q"] & has_time[:, None]).sum(axis=0)
+    reference = known["q"][:, int(np.argmax(counts))] & has_time
+    apart = {name: _is_apart(rows & has_time[:, None], reference) for name, rows in known.items()}
+    required = [name for name in REQUIRED if name in apart and apart[name].any()]
+    if not required or not set(block.values) <= set(QUANTITIES):
+        return block, []
+    times = block.t[reference]
+    values = {}
+    for name, value in block.values.items():
+        values[name] = value[reference].copy()
+        for i in np.flatnonzero(apart[name]):
+            measured = known[name][:, i] & has_time
+            values[name][:, i] = _interpolated(block.t[measured], value[measured, i], times)
+    if "q" in required:
+        text = (
+            "signals of the joints are in different rows, as messages of several topics are; they "
+            "are interpolated at the times of one joint's positions"
+        )
+    else:
+        subjects = " and ".join(SUBJECTS[name] for name in required)
+        text = (
+            f"positions and {subjects} are in different rows, as messages of several topics are; "
+            f"{subjects} are interpolated at the times of the positions"
+        )
+    remark = Remark(RemarkKind.MISSING, text, repaired=True)
+    return Block(times, values, block.remarks, row=block.row, locked=block.locked), [remark]
+
+
+def _is_apart(rows: BoolArray, reference: BoolArray) -> BoolArray:
+    """Return which columns have most of their values in other rows than a reference. Shape (n,)."""
+    count = rows.sum(axis=0)
+    shared = (rows & reference[:, None]).sum(axis=0)
+    return np.asarray((count > 1) & (shared < MAX_SHARED * np.minimum(count, reference.sum())))
+
+
+def _interpolated(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
+    """Interpolate a column; NaN outside its stamps and in its gaps. Shape (M,)."""
+    stamps, first = np.unique(t, return_index=True)
+    if len(stamps) < 2:
+        return np.full(len(times), np.nan)
+    out = spline_columns(stamps, values[first, None], times)[:, 0]
+    behind = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
+    steps = np.diff(stamps)
+    is_gap = steps[behind - 1] > (MAX_FILLED_STEPS + 0.5) * np.median(steps)
+    out[is_gap | (times < stamps[0]) | (times > stamps[-1])] = np.nan
+    return out

@@ -1,0 +1,102 @@
+"""Recordings with columns named by `--columns`: a model of them is exported, replayed and extended
+by the next design without a second statement of the names."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_recordings import (
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+    write_recording,
+)
+
+from excite.cli import main as main_module
+from excite.robot import robot
+
+NAMES = {"t": "clock", "q": "angle", "tau": "load"}
+"""First words of the columns."""
+QUICK = ("--harmonics", "2", "--starts", "1", "--iterations", "10", "--no-collision", "--force")
+
+
+def run(*words: object) -> int:
+    return main_module.main([str(word) for word in words])
+
+
+def column_options() -> tuple[str, ...]:
+    """`--columns` for the files of this module."""
+    joints = robot.load("two_link").joints
+    pairs = [f"{kind}.{joint}={NAMES[kind]} {joint}" for kind in ("q", "tau") for joint in joints]
+    return ("--columns", ",".join(["t=clock", *pairs]))
+
+
+@pytest.fixture(scope="module", name="folder")
+def folder_of_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training and a validation recording with other names of columns, and their model."""
+    folder = tmp_path_factory.mktemp("columns")
+    subject = two_link_model()
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    for name, seed in (("train", 2), ("other", 5)):
+        series = random_fourier(2, seed)
+        path = write_recording(
+            synthetic_recording(subject, psi, series, 3, 0.2), folder / f"{name}.csv"
+        )
+        header, rows = path.read_text().split("\n", 1)
+        cells = [cell.partition(".") for cell in header.split(",")]
+        names = [f"{NAMES[kind]} {joint}".strip() for kind, _, joint in cells]
+        path.write_text(",".join(names) + "\n" + rows)
+    words = ("identify", "two_link", folder / "train.csv", "--validate", folder / "other.csv")
+    assert run(*words, *column_options(), "-o", folder / "out") == 0
+    return folder
+
+
+def test_a_model_states_the_columns_of_its_recordings(folder):
+    document = json.loads((folder / "out" / "model.json").read_text())
+    stated = document["recording_columns"]
+    assert sorted(Path(name).name for name in stated) == ["other.csv", "train.csv"]
+    assert stated[str(folder / "other.csv")]["q.joint_1"] == "angle joint_1"
+
+
+@pytest.mark.parametrize("options", [(), ("--recording",)])
+def test_a_model_is_exported_along_its_recordings(folder, options, tmp_path, capsys):
+    words = ("export", folder / "out" / "model.json", "--format", "urdf", "--json")
+    recording = (*options, folder / "train.csv") if options else ()
+    capsys.readouterr()
+    assert run(*words, *recording, "-o", tmp_path / "robot.urdf") == 0
+    out = json.loads(capsys.readouterr().out)
+    assert Path(out["along"]).name == ("train.csv" if options else "other.csv")
+
+
+def test_a_recording_that_cannot_be_read_again_does_not_stop_an_export(folder, tmp_path, capsys):
+    content = json.loads((folder / "out" / "model.json").read_text())
+    (tmp_path / "other.csv").write_text("clock,angle\n0,1\n")
+    content["validation"][0]["recording"] = "other.csv"
+    (tmp_path / "model.json").write_text(json.dumps(content))
+    words = ("export", tmp_path / "model.json", "--format", "urdf", "-o", tmp_path / "robot.urdf")
+    assert run(*words, "--json") == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["along"] is None and (tmp_path / "robot.urdf").is_file()
+    assert "other.csv" in err and "--recording" in err
+
+
+def test_a_model_predicts_and_replays_its_recordings(folder, tmp_path):
+    model = folder / "out" / "model.json"
+    assert run("predict", model, folder / "train.csv", "-o", tmp_path / "torque.csv") == 0
+    pytest.importorskip("mujoco")
+    words = ("replay", model, folder / "train.csv", *column_options())
+    assert run(*words, "--command", "torque", "-o", tmp_path) == 0
+
+
+def test_the_next_design_reads_the_columns_of_given_recordings(folder, tmp_path, capsys):
+    words = ("design", "two_link", "--given", folder / "train.csv", "-o", tmp_path)
+    assert run(*words, *QUICK, *column_options()) == 0, capsys.readouterr().err
+    assert run(*words, *QUICK) == 2
+
+
+def test_the_report_names_the_options_to_repeat(folder):
+    assert "--columns" in (folder / "out" / "report.html").read_text()

@@ -208,10 +208,8 @@ def test_base_parameters_that_were_fitted_jointly_are_a_part_of_the_budget() -> 
         {"recording": "short.csv", "joint": "joint_1", "seconds": 6.0}
     ]
     assert verdict_module.next_words(stated, within) == verdict_module.LONGER
-    loud = [dataclasses.replace(b, torque=2.0 * b.floor) for b in within]
-    assert verdict_module.use_words(loud).endswith(
-        "error is up to 50 % of the torque at both joints"
-    )
+    weak = [dataclasses.replace(b, torque=2.0 * b.floor) for b in within]
+    assert verdict_module.use_words(weak).endswith("is up to 50 % of the torque at both joints")
     useless = [budgets[0], dataclasses.replace(against, torque=0.5)]
     assert verdict_module.tone(stated, useless) == "bad"
     assert "no model fits joint_2" in verdict_module.verdict_words(stated, useless)

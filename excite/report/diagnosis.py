@@ -259,8 +259,8 @@ def _next_section(
     causes = {
         f"{verdict.ONE_SESSION}: friction or offset changed": changed,
         f"{verdict.AS_FAST}: the model is extrapolated": fast,
-        f"{verdict.ALONE if count > 1 else verdict.ALONE_OF_ONE}: the cause of what remains is not known": verdict.unforeseen(
-            budgets
+        f"{verdict.alone_words(count)}: the cause of what remains is not known": (
+            verdict.unforeseen(budgets)
         ),
     }
     lines = [

@@ -177,9 +177,7 @@ def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
             "between the effects that resemble each other"
         ]
     if not actions and (places := unforeseen(budgets)):
-        actions = [
-            f"{ALONE if budgets[1:] else ALONE_OF_ONE} ({joint_words(places, len(budgets))})"
-        ]
+        actions = [f"{alone_words(len(budgets))} ({joint_words(places, len(budgets))})"]
     if not actions and document["undecided_between_recordings"]:
         actions = [LONGER]
     return "; ".join(actions) or "nothing is needed"

@@ -430,7 +430,7 @@ def test_words_for_a_missing_value(two_link, tmp_path, word):
     cells = rows(*COLUMNS.values())
     cells[100][5] = word
     recording, texts = read_with_warnings(write(tmp_path / "r.csv", list(COLUMNS), cells), two_link)
-    assert "1 missing values of tau, 1 interpolated" in texts[0] and len(recording) == 400
+    assert "1 missing value of tau, 1 interpolated" in texts[0] and len(recording) == 400
 
 
 @pytest.mark.parametrize("stamp", ["2024-05-01T10:00:{:09.6f}", "10:00:{:09.6f}"])

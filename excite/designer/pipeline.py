@@ -137,7 +137,8 @@ def design_trajectory(
     setup = optimize.set_up(
         robot, limits, options, earlier_information, overlap_penalty, clearance, start, objective
     )
-    report(f"{robot.name}: {robot.n} joints, {setup.base.count} base parameters")
+    joints = f"{robot.n} joint{'s' if robot.n != 1 else ''}"
+    report(f"{robot.name}: {joints}, {setup.base.count} base parameters")
     design = optimize.solve(setup, progress)
     timing = {"build": setup.build_time - begun, **design.timing()}
 

@@ -103,7 +103,8 @@ def _interpolated(
 def _remark(name: str, joint: str, t: FloatArray, missing: BoolArray, is_long: BoolArray) -> Remark:
     is_signal = name not in QUANTITIES
     subject = "" if is_signal else f"joint '{joint}': "
-    text = f"{subject}{int(missing.sum())} missing values of {joint if is_signal else name}"
+    count = f"{int(missing.sum())} missing value{'s' if missing.sum() != 1 else ''}"
+    text = f"{subject}{count} of {joint if is_signal else name}"
     interpolated = int((missing & ~is_long).sum())
     if interpolated:
         text += f", {interpolated} interpolated"

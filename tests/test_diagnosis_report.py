@@ -157,11 +157,15 @@ def test_small_contributions_are_summed() -> None:
     )
     remains = "; the cause of what remains is not known"
     assert half.causes == f"Stribeck friction −48 %, others −2 %{remains}"
-    worse = dataclasses.replace(half, after=1.1)
+    worse = dataclasses.replace(half, after=1.1, torque=9.0)
     assert (
         "→" in worse.error
         and worse.causes == "the saved model predicts this joint worse than the base model"
     )
+    poor = dataclasses.replace(half, after=0.9)
+    assert poor.causes.endswith("; the error is 45 % of the torque")
+    idle = dataclasses.replace(half, after=1.0, floor=1.0, torque=0.9, is_noise_known=True)
+    assert not idle.is_useless and dataclasses.replace(idle, is_noise_known=False).is_useless
     useless = dataclasses.replace(half, torque=0.5).causes
     assert useless.endswith(
         "the base model (200 % of the torque) is worse than predicting no torque"

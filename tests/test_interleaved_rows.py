@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from recording_fixtures import read_with_warnings
 
+from excite.errors import UnusableInput
 from excite.recordings import RemarkKind
 
 T = np.arange(600) / 100.0
@@ -25,7 +26,8 @@ def torque(t: np.ndarray) -> np.ndarray:
 
 def write_rows(path: Path, rows: list[tuple[float, dict[str, float]]]) -> Path:
     """Write rows in the order of time, with empty cells where a row has no value."""
-    names = [f"{quantity}.joint_{k}" for quantity in ("q", "tau") for k in (1, 2)]
+    quantities = sorted({name.partition(".")[0] for _, values in rows for name in values})
+    names = [f"{quantity}.joint_{k}" for quantity in quantities for k in (1, 2)]
     lines = [",".join(["t", *names])]
     for t, values in sorted(rows, key=lambda row: row[0]):
         cells = [repr(float(values[name])) if name in values else "" for name in names]
@@ -50,7 +52,7 @@ def test_torques_in_other_rows_are_interpolated_at_the_positions(two_link, tmp_p
     assert any("torques are in different rows" in text for text in texts)
     assert recording.rate == pytest.approx(100.0)
     np.testing.assert_allclose(recording.q, position(recording.t), atol=1e-6)
-    np.testing.assert_allclose(recording.torque, torque(recording.t), atol=1e-4)
+    np.testing.assert_allclose(recording.torque, torque(recording.t), atol=1e-3)
 
 
 def test_a_topic_of_each_joint_is_joined(two_link, tmp_path):
@@ -64,6 +66,52 @@ def test_a_topic_of_each_joint_is_joined(two_link, tmp_path):
     recording, _ = read_with_warnings(write_rows(tmp_path / "run.csv", rows), two_link)
     np.testing.assert_allclose(recording.q, position(recording.t), atol=1e-4)
     np.testing.assert_allclose(recording.torque, torque(recording.t), atol=1e-3)
+
+
+@pytest.mark.parametrize("pattern", ["pairs", "some"])
+def test_messages_may_arrive_at_nearly_the_same_time(two_link, tmp_path, pattern):
+    """The noise of two such messages is no slope, and their distance is not the usual step."""
+    rng = np.random.default_rng(3)
+    other = T + 3e-3
+    is_late = np.arange(len(T)) % 2 == 0 if pattern == "pairs" else rng.random(len(T)) < 0.15
+    other[:-1] = np.where(is_late[:-1], other[1:] - 1e-5, other[:-1])
+    noisy = torque(other) + 0.02 * rng.normal(size=(len(T), 2))
+    rows = messages("q", T, position(T)) + messages("tau", other, noisy)
+    recording, _ = read_with_warnings(write_rows(tmp_path / "run.csv", rows), two_link)
+    assert len(recording) > 590
+    error = recording.torque - torque(recording.t)
+    assert np.sqrt(np.mean(error**2)) < 0.04
+
+
+def test_a_glitch_between_messages_stays_one(two_link, tmp_path):
+    other = T + 3e-3
+    spoiled = torque(other)
+    spoiled[300, 0] = 3000.0
+    rows = messages("q", T, position(T)) + messages("tau", other, spoiled)
+    recording, _ = read_with_warnings(write_rows(tmp_path / "run.csv", rows), two_link)
+    np.testing.assert_allclose(recording.torque, torque(recording.t), atol=0.05)
+
+
+def test_unsigned_torques_in_other_rows_are_refused(two_link, tmp_path):
+    counts = np.round(100.0 * torque(T)).astype(np.int64) % 2**16
+    rows = messages("q", T, position(T)) + messages("tau", T + 3e-3, counts.astype(float))
+    with pytest.raises(UnusableInput, match="stored unsigned"):
+        read_with_warnings(write_rows(tmp_path / "run.csv", rows), two_link)
+
+
+@pytest.mark.parametrize("rate", [0.5, 2.0])
+def test_commands_in_other_rows_leave_the_measured_rows(two_link, tmp_path, rate):
+    measured = [
+        (t, {**q, **tau})
+        for (t, q), (_, tau) in zip(
+            messages("q", T, position(T)), messages("tau", T, torque(T)), strict=True
+        )
+    ]
+    other = np.arange(-0.5, 6.5, 0.01 / rate) + 3e-3
+    rows = measured + messages("qref", other, position(other))
+    recording, texts = read_with_warnings(write_rows(tmp_path / "run.csv", rows), two_link)
+    assert len(recording) == len(T) and not any("refreshed" in text for text in texts)
+    np.testing.assert_allclose(recording.torque, torque(recording.t))
 
 
 def test_a_gap_of_the_torques_is_not_bridged(two_link, tmp_path):

@@ -11,9 +11,9 @@ import numpy as np
 from .._types import BoolArray, FloatArray
 from .block import QUANTITIES, Block
 from .held_values import SUBJECTS
-from .missing_values import REQUIRED
+from .missing_values import SLOW
 from .remark import Remark, RemarkKind
-from .time_axis import MAX_FILLED_STEPS, spline_columns
+from .time_axis import MAX_FILLED_STEPS
 
 MAX_SHARED = 0.5
 """Share of the values of a column in rows with a position below which the column belongs to other
@@ -23,8 +23,10 @@ rows [1]: messages of several topics have a common stamp by chance alone."""
 def join_rows(block: Block) -> tuple[Block, list[Remark]]:
     """Interpolate quantities that are never in one row with the positions at the times of these.
 
-    The rows are those of the joint with the most positions. Values are interpolated by cubic
-    splines over their own stamps; there is none in gaps of more than five usual steps between them.
+    The rows are those of the joint with the most positions. Values are interpolated over their own
+    stamps by piecewise cubics that keep between two neighbours (Fritsch and Carlson 1980), since
+    two messages may arrive at nearly the same time, and a glitch must stay one; there is none in
+    gaps of more than five mean steps.
 
     Args:
         block: Rows as they were read.
@@ -37,8 +39,9 @@ def join_rows(block: Block) -> tuple[Block, list[Remark]]:
     counts = (known["q"] & has_time[:, None]).sum(axis=0)
     reference = known["q"][:, int(np.argmax(counts))] & has_time
     apart = {name: _is_apart(rows & has_time[:, None], reference) for name, rows in known.items()}
-    required = [name for name in REQUIRED if name in apart and apart[name].any()]
-    if not required or not set(block.values) <= set(QUANTITIES):
+    names = [name for name in QUANTITIES if name not in SLOW and name in apart]
+    moved = [name for name in names if apart[name].any()]
+    if not moved or not set(block.values) <= set(QUANTITIES):
         return block, []
     times = block.t[reference]
     values = {}
@@ -47,13 +50,13 @@ def join_rows(block: Block) -> tuple[Block, list[Remark]]:
         for i in np.flatnonzero(apart[name]):
             measured = known[name][:, i] & has_time
             values[name][:, i] = _interpolated(block.t[measured], value[measured, i], times)
-    if "q" in required:
+    if "q" in moved:
         text = (
             "signals of the joints are in different rows, as messages of several topics are; they "
             "are interpolated at the times of one joint's positions"
         )
     else:
-        subjects = " and ".join(SUBJECTS[name] for name in required)
+        subjects = " and ".join(SUBJECTS[name] for name in moved)
         text = (
             f"positions and {subjects} are in different rows, as messages of several topics are; "
             f"{subjects} are interpolated at the times of the positions"
@@ -74,9 +77,11 @@ def _interpolated(t: FloatArray, values: FloatArray, times: FloatArray) -> Float
     stamps, first = np.unique(t, return_index=True)
     if len(stamps) < 2:
         return np.full(len(times), np.nan)
-    out = spline_columns(stamps, values[first, None], times)[:, 0]
+    from scipy.interpolate import PchipInterpolator  # slow to import
+
+    out = np.asarray(PchipInterpolator(stamps, values[first])(times))
     behind = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
     steps = np.diff(stamps)
-    is_gap = steps[behind - 1] > (MAX_FILLED_STEPS + 0.5) * np.median(steps)
+    is_gap = steps[behind - 1] > (MAX_FILLED_STEPS + 0.5) * np.mean(steps)
     out[is_gap | (times < stamps[0]) | (times > stamps[-1])] = np.nan
     return out

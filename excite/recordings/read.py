@@ -23,6 +23,7 @@ from . import (
     recording_cost,
     rosbag_reader,
     sidecar,
+    unsigned_values,
 )
 from .block import Block, concatenate
 from .clock_steps import remove_clock_steps
@@ -76,6 +77,7 @@ def read(
     if not blocks:
         raise UnusableInput(f"{path}: has no rows; record again")
     cut, steps = remove_clock_steps(concatenate(blocks))
+    unsigned_values.check_signs(str(path), cut, robot)  # interpolated values would hide them
     joined, interleaved = interleaved_rows.join_rows(cut)
     ordered, late = sort_rows(str(path), joined)
     remarks = [*steps, *interleaved, *late]

@@ -154,6 +154,8 @@ class JointBudget:
             joint stands still in those [1].
         refit: RMSE of the base model identified without the trusted prior; infinite without one.
         acceleration_ratio: Largest held-out acceleration over that of the fitted recordings [1].
+        is_noise_known: Whether the noise floor was found by repetition, not by a spectrum that may
+            contain errors of the model.
     """
 
     joint: str
@@ -173,6 +175,7 @@ class JointBudget:
     speed_ratio: float = 1.0
     refit: float = inf
     acceleration_ratio: float = 1.0
+    is_noise_known: bool = False
 
     @property
     def removed(self) -> float:
@@ -254,18 +257,20 @@ class JointBudget:
     @property
     def is_useless(self) -> bool:
         """True if a prediction of no torque would have a smaller error than either model."""
-        return min(self.before, self.after) > self.torque
+        return min(self.before, self.after) > self.torque and not self.is_noise
+
+    @property
+    def is_noise(self) -> bool:
+        """True if the error is known to be that of noise, however small the torque is."""
+        return self.is_explained and self.is_noise_known
 
     @property
     def error(self) -> str:
-        """The error in words: '3.2 → 0.20 N m (1.3 × noise)'; of a poor model, of the torque."""
+        """The error in words: '3.2 → 0.20 N m (1.3 × noise)'."""
         values = [significant(self.after)]
         if self.is_improved or self.is_worse:
             values.insert(0, significant(self.before))
-        sizes = [f"{significant(self.noise_ratio)} × noise"]
-        if self.is_poor:
-            sizes.append(f"{100.0 * self.relative_error:.0f} % of the torque")
-        return f"{' → '.join(values)} {self.unit} ({', '.join(sizes)})"
+        return f"{' → '.join(values)} {self.unit} ({significant(self.noise_ratio)} × noise)"
 
     @property
     def causes(self) -> str:
@@ -276,11 +281,13 @@ class JointBudget:
         worse = [
             f"{name} ({100.0 * error / self.torque:.0f} % of the torque)"
             for name, error in (("the base model", self.before), ("the saved model", self.after))
-            if error > self.torque
+            if error > self.torque and not self.is_noise
         ]
         if worse:
             verb = "are" if worse[1:] else "is"
             texts.append(f"{listed(worse)} {verb} worse than predicting no torque")
+        elif self.is_poor:
+            texts.append(f"the error is {100.0 * self.relative_error:.0f} % of the torque")
         return "; ".join(texts)
 
     def change_words(self, share: float) -> str:
@@ -293,7 +300,8 @@ class JointBudget:
             return ["the saved model predicts this joint worse than the base model"]
         if not self.is_improved:
             if self.is_explained:
-                return ["nothing notable is missing"]
+                hidden = "noise hides what may be missing"
+                return [hidden if self.is_poor else "nothing notable is missing"]
             is_caused = self.unknown or self.is_changed or self.is_misled
             if is_caused:
                 return []
@@ -524,6 +532,7 @@ def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget
                 inf if errors["speed_ratio"] is None else errors["speed_ratio"],
                 errors.get("rmse_refit", inf),
                 inf if errors["acceleration_ratio"] is None else errors["acceleration_ratio"],
+                errors["noise_floor_method"] == "periods",
             )
         )
     return out

@@ -72,15 +72,13 @@ class MissingLimit(UnusableInput):
         faults: All limits that are missing.
     """
 
-    def __init__(self, source: str, faults: Sequence[LimitFault]) -> None:
+    def __init__(self, source: str, faults: Sequence[LimitFault], *, is_mjcf: bool = False) -> None:
         self.faults = tuple(faults)
         first = self.faults[0]
         example = f"([joints.{toml_key(first.joint)}] {first.quantity} = …)"
-        place = _place_of_limits(source)
+        place = _place_of_limits(self.faults, is_mjcf=is_mjcf)
         if len(self.faults) == 1:
-            super().__init__(
-                f"{source}: {first}; set it in {place} or with --limits FILE.toml {example}"
-            )
+            super().__init__(f"{source}: {first}; set it {place} --limits FILE.toml {example}")
             return
         joints = dict.fromkeys(fault.joint for fault in self.faults)
         listed = "; ".join(
@@ -88,19 +86,28 @@ class MissingLimit(UnusableInput):
             for joint in joints
         )
         super().__init__(
-            f"{source}: {len(self.faults)} limits are missing or unusable ({listed}); set them in "
-            f"{place} or with --limits FILE.toml {example}; 'excite check {source} "
+            f"{source}: {len(self.faults)} limits are missing or unusable ({listed}); set them "
+            f"{place} --limits FILE.toml {example}; 'excite check {source} "
             "--limits-template FILE.toml' writes a file to fill in"
         )
 
 
-def _place_of_limits(source: str) -> str:
-    """Return the place of limits in a robot's file, by the suffix of its format."""
-    if source.lower().endswith((".xml", ".mjcf")):
-        return (
-            "the MJCF (range and actuatorfrcrange of the <joint>; it has no place for a velocity)"
-        )
-    return "the URDF's <limit>"
+def _place_of_limits(faults: Sequence[LimitFault], *, is_mjcf: bool) -> str:
+    """Return where limits are set, up to the option: in the robot's file, unless an MJCF has no
+    place for them, or by the option."""
+    if not is_mjcf:
+        return "in the URDF's <limit> or with"
+    quantities = {fault.quantity for fault in faults}
+    places = [
+        attribute
+        for quantity, attribute in (("position", "range"), ("torque", "actuatorfrcrange"))
+        if quantity in quantities
+    ]
+    if not places:
+        return "with"
+    named = f"in the MJCF ({' and '.join(places)} of the <joint>"
+    no_place = "; it has no place for a velocity" if "velocity" in quantities else ""
+    return f"{named}{no_place}) or with"
 
 
 class Infeasible(ExciteError):

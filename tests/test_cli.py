@@ -420,6 +420,8 @@ def test_unreadable_urdf(capsys, tmp_path, text, words):
         (["two_link", "--uncertainty", "-1"], ("--uncertainty",)),
         (["two_link", "--limits", "nowhere.toml"], ("nowhere.toml",)),
         (["two_link", "--given", "nowhere.json"], ("nowhere.json",)),
+        (["two_link", "--columns", "t=clock"], ("--columns", "--given or --for")),
+        (["two_link", "--trajectory", "x.json", "--for", "y.csv"], ("--trajectory", "--given")),
         (["two_link", "--speed", "0"], ("--speed",)),
         (["two_link", "--speed", "nan"], ("--speed",)),
     ],

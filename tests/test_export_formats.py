@@ -242,8 +242,11 @@ def test_names_that_scripts_spell_are_read_only_if_they_are_clear(two_link, tmp_
     assert "--columns q.joint_1=" in both
     assert_refused(named("q_joint_1 (deg)", "q_joint_2 (deg)"), two_link, "is in deg", "SI units")
     # a joint less or more than the robot has: numbers say nothing
-    assert_refused(named("q1"), two_link, "no position", "'q1'")
-    assert_refused(named("q1", "q2", "q3"), two_link, "no position", "'q3'")
+    remedy = "--columns q.joint_1=COLUMN,tau.joint_1=COLUMN,…"
+    assert_refused(named("q1"), two_link, "positions of 1 joint ", "2 joints", remedy)
+    three = ("q1", "q2", "q3", "tau1", "tau2", "tau3")
+    assert_refused(named(*three), two_link, "positions of 3 joints", "2 joints", "move", remedy)
+    assert_refused(named("q2", "q3"), two_link, "the numbers 2, 3, neither 0 to 1", remedy)
 
 
 @pytest.mark.parametrize("separator", [";", "\t"])

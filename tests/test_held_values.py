@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from recording_fixtures import JOINTS, DamagedMotion, remark_kinds
 
+from excite.errors import UnusableInput
 from excite.recordings import RemarkKind
 
 RATE = 500.0
@@ -21,6 +22,11 @@ def position(t: np.ndarray, speed: float = 1.0) -> np.ndarray:
 def torque(t: np.ndarray) -> np.ndarray:
     """Torques of two joints. Shape (N, 2) [N m]."""
     return 3.0 * np.cos(t[:, None] * np.array([2.0, 3.0]) + 0.3)
+
+
+def motion_at(t: np.ndarray) -> np.ndarray:
+    """Positions of two joints that do not rest together. Shape (N, 2) [rad]."""
+    return 0.5 * np.sin(t[:, None] * np.array([2.0, 3.0]))
 
 
 def held(values: np.ndarray, updates: np.ndarray) -> np.ndarray:
@@ -166,6 +172,28 @@ def test_a_freeze_of_all_joints_in_motion_is_named(two_link, tmp_path, every):
     assert any("all signals of all joints are frozen" in text for text in texts)
     inside = (recording.t > 1.21) & (recording.t < 1.33)
     assert not inside.any()
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_many_freezes_are_no_uneven_stamps(two_link, tmp_path, every):
+    """1.4 % of the remaining time steps are freezes."""
+    t = np.arange(1500 * every) / (100.0 * every)
+    updates = np.arange(0, len(t), every)
+    updates = updates[~((updates // every % 75 >= 60) & (updates // every % 75 < 68))]
+    motion = DamagedMotion(columns(t, held(motion_at(t), updates), held(torque(t), updates)))
+    recording, texts = motion.read(tmp_path, two_link)
+    assert any("frozen" in text and "and 19 more times" in text for text in texts)
+    assert recording.rate == pytest.approx(100.0) and len(recording) == 1500 - 20 * 8
+    assert np.abs(recording.q - motion_at(recording.t)).max() < 1e-9
+
+
+def test_a_recording_that_is_mostly_frozen_is_refused_for_that(two_link, tmp_path):
+    """Four updates, then the last one for 11 rows, again and again."""
+    t = np.arange(2000) / 100.0
+    updates = np.flatnonzero(np.arange(2000) % 15 < 4)
+    motion = DamagedMotion(columns(t, held(motion_at(t), updates), held(torque(t), updates)))
+    with pytest.raises(UnusableInput, match=r"without a gap, since all signals .* are frozen"):
+        motion.read(tmp_path, two_link)
 
 
 def test_a_robot_that_stops_abruptly_between_motions_is_not_frozen(two_link, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +23,7 @@ from excite.collision import urdf_geometry
 from excite.errors import ExciteWarning, MissingLimit, UnusableInput
 from excite.robot import dynamics, inertial_parameters, mjcf
 from excite.robot.limits import Limits, resolve
-from excite.robot.robot import Robot, load
+from excite.robot.robot import Robot, load, locate
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -218,6 +219,23 @@ def test_limits_come_from_ranges_and_actuators(tmp_path):
         *((joint, "velocity") for joint in ("roll", "bend")),
         ("spin", "velocity"), ("spin", "torque"),
     ]  # fmt: skip
+
+
+def test_missing_velocities_alone_are_set_by_the_option(tmp_path):
+    robot = loaded(written(tmp_path, ARM), lock={"slide": 0.1, "spin": 0.0})
+    with pytest.raises(MissingLimit) as caught:
+        resolve(robot)
+    assert {fault.quantity for fault in caught.value.faults} == {"velocity"}
+    assert "; set them with --limits FILE" in str(caught.value)
+    assert "MJCF" not in str(caught.value)
+
+
+def test_the_place_of_limits_is_by_the_format_and_not_by_the_suffix(tmp_path):
+    text = locate("two_link").read_text()
+    path = tmp_path / "two.xml"
+    path.write_text(re.sub(' velocity="[^"]*"', "", text))
+    with pytest.raises(MissingLimit, match="in the URDF's <limit> or with --limits FILE"):
+        resolve(load(str(path)))
 
 
 def test_shapes_are_those_that_collide(tmp_path):

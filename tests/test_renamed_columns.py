@@ -1,5 +1,5 @@
-"""Recordings with columns named by `--columns`: a model of them is exported, replayed and extended
-by the next design without a second statement of the names."""
+"""Recordings with columns named by `--columns`: a model of them predicts, is exported and replayed
+without a second statement of the names. The next design needs `--columns` again."""
 
 from __future__ import annotations
 
@@ -88,8 +88,29 @@ def test_a_model_predicts_and_replays_its_recordings(folder, tmp_path):
     model = folder / "out" / "model.json"
     assert run("predict", model, folder / "train.csv", "-o", tmp_path / "torque.csv") == 0
     pytest.importorskip("mujoco")
-    words = ("replay", model, folder / "train.csv", *column_options())
+    words = ("replay", model, folder / "train.csv")
     assert run(*words, "--command", "torque", "-o", tmp_path) == 0
+
+
+def test_recordings_are_known_from_another_working_directory(folder, tmp_path, monkeypatch):
+    """The model states the paths as they were typed where it was identified."""
+    monkeypatch.chdir(folder)
+    assert run("identify", "two_link", "train.csv", *column_options(), "-o", tmp_path / "out") == 0
+    monkeypatch.chdir(tmp_path)
+    words = ("predict", "out/model.json", folder / "train.csv", "-o", "torque.csv")
+    assert run(*words) == 0
+
+
+def test_another_recording_of_the_same_file_name_is_read_by_its_own_names(
+    folder, tmp_path, monkeypatch
+):
+    header, rows = (folder / "train.csv").read_text().split("\n", 1)
+    joints = robot.load("two_link").joints
+    standard = {f"{NAMES[kind]} {joint}": f"{kind}.{joint}" for kind in NAMES for joint in joints}
+    names = ["t" if cell == "clock" else standard.get(cell, cell) for cell in header.split(",")]
+    (tmp_path / "train.csv").write_text(",".join(names) + "\n" + rows)
+    monkeypatch.chdir(tmp_path)
+    assert run("predict", folder / "out" / "model.json", "train.csv", "-o", "torque.csv") == 0
 
 
 def test_the_next_design_reads_the_columns_of_given_recordings(folder, tmp_path, capsys):

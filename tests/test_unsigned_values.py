@@ -45,3 +45,25 @@ def test_whole_numbers_that_are_positive_are_accepted(tmp_path):
     columns["tau.joint_1"] = np.round(1e4 + 1e4 * np.sin(columns["t"])) + 0.0
     path = write_columns(tmp_path / "run.csv", columns)
     assert np.nanmax(recordings.read(path, load("two_link")).tau) > 1.9e4
+
+
+@pytest.mark.parametrize(
+    ("digits", "offset", "amplitude", "rows", "jump"),
+    [
+        (2, 8.0, 3.0, [100, 101], [392.0, 492.25]),
+        (3, 0.0, 2.0, [100, 101, 102, 103], [40.0, 41.0, 42.0, 43.0]),
+        (3, 1.0, 0.5, list(range(200, 400)), [34.0] * 200),
+    ],
+    ids=["glitches", "impact", "load"],
+)
+def test_torque_that_jumps_is_not_taken_for_unsigned(
+    tmp_path, digits, offset, amplitude, rows, jump
+):
+    """Rounded torques above zero that jump into the upper half of 16 bits."""
+    columns = two_joint_motion()
+    torque = offset + amplitude * np.abs(np.sin(columns["t"]))
+    torque[rows] += jump
+    columns["tau.joint_1"] = np.round(torque, digits)
+    path = write_columns(tmp_path / "run.csv", columns)
+    recording, texts = read_with_warnings(path, load("two_link"))
+    assert len(recording) and not any("unsigned" in text for text in texts)

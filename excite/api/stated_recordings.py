@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..recordings import Recording
+from ..recordings.csv_reader import read_column_names
 
 COLUMNS_KEY = "recording_columns"
 """Key of the columns of recordings that were read with `--columns`."""
@@ -31,16 +32,41 @@ def with_recording_columns(
 def stated_columns(content: Mapping[str, Any], recording: object) -> Mapping[str, str]:
     """Return the names of columns with which the model's recording at a path was read.
 
+    A model states the paths of its recordings as they were typed, in the working directory of that
+    time. A recording is therefore known by its file name, too, if it has the columns.
+
     Args:
         content: Content of a `model.json`.
         recording: Path of a recording; other objects are no file of the model.
+
+    Returns:
+        Names of columns; empty if the model states none, or recordings of that file name that
+        differ in them.
+
+    Raises:
+        UnusableInput: A recording of a stated file name is no CSV file.
     """
     if not isinstance(recording, str | Path):
         return {}
-    for source, columns in (content.get(COLUMNS_KEY) or {}).items():
-        if os.path.abspath(source) == os.path.abspath(recording):
-            return dict(columns)
-    return {}
+    path = Path(recording)
+    stated = {
+        source: columns
+        for source, columns in (content.get(COLUMNS_KEY) or {}).items()
+        if Path(source).name == path.name
+    }
+    if not stated or not os.path.isfile(path):
+        return {}
+    names = read_column_names(path)
+    matches = {
+        source: dict(columns)
+        for source, columns in stated.items()
+        if set(columns.values()) <= set(names)
+    }
+    for source, columns in matches.items():
+        if os.path.realpath(source) == os.path.realpath(path):
+            return columns
+    first, *others = [*matches.values()] or [{}]
+    return first if all(columns == first for columns in others) else {}
 
 
 def stated_recording(

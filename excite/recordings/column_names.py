@@ -171,13 +171,14 @@ def _missing_columns(header: Sequence[str], robot: Robot) -> str:
     torques = [
         f"tau.{joint}" for joint in robot.joints if not {f"tau.{joint}", f"i.{joint}"} & spelled
     ]
+    named = ",".join(f"{name}=COLUMN" for name in (*positions[:1], *torques[:1]))
+    remedy = f"name the columns with --columns {named}{',…' if len(positions) > 1 else ''}"
+    numbers = spelled_columns.numbers_of_positions(header, robot)
+    if numbers and (fault := spelled_columns.number_fault(numbers, robot)):
+        return f"{fault}; {remedy}"
     missing = "position" if len(torques) < robot.n else "position and no torque"
     joint = positions[0].removeprefix("q.")
-    named = [f"{name}=COLUMN" for name in (*positions[:1], *torques[:1])]
-    return (
-        f"has no {missing} of joint '{joint}' but {listed(header)}; name the columns with "
-        f"--columns {','.join(named)}{',…' if len(positions) > 1 else ''}"
-    )
+    return f"has no {missing} of joint '{joint}' but {listed(header)}; {remedy}"
 
 
 def column_of(quantity: str, index: int, joints: Sequence[str]) -> str:

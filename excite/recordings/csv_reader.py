@@ -82,6 +82,17 @@ DATE = re.compile(r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}:\d{2}:)")
 """Date or time of day in the message of a parser."""
 
 
+def read_column_names(path: Path) -> list[str]:
+    """Read the names in the header of a CSV file.
+
+    Raises:
+        UnusableInput: It is no text, or its header cannot be read.
+    """
+    with path.open("rb") as stream:
+        line, _ = _skip_comments(stream)
+        return _read_header(path, line)[1]
+
+
 def read_blocks(
     path: Path,
     robot: Robot,

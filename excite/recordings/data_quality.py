@@ -100,11 +100,11 @@ def check_and_repair(
     source, robot = context.source, context.robot
     block = floating_signals.with_continuous_quaternions(source, window.block)
     repairs = list[Remark]()
-    held: list[Remark] = []
+    held, freezes = list[Remark](), np.empty(0)
     if complete:
         unsigned_values.check_signs(source, block, robot)
-        block, held = held_values.keep_updates(block)
-        grid = find_grid(source, block.t) if held else grid
+        block, held, freezes = held_values.keep_updates(block)
+        grid = find_grid(source, block.t, freezes) if held else grid
         block, repairs = glitches.mask_glitches(source, block, robot, context.limits)
         block, wraps = position_wraps.unwrap_positions(block, robot, context.limits)
         repairs += wraps
@@ -117,7 +117,7 @@ def check_and_repair(
     stamps: list[Remark] = []
     if complete:
         block, stamps = uneven_stamps.correct_uneven_stamps(block, grid)
-        grid = find_grid(source, block.t) if stamps else grid
+        grid = find_grid(source, block.t, freezes) if stamps else grid
     gridded, uneven = resample(block, grid)
     remarks = [*block.remarks, *window.remarks, *held, *repairs, *missing, *stamps, *uneven]
     smoothed = np.zeros(robot.n, bool)

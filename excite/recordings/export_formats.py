@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .joint_state_cells import ElementColumns, ListCells, Rewrite, is_list
-from .spelled_columns import find_spelled_columns, holds_name
+from .spelled_columns import find_spelled_columns, holds_name, number_fault
 
 PLOTJUGGLER_TIME = "__time"
 """Column of time of PlotJuggler [s since 1970]."""
@@ -269,16 +269,9 @@ def _joints_by_number(
         order = dict(zip(expected, robot.joints, strict=True)) if is_clear else {}
         return {elements[number]: joint for number, joint in order.items()}, ()
     remedy = f"name the columns with --columns q.{robot.joints[0]}=COLUMN,…"
-    if len(positions) != robot.n:
-        raise UnusableInput(
-            f"{source}: has the positions of {len(positions)} joints without their names, but "
-            f"{robot.n} joints of the robot move; {remedy}"
-        )
-    if first not in (0, 1) or sorted(positions) != expected:
-        raise UnusableInput(
-            f"{source}: its positions have the numbers {', '.join(map(str, sorted(positions)))}, "
-            f"neither 0 to {robot.n - 1} nor 1 to {robot.n}; {remedy}"
-        )
+    fault = number_fault(sorted(positions), robot)
+    if fault:
+        raise UnusableInput(f"{source}: {fault}; {remedy}")
     ordered = tuple(positions[number] for number in expected)
     joints = {elements[number]: joint for number, joint in zip(expected, robot.joints, strict=True)}
     is_numbered = robot.n > 1 and not all(map(holds_name, ordered, robot.joints))

@@ -72,7 +72,7 @@ class Updates:
     interval: float
 
 
-def keep_updates(block: Block) -> tuple[Block, list[Remark]]:
+def keep_updates(block: Block) -> tuple[Block, list[Remark], FloatArray]:
     """Keep one row of each update of positions, torques and currents.
 
     The slowest of these quantities determines the rows. Other quantities that are held are
@@ -82,7 +82,8 @@ def keep_updates(block: Block) -> tuple[Block, list[Remark]]:
         block: Rows with increasing times.
 
     Returns:
-        The rows, and remarks; the rows as they are if each holds new values.
+        The rows, remarks, and a time within each freeze whose rows are dropped, shape (F,) [s]; the
+        rows as they are if each holds new values.
     """
     updates = {}
     for name, value in block.values.items():
@@ -101,8 +102,8 @@ def keep_updates(block: Block) -> tuple[Block, list[Remark]]:
             held = block.values[name][updated.rows]
             values[name] = spline_columns(block.t[updated.rows], held, kept.t)
     step = float(np.median(np.diff(block.t)))
-    new, freezes = _keep_new_rows(Block(kept.t, values, block.remarks))
-    return new, [_remark(updates, step), *freezes]
+    new, remarks, freezes = _keep_new_rows(Block(kept.t, values, block.remarks))
+    return new, [_remark(updates, step), *remarks], freezes
 
 
 def _remark(updates: dict[str, Updates], step: float) -> Remark:
@@ -118,7 +119,7 @@ def _remark(updates: dict[str, Updates], step: float) -> Remark:
     return Remark(RemarkKind.HELD, text, repaired=True)
 
 
-def _keep_new_rows(block: Block) -> tuple[Block, list[Remark]]:
+def _keep_new_rows(block: Block) -> tuple[Block, list[Remark], FloatArray]:
     """Drop complete rows that repeat the one before: all if they are frequent, else freezes.
 
     A row is complete if it holds torques or currents next to positions.
@@ -127,10 +128,10 @@ def _keep_new_rows(block: Block) -> tuple[Block, list[Remark]]:
         block: Rows with increasing times.
 
     Returns:
-        The rows, and remarks; the rows as they are if none is dropped.
+        As of `keep_updates`.
     """
     if not {"tau", "current"} & set(block.values):
-        return block, []  # positions alone may be those of a slower tracker
+        return block, [], np.empty(0)  # positions alone may be those of a slower tracker
     is_new = np.zeros(max(len(block) - 1, 0), bool)
     for name, value in block.values.items():
         if name not in NOT_MEASURED:
@@ -143,20 +144,20 @@ def _keep_new_rows(block: Block) -> tuple[Block, list[Remark]]:
     clear = np.asarray(is_clear.any(axis=1))
     intervals, in_motion = np.diff(rows), clear[rows - 1][1:] & clear[rows - 1][:-1]
     if in_motion.sum() < MIN_CLEAR_UPDATES:
-        return block, []
-    repeats = intervals[in_motion] > 1
-    is_held = repeats.mean() >= MIN_REPEATED_SHARE
-    usual = float(intervals[in_motion].mean()) if is_held else 1.0
+        return block, [], np.empty(0)
+    # against the median, as `find_grid` judges gaps: the mean contains the freezes
+    usual = float(np.median(intervals[in_motion]))
     frozen = np.asarray(in_motion & (intervals > MAX_FILLED_STEPS * usual))
     frozen[frozen] = _jumps(steps, rows, np.flatnonzero(frozen), intervals)
     freezes = [slice(rows[k], rows[k + 1]) for k in np.flatnonzero(frozen)]
     remarks = _freeze_remarks(block.t, freezes)
-    if not is_held:
+    times = np.array([block.t[freeze.start : freeze.stop].mean() for freeze in freezes])
+    held = intervals[in_motion & ~frozen]
+    if (held > 1).mean() < MIN_REPEATED_SHARE:
         keep = np.ones(len(block), bool)
         for freeze in freezes:
             keep[freeze.start + 1 : freeze.stop] = False
-        return (block.rows(keep) if freezes else block), remarks
-    held = intervals[in_motion & ~frozen]
+        return (block.rows(keep) if freezes else block), remarks, times
     kept = _with_unchanged_updates(rows, float(held.mean()), float(held.max()), len(block), frozen)
     frequency = 1.0 / (float(held.mean()) * float(np.median(np.diff(block.t))))
     text = (
@@ -164,7 +165,7 @@ def _keep_new_rows(block: Block) -> tuple[Block, list[Remark]]:
         f"while the robot moves: new values come every {held.mean():.3g} rows on average "
         f"({frequency:.3g} Hz); repeated rows are not used"
     )
-    return block.rows(kept), [Remark(RemarkKind.REPEATED, text, repaired=True), *remarks]
+    return block.rows(kept), [Remark(RemarkKind.REPEATED, text, repaired=True), *remarks], times
 
 
 def _jumps(steps: FloatArray, rows: IntArray, places: IntArray, intervals: IntArray) -> BoolArray:

@@ -16,7 +16,7 @@ from ..errors import UnusableInput
 from ..robot.samples import Samples
 from . import encoder_resolution
 from .block import QUANTITIES
-from .remark import Remark, shown_time
+from .remark import Remark, RemarkKind, shown_time
 from .sidecar import Sidecar, sidecar_path
 from .time_axis import gap_free_slices, mean_step
 
@@ -264,8 +264,10 @@ class Recording:
             UnusableInput: All segments have fewer than MIN_ROWS rows.
         """
         if next(self.segments(), None) is None:
+            frozen = [r.text for r in self.remarks if r.kind is RemarkKind.FROZEN and r.repaired]
+            cause = f", since {frozen[0]}" if frozen else ""
             raise UnusableInput(
-                f"{self.source}: has no {MIN_ROWS} rows without a gap; record again"
+                f"{self.source}: has no {MIN_ROWS} rows without a gap{cause}; record again"
             )
 
     def samples(self, cutoff: float = DEFAULT_CUTOFF_HZ) -> Samples:

@@ -185,6 +185,40 @@ def _unit(name: str) -> str:
     return (match["bracketed"] or match["appended"]).strip() if match else ""
 
 
+def number_fault(numbers: Sequence[int], robot: Robot) -> str:
+    """State why the numbers of positions are not those of the joints; empty where they are.
+
+    Args:
+        numbers: Sorted numbers of the positions of a file.
+        robot: Robot whose joints are recorded.
+    """
+    if len(numbers) != robot.n:
+        of_many = f"{len(numbers)} joints without their names"
+        named = "1 joint without its name" if len(numbers) == 1 else of_many
+        moving = f"{robot.n} {'joint' if robot.n == 1 else 'joints'} of the robot"
+        verb = "moves" if robot.n == 1 else "move"
+        return f"has the positions of {named}, but {moving} {verb}"
+    if list(numbers) in (list(range(robot.n)), list(range(1, robot.n + 1))):
+        return ""
+    return (
+        f"its positions have the numbers {', '.join(map(str, numbers))}, neither 0 to "
+        f"{robot.n - 1} nor 1 to {robot.n}"
+    )
+
+
+def numbers_of_positions(names: Sequence[str], robot: Robot) -> list[int]:
+    """Return the sorted numbers of columns of positions; empty if a column names a joint.
+
+    Args:
+        names: Names of all columns.
+        robot: Robot whose joints are recorded.
+    """
+    if any(name.startswith("q.") or _of_joint(name, robot.joints, "tau") for name in names):
+        return []
+    read = _read_numbers(names, robot.joints, "tau").values()
+    return sorted({number for prefix, number in read if prefix == "q" and number is not None})
+
+
 def _of_number(
     names: Sequence[str], joints: Sequence[str], effort: str
 ) -> dict[str, tuple[str, str]]:
@@ -192,6 +226,25 @@ def _of_number(
 
     Numbers start from 0 or 1. A single joint needs none, except for a current `i`, which may be the
     number of a row.
+    """
+    read = _read_numbers(names, joints, effort)
+    numbers = sorted({k for prefix, k in read.values() if prefix == "q" and k is not None})
+    first = numbers[0] if numbers else 0
+    if first not in (0, 1) or (numbers and numbers != list(range(first, first + len(joints)))):
+        return {}
+    return {
+        name: (f"{prefix}.{joints[0 if number is None else number - first]}", _unit(name.strip()))
+        for name, (prefix, number) in read.items()
+        if number is None or 0 <= number - first < len(joints)
+    }
+
+
+def _read_numbers(
+    names: Sequence[str], joints: Sequence[str], effort: str
+) -> dict[str, tuple[str, int | None]]:
+    """Return the prefix and the number of each column with a quantity and a number.
+
+    The number is None for a quantity alone, of a single joint.
     """
     read: dict[str, tuple[str, int | None]] = {}
     for name in names:
@@ -202,15 +255,7 @@ def _of_number(
             read[name] = _prefix(word, effort), int(match["number"] or match["first"])
         elif len(joints) == 1 and text.lower() in WORDS and name.strip().lower() != "i":
             read[name] = _prefix(text.lower(), effort), None
-    numbers = sorted({k for prefix, k in read.values() if prefix == "q" and k is not None})
-    first = numbers[0] if numbers else 0
-    if first not in (0, 1) or (numbers and numbers != list(range(first, first + len(joints)))):
-        return {}
-    return {
-        name: (f"{prefix}.{joints[0 if number is None else number - first]}", _unit(name.strip()))
-        for name, (prefix, number) in read.items()
-        if number is None or 0 <= number - first < len(joints)
-    }
+    return read
 
 
 def holds_name(column: str, joint: str) -> bool:

@@ -124,16 +124,18 @@ def sort_rows(source: str, block: Block) -> tuple[Block, list[Remark]]:
     return block, remarks
 
 
-def find_grid(source: str, t: FloatArray) -> TimeGrid:
+def find_grid(source: str, t: FloatArray, freezes: FloatArray | None = None) -> TimeGrid:
     """Estimate the time step: the median, then the mean over the rows without gaps.
 
     Args:
         source: Name of the recording, for messages.
         t: Increasing times. Shape (N,) [s].
+        freezes: Increasing times within gaps that are left by dropped rows, not by the stamps.
+            Shape (F,) [s]; None: there are none.
 
     Raises:
         UnusableInput: The median is 0.5 s or longer, which is another unit of time, or shorter than
-            1 µs; or more than 1 % of the steps are gaps, as where stamps are those of arrival.
+            1 µs; or more than 1 % of the steps are other gaps, as of stamps of arrival.
     """
     steps = np.diff(t)
     if not len(steps):
@@ -151,6 +153,8 @@ def find_grid(source: str, t: FloatArray) -> TimeGrid:
             "time in another unit? Seconds are needed"
         )
     is_gap = ~(steps <= (MAX_FILLED_STEPS + 0.5) * usual)
+    if freezes is not None:
+        is_gap &= np.diff(np.searchsorted(freezes, t)) == 0
     if is_gap.sum() > max(MAX_GAP_SHARE * len(steps), MIN_TOLERATED_GAPS):
         raise UnusableInput(
             f"{source}: {int(is_gap.sum())} of {len(steps)} time steps are longer than "

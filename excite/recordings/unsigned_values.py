@@ -31,7 +31,8 @@ def check_signs(source: str, block: Block, robot: Robot) -> None:
     """Check that no quantity holds negative numbers as unsigned integers.
 
     Such values are multiples of one unit between 0 and 2ᵇ units, and lie at both ends of that range
-    without any in the middle: the gap between them is wider than both groups together.
+    without any in the middle: the gap between them is wider than both groups together. With the
+    right signs, the two groups adjoin at zero: their distance is shorter than the wider of them.
 
     Args:
         source: Name of the recording, for messages.
@@ -83,6 +84,8 @@ def unsigned_range(values: FloatArray, *, whole: bool = False) -> tuple[float, f
         modulus = 2**bits
         span = modulus - (multiples[k] - multiples[k - 1])  # of the signed numbers
         is_at_both_ends = multiples[k - 1] < modulus // 2 <= multiples[k]
-        if multiples[-1] < modulus and is_at_both_ends and span < modulus // 2:
+        distance = modulus - multiples[-1] + multiples[0]  # of the signed groups
+        width = max(multiples[k - 1] - multiples[0], multiples[-1] - multiples[k])
+        if multiples[-1] < modulus and distance < width and is_at_both_ends and span < modulus // 2:
             return modulus * unit, (modulus // 2 - 1) * unit
     return None

@@ -251,7 +251,7 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
         tighten(robot, table[follower.master], follower)
     missing = missing_limits(robot, table)
     if missing:
-        raise MissingLimit(robot.source, missing)
+        raise MissingLimit(robot.source, missing, is_mjcf=robot.is_mjcf)
     if margin is not None:
         shares = dict.fromkeys(WITH_MARGIN, margin)
     return dataclasses.replace(_assemble(robot, table), margin=shares, stand=stand)

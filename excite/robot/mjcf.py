@@ -45,10 +45,12 @@ class Conversion:
     Attributes:
         text: The URDF.
         remarks: Sentences on what was changed or left out.
+        is_mjcf: True if the file is an MJCF.
     """
 
     text: str
     remarks: tuple[str, ...]
+    is_mjcf: bool = False
 
 
 def convert_mjcf(path: Path) -> Conversion:
@@ -112,7 +114,7 @@ class _Converter:
             self._remark(f"its gravity is not used; state it with --gravity {stated}")
         ElementTree.indent(self._root)
         text = ElementTree.tostring(self._root, encoding="unicode") + "\n"
-        return Conversion(text, tuple(self._remarks))
+        return Conversion(text, tuple(self._remarks), is_mjcf=True)
 
     def _remark(self, text: str) -> None:
         self._remarks.append(f"{self._path}: {text}")

@@ -97,6 +97,7 @@ class Robot:
         locked: The joints that do not move, without mimic joints.
         options: How it was loaded (locked joints, payload, gravity, inertias), enough to load it
             again.
+        is_mjcf: True if its file is an MJCF.
     """
 
     name: str
@@ -116,6 +117,7 @@ class Robot:
     mimics: tuple[str, ...] = ()
     locked: tuple[LockedJoint, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
+    is_mjcf: bool = False
 
     @property
     def n(self) -> int:
@@ -330,6 +332,7 @@ def load(
             "gravity": [float(g) for g in gravity],
             **({"inertias": _inertia_document(inertias)} if inertias else {}),
         },
+        is_mjcf=document.is_mjcf,
     )
     faults = mass_faults(robot) if require_mass else []
     if faults:

@@ -99,6 +99,7 @@ class Urdf:
         placements: Placement of all joints, fixed ones too.
         inertias: Inertia of the links that state one.
         remarks: Sentences on what was ignored.
+        is_mjcf: True if the file is an MJCF.
     """
 
     source: str
@@ -108,6 +109,7 @@ class Urdf:
     placements: tuple[JointPlacement, ...]
     inertias: dict[str, LinkInertia]
     remarks: tuple[str, ...]
+    is_mjcf: bool = False
 
     @property
     def rounded(self) -> tuple[str, ...]:
@@ -192,7 +194,16 @@ def read(path: Path) -> Urdf:
         for prefix in undeclared
     ]
     remarks += converted.remarks
-    return Urdf(source, name, joints, links, tuple(placements), inertias, tuple(remarks))
+    return Urdf(
+        source,
+        name,
+        joints,
+        links,
+        tuple(placements),
+        inertias,
+        tuple(remarks),
+        converted.is_mjcf,
+    )
 
 
 @contextmanager

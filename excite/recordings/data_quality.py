@@ -31,7 +31,6 @@ from . import (
     timestamp_jitter,
     uneven_stamps,
     units,
-    unsigned_values,
 )
 from .block import QUANTITIES, Block
 from .recording import MIN_ROWS, Recording
@@ -102,7 +101,6 @@ def check_and_repair(
     repairs = list[Remark]()
     held, freezes = list[Remark](), np.empty(0)
     if complete:
-        unsigned_values.check_signs(source, block, robot)
         block, held, freezes = held_values.keep_updates(block)
         grid = find_grid(source, block.t, freezes) if held else grid
         block, repairs = glitches.mask_glitches(source, block, robot, context.limits)

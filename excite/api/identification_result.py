@@ -41,7 +41,6 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
-from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..trajectory import trajectory_file
 from .input_files import argument_files
 from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
@@ -384,19 +383,14 @@ def predict(
     Raises:
         UnusableInput: A file cannot be used.
     """
-    file = identified_model.model_file(Path(model))
-    content = file.json()
-    file.schema(content, (MODEL_SCHEMA,))
+    file, content = identified_model.read_content(Path(model))
+    named = columns or stated_columns(content, recording)
     if floating_model.is_floating(content):
         from .floating_result import predict_floating  # imports this module
 
-        return predict_floating(
-            floating_model.model_from_document(file, content),
-            recording,
-            columns or stated_columns(content, recording),
-        )
+        floating = floating_model.model_from_document(file, content)
+        return predict_floating(floating, recording, named)
     fitted = identified_model.model_from_document(file, content)
-    named = columns or stated_columns(content, recording)
     motion = read_recording(recording, fitted.robot, columns=named)
     for remark in motion.doubts:
         if remark.kind is RemarkKind.LOCKED:

@@ -13,7 +13,12 @@ from .._system.output_files import output_files
 from ..errors import ExciteWarning, UnusableInput
 from ..exporters.model_formats import model_text, remainders, require_format
 from ..exporters.simulator_model import Remainder, SimulatorModel, simulator_model
-from ..identification.identified_model import IdentifiedModel, model_file, model_from_document
+from ..identification.identified_model import (
+    IdentifiedModel,
+    model_file,
+    model_from_document,
+    read_content,
+)
 from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from .identification_result import RecordingSource, read_recording
 from .input_files import argument_files
@@ -96,9 +101,7 @@ def read_fitted_model(model: str | Path) -> tuple[IdentifiedModel, dict[str, Any
     Raises:
         UnusableInput: The file cannot be used.
     """
-    file = model_file(Path(model))
-    content = file.json()
-    file.schema(content, (MODEL_SCHEMA,))
+    file, content = read_content(Path(model))
     return model_from_document(file, content), content
 
 

@@ -15,7 +15,7 @@ from .. import _json
 from .._system.progress import logger
 from ..errors import ExciteWarning, UnusableInput
 from ..identification import segments
-from ..identification.identified_model import IdentifiedModel, model_file, read_model
+from ..identification.identified_model import IdentifiedModel, read_content, read_model
 from ..identification.regression import IdentificationModel
 from ..payload.equations import build_payload_equations, payload_place
 from ..payload.estimate import PayloadEstimate, estimate_payload, require_mass
@@ -28,7 +28,6 @@ from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import COULOMB_WIDTH
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..trajectory.trajectory_file import read_trajectory
 from .identification_result import (
     RecordingSource,
@@ -303,9 +302,7 @@ def _recordings_of(path: Path) -> list[Path]:
     Raises:
         UnusableInput: The file is no model, or a recording is no longer in its place.
     """
-    file = model_file(path)
-    content = file.json()
-    file.schema(content, (MODEL_SCHEMA,))
+    _, content = read_content(path)
     out = []
     for name in content.get("recordings", []):
         stated = Path(str(name))

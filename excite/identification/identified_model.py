@@ -506,10 +506,19 @@ def read_model(path: Path) -> IdentifiedModel:
         UnusableInput: The file is missing, is of another schema, breaks a rule of `schemas.model`,
             or contains an invalid URDF.
     """
+    return model_from_document(*read_content(path))
+
+
+def read_content(path: Path) -> tuple[DocumentFile, dict[str, Any]]:
+    """Read the file and the plain values of a `model.json`.
+
+    Raises:
+        UnusableInput: The file is missing or of another schema.
+    """
     file = model_file(path)
     content = file.json()
     file.schema(content, (SCHEMA,))
-    return model_from_document(file, content)
+    return file, content
 
 
 def model_file(path: Path) -> DocumentFile:

@@ -68,7 +68,7 @@ def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     if above:
         worst = max((b for b in budgets if b.is_unforeseen), key=lambda b: b.noise_ratio)
         ratio = f"{'up to ' if above[1:] else ''}{significant(worst.noise_ratio)} times the noise"
-        if document["joints"][above[0]]["noise_floor_method"] != "periods":
+        if not worst.is_noise_known:
             ratio += ", which is only estimated,"
         places = joint_words(above, len(budgets))
         text += f"; the error of the held-out motion is still {ratio} at {places}"

@@ -18,6 +18,7 @@ from ..robot import base_parameters, dynamics, inertial_parameters, urdf
 from ..robot import limits as robot_limits
 from ..robot.limits import QUANTITIES, Limits, LimitTable
 from ..robot.limits_template import UNITS, limits_template
+from ..robot.parameter_names import plural
 from ..robot.robot import GRAVITY, Payload, Robot, load, locate, mass_faults
 from ..robot.samples import Samples
 
@@ -124,7 +125,7 @@ class RobotCheck:
         """One page for people."""
         robot = self.robot
         locked: Mapping[str, float] = robot.options["locked"]  # type: ignore[assignment]
-        counts = [f"{robot.n} moving joint{'s' if robot.n != 1 else ''}", f"{self.fixed} fixed"]
+        counts = [plural(robot.n, "moving joint"), f"{self.fixed} fixed"]
         counts += [f"{len(locked)} locked"] if locked else []
         counts += [f"{len(robot.followers)} mimic"] if robot.followers else []
         out = [

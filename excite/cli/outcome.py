@@ -27,7 +27,7 @@ def doubt_line(doubts: Sequence[Mapping[str, Any]], subject: str) -> str:
         doubts: Doubts about the recordings, at least one.
         subject: The result: "model".
     """
-    from ..report.formatting import plural  # slow to import
+    from ..robot.parameter_names import plural  # slow to import
 
     kinds = ", ".join(sorted({str(doubt["kind"]) for doubt in doubts}))
     return (

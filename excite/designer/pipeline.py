@@ -22,6 +22,7 @@ from ..collision.clearance_constraint import ClearanceConstraint
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import CheckFailed, ExciteError, ExciteWarning, Infeasible, UnusableInput
 from ..robot.limits import Limits
+from ..robot.parameter_names import plural
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
 from . import certificate as certificate_module
@@ -137,8 +138,7 @@ def design_trajectory(
     setup = optimize.set_up(
         robot, limits, options, earlier_information, overlap_penalty, clearance, start, objective
     )
-    joints = f"{robot.n} joint{'s' if robot.n != 1 else ''}"
-    report(f"{robot.name}: {joints}, {setup.base.count} base parameters")
+    report(f"{robot.name}: {plural(robot.n, 'joint')}, {setup.base.count} base parameters")
     design = optimize.solve(setup, progress)
     timing = {"build": setup.build_time - begun, **design.timing()}
 

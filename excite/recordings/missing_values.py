@@ -8,6 +8,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import UnusableInput
+from ..robot.parameter_names import plural
 from .block import QUANTITIES, Block
 from .column_names import column_of
 from .remark import Remark, RemarkKind
@@ -103,7 +104,7 @@ def _interpolated(
 def _remark(name: str, joint: str, t: FloatArray, missing: BoolArray, is_long: BoolArray) -> Remark:
     is_signal = name not in QUANTITIES
     subject = "" if is_signal else f"joint '{joint}': "
-    count = f"{int(missing.sum())} missing value{'s' if missing.sum() != 1 else ''}"
+    count = plural(int(missing.sum()), "missing value")
     text = f"{subject}{count} of {joint if is_signal else name}"
     interpolated = int((missing & ~is_long).sum())
     if interpolated:

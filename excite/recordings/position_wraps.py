@@ -6,6 +6,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..robot.limits import Limits
+from ..robot.parameter_names import plural
 from ..robot.robot import Robot
 from .block import Block
 from .remark import Remark, RemarkKind, shown_time
@@ -71,14 +72,13 @@ def unwrap_positions(
             continue
         done = []
         if len(wraps):
-            plural = "s" if len(wraps) > 1 else ""
             done.append(
-                f"{len(wraps)} step{plural} of a whole turn from one row to the next "
+                f"{plural(len(wraps), 'step')} of a whole turn from one row to the next "
                 f"(the first at {shown_time(block.t[wraps[0]])} s) are unwrapped"
             )
         if turns:
-            plural = "s" if abs(turns) > 1 else ""
-            done.append(f"positions are shifted by {turns:+d} turn{plural} into their limits")
+            shift = f"{turns:+d} turn{'s' if abs(turns) > 1 else ''}"
+            done.append(f"positions are shifted by {shift} into their limits")
         text = f"joint '{joint}': {'; '.join(done)}"
         start, end = (
             (float(block.t[wraps[0]]), float(block.t[wraps[-1]])) if len(wraps) else (None, None)

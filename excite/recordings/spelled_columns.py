@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..errors import UnusableInput
+from ..robot.parameter_names import plural
 from ..robot.robot import Robot
 
 WORDS = {
@@ -195,7 +196,7 @@ def number_fault(numbers: Sequence[int], robot: Robot) -> str:
     if len(numbers) != robot.n:
         of_many = f"{len(numbers)} joints without their names"
         named = "1 joint without its name" if len(numbers) == 1 else of_many
-        moving = f"{robot.n} {'joint' if robot.n == 1 else 'joints'} of the robot"
+        moving = f"{plural(robot.n, 'joint')} of the robot"
         verb = "moves" if robot.n == 1 else "move"
         return f"has the positions of {named}, but {moving} {verb}"
     if list(numbers) in (list(range(robot.n)), list(range(1, robot.n + 1))):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ..robot.parameter_names import some
+from ..robot.parameter_names import plural, some
 from ..schemas.effects import effect_words
 from .content import Section, Table, TableCell
-from .formatting import odds_words, plural
+from .formatting import odds_words
 
 HEAD = ("joint", "question", "odds before", "expected", "odds after", "decision")
 """Titles of the table."""

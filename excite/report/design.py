@@ -24,6 +24,7 @@ from ..robot.base_parameters import Base
 from ..robot.dynamics import torque_band
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Stand
+from ..robot.parameter_names import plural
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
@@ -41,7 +42,7 @@ from .figures import validation_motion as validation_figure
 from .figures.drawing import COMPACT_LAYOUT_JOINTS
 from .figures.small_multiples import CurvePanel, draw_curves
 from .figures.trajectory import MotionScene
-from .formatting import capitalized, number, plural
+from .formatting import capitalized, number
 from .identifiability import identifiability_sections, key_figures
 from .render import render
 from .task import task_section

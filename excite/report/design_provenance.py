@@ -11,12 +11,13 @@ from markupsafe import Markup
 from ..designer.multistart import Attempt
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import QUANTITIES
+from ..robot.parameter_names import plural
 from ..robot.robot import Robot
 from ..trajectory.rest_to_rest import SegmentKind
 from ..trajectory.trajectory_file import Trajectory
 from .content import Section, Table, TableCell
 from .figures import information_spectrum
-from .formatting import number, plural, significant
+from .formatting import number, significant
 
 NEAR_BEST = 0.05
 """Starts whose log criterion ends within this much of the best (5 %) count as equal."""

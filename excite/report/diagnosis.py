@@ -12,7 +12,7 @@ from ..diagnosis.diagnosis import Diagnosis
 from ..diagnosis.estimates import MIN_PROBABILITY
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
-from ..robot.parameter_names import listed
+from ..robot.parameter_names import listed, plural
 from ..schemas.effects import effect_words
 from ..trajectory.trajectory_file import package_versions
 from . import verdict
@@ -26,7 +26,7 @@ from .diagnosis_evidence import (
 )
 from .figures import diagnosis as diagnosis_figures
 from .figures.trajectory import torque_units
-from .formatting import capitalized, number, plural, significant
+from .formatting import capitalized, number, significant
 from .remarks import count_remarks, list_remarks
 from .render import render
 from .torque_budget import (

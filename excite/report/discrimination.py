@@ -9,9 +9,10 @@ import numpy as np
 from ..designer.discrimination_result import CONFIRMATION_REMARK, DiscriminationResult
 from ..designer.experiment_menu import DECISIVE_LOG_ODDS, Experiment
 from ..designer.isolability_forecast import PairForecast
+from ..robot.parameter_names import plural
 from ..schemas.effects import MIN_SEVERITY, effect_words
 from .content import Section, Table, TableCell
-from .formatting import capitalized, number, odds_words, plural
+from .formatting import capitalized, number, odds_words
 
 LISTED_COMPARISONS = 10
 """Comparisons that are listed, the least certain first, before the others are folded."""

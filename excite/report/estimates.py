@@ -13,14 +13,14 @@ from ..identification.identification import Identification
 from ..identification.identified_model import JOINT_PARAMETER_UNITS, base_parameter_table
 from ..identification.link_estimates import link_estimates
 from ..robot.inertial_parameters import Parameters
-from ..robot.parameter_names import DRIVE_WORDS, percent, spoken
+from ..robot.parameter_names import DRIVE_WORDS, percent, plural, spoken
 from .content import Section, Table, TableCell
 from .figures import inertia_ellipsoids, information_spectrum
 from .figures import parameters as parameter_figures
 from .figures.inertia_ellipsoids import LinkBody, LinkBodyChange
 from .figures.parameters import ParameterChange
 from .figures.trajectory import is_prismatic
-from .formatting import number, plural
+from .formatting import number
 from .identifiability import UNFOLDED_PARAMETERS, without_verdict
 
 LISTED_DIRECTIONS = 8

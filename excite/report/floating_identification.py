@@ -14,11 +14,11 @@ from ..identification.identification import Prediction
 from ..identification.link_estimates import DECIDED_SHARE
 from ..recordings import Remark
 from ..robot.floating_base import WRENCH
-from ..robot.parameter_names import percent
+from ..robot.parameter_names import percent, plural
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .figures.torque_fit import draw_fit, points_per_curve
-from .formatting import number, plural
+from .formatting import number
 from .identifiability import without_verdict
 from .remarks import count_remarks, list_remarks
 from .render import render

@@ -44,11 +44,6 @@ def power_of_ten(exponent: int) -> str:
     return "10" + "".join("⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".index(c)] for c in str(exponent))
 
 
-def plural(count: int, noun: str) -> str:
-    """Format a count with its noun: '1 joint', '3 joints'."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
-
-
 def capitalized(text: str) -> str:
     """Raise the first letter and keep all others, unlike `str.capitalize`."""
     return text[:1].upper() + text[1:]

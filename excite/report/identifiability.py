@@ -11,12 +11,12 @@ from ..designer.experiment_comparison import Scenario
 from ..designer.identifiability import BaseParameter, Direction, Identifiability
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
-from ..robot.parameter_names import percent, spoken
+from ..robot.parameter_names import percent, plural, spoken
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .figures import information_spectrum as figures
-from .formatting import capitalized, number, plural
+from .formatting import capitalized, number
 from .render import render
 
 LISTED_DIRECTIONS = 10

@@ -13,11 +13,11 @@ from ..identification.identification import Identification
 from ..identification.link_estimates import link_estimates
 from ..recordings import Remark
 from ..robot.inertial_parameters import DRIVE
-from ..robot.parameter_names import percent
+from ..robot.parameter_names import percent, plural
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table
 from .estimates import bodies_section, directions_section, parameters_section
-from .formatting import number, plural, uncapitalized
+from .formatting import number, uncapitalized
 from .identifiability import without_verdict
 from .noise import noise_section
 from .prediction import prediction_section, prediction_verdict

@@ -9,13 +9,13 @@ import numpy as np
 from markupsafe import Markup
 
 from ..identification.identification import Identification, Prediction
-from ..robot.parameter_names import multiple, percent, some
+from ..robot.parameter_names import multiple, percent, plural, some
 from ..robot.robot import Robot
 from .content import Section, Table, TableCell
 from .figures import torque_fit
 from .figures.torque_fit import EXCERPT_SECONDS, NOISE_BAND_FLOORS
 from .figures.trajectory import torque_units
-from .formatting import number, plural
+from .formatting import number
 
 NOISE_RATIO = 1.2
 """Noise floors up to which an error counts as noise, as in the verdict of a diagnosis."""

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..recordings import Remark
+from ..robot.parameter_names import plural
 from .content import Table
-from .formatting import plural, seconds_between
+from .formatting import seconds_between
 
 
 def count_remarks(remarks: Sequence[Remark]) -> str:

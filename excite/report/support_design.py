@@ -17,12 +17,13 @@ from ..designer.support_kinematics import SupportSamples
 from ..designer.support_trajectory import StatedFoot, SupportTrajectory
 from ..robot.floating_base import Rows
 from ..robot.limits import QUANTITIES
+from ..robot.parameter_names import plural
 from ..trajectory.trajectory_file import package_versions
 from .content import Banner, ReportContent, Section, Table, TableCell
 from .figures import collision as collision_figures
 from .figures import information_spectrum
 from .figures.pressure import SolePicture, draw_pressure, edge_distance
-from .formatting import capitalized, number, plural
+from .formatting import capitalized, number
 from .identifiability import without_verdict
 from .render import render
 

@@ -99,6 +99,11 @@ def _leading(shares: Mapping[str, float]) -> str:
     return listed(kept)
 
 
+def plural(count: int, noun: str) -> str:
+    """Format a count with its noun: '1 joint', '3 joints'."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def listed(words: list[str]) -> str:
     """Words in a sentence: 'a, b and c'."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 from scipy.linalg import lapack
 
 from .._types import BoolArray, FloatArray, IntArray
@@ -14,8 +13,6 @@ RIDGE = 1e-10
 """Share of the diagonal that is added to a matrix before it is factored."""
 BLOCK_EXCHANGES = 3
 """Exchanges of all coefficients at once that may not lower the number of violated conditions."""
-MAX_EXCHANGES = 40
-"""Exchanges of the active set after which it is sought from the start."""
 RELATIVE_TOLERANCE = 1e-10
 """Coefficient or gradient of either sign that counts as zero, over the largest."""
 
@@ -148,52 +145,59 @@ def _bounded_minimum(
     bounded: BoolArray,
     likely: BoolArray,
 ) -> tuple[FloatArray, BoolArray, float]:
-    """Minimise ½ xᵀ M x − tᵀ x, x[bounded] ≥ 0, x[~used] = 0, by block principal pivoting.
+    """Minimise ½ xᵀ M x − tᵀ x, x[bounded] ≥ 0, x[~used] = 0, by exchanges of the active set.
 
-    All coefficients that violate an optimality condition change sides at once, or the last of them
-    where that does not help (Portugal, Júdice & Vicente, Math. Comput. 63, 1994). From the active
-    set `likely` of a similar problem a few exchanges suffice; where rounding errors keep them from
-    ending, the active set is that of Lawson & Hanson (1974). Returns x, its active coefficients,
-    and log det M over these.
+    From the active set `likely` of a similar problem a few exchanges of all coefficients that
+    violate an optimality condition suffice (Portugal, Júdice & Vicente, Math. Comput. 63, 1994).
+    They may not end. The objective then falls from one active set to the next (Lawson & Hanson,
+    Solving Least Squares Problems, 1974, but with all coefficients added at once: the step of one
+    of them at least is positive). Returns x, its active coefficients, and log det M over these.
     """
     bounded = bounded & used
     tolerance = RELATIVE_TOLERANCE * float(np.abs(target[bounded]).max(initial=0.0))
-    fewest, tries = len(target) + 1, BLOCK_EXCHANGES
-    active = used & (likely | ~bounded)
-    for exchange in range(MAX_EXCHANGES + 1):
-        if exchange == MAX_EXCHANGES:
-            active = _active_set(matrix, target, used, bounded)
-        p = np.flatnonzero(active)
-        x = np.zeros(len(target))
+
+    def minimum(active: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return the unbounded minimum over active coefficients, and the factor of M over these."""
+        p, x = np.flatnonzero(active), np.zeros(len(target))
         factor = _cholesky(matrix[np.ix_(p, p)])
         x[p] = _solved(factor, target[p])
-        gradient = matrix @ x - target
-        negative = x < -RELATIVE_TOLERANCE * np.abs(x[bounded]).max(initial=0.0)
-        wrong = np.flatnonzero(bounded & np.where(active, negative, gradient < -tolerance))
-        if not len(wrong) or exchange == MAX_EXCHANGES:
-            break
-        tries = BLOCK_EXCHANGES if len(wrong) < fewest else tries - 1
-        fewest = min(fewest, len(wrong))
-        active = active.copy()
-        changed = wrong if tries > 0 else wrong[-1:]  # one at a time always ends
-        active[changed] = ~active[changed]
+        return x, factor
+
+    def negative(x: FloatArray, active: BoolArray) -> BoolArray:
+        least = -RELATIVE_TOLERANCE * np.abs(x[bounded]).max(initial=0.0)
+        return np.asarray(bounded & active & (x < least))
+
+    def missing(x: FloatArray, active: BoolArray) -> BoolArray:
+        return np.asarray(bounded & ~active & (matrix @ x - target < -tolerance))
+
+    active, fewest, tries = used & (likely | ~bounded), len(target) + 1, BLOCK_EXCHANGES
+    x, factor = minimum(active)
+    while (wrong := negative(x, active) | missing(x, active)).any() and tries > 0:
+        count = int(np.count_nonzero(wrong))
+        tries = BLOCK_EXCHANGES if count < fewest else tries - 1
+        fewest = min(fewest, count)
+        active = active ^ wrong
+        x, factor = minimum(active)
+    while (below := negative(x, active)).any():  # none is left that is not feasible
+        active = active & ~below
+        x, factor = minimum(active)
     x[bounded] = np.maximum(x[bounded], 0.0)
+    objective = np.inf
+    while (added := missing(x, active)).any():
+        value = float(x @ (0.5 * matrix @ x - target))
+        if value >= objective:  # by rounding errors
+            break
+        objective, active = value, active | added
+        end, factor = minimum(active)
+        while (below := negative(end, active)).any():
+            shares = x[below] / (x[below] - end[below])
+            x = x + shares.min() * (end - x)
+            active = active.copy()
+            active[np.flatnonzero(below)[shares == shares.min()]] = False
+            x[~active] = 0.0
+            end, factor = minimum(active)
+        x = np.where(bounded, np.maximum(end, 0.0), end)
     return x, active, _log_determinant(factor)
-
-
-def _active_set(
-    matrix: FloatArray, target: FloatArray, used: BoolArray, bounded: BoolArray
-) -> BoolArray:
-    """Active set of `_bounded_minimum`, sought from the start by nonnegative least squares."""
-    from scipy.optimize import nnls  # slow to import
-
-    on = np.flatnonzero(used)
-    root = linalg.cholesky(matrix[np.ix_(on, on)])
-    right = linalg.solve_triangular(root, target[on], trans=1)
-    either_sign = np.hstack([root, -root[:, ~bounded[on]]])
-    active = used.copy()
-    active[on] = nnls(either_sign, right, maxiter=30 * len(on))[0][: len(on)] > 0.0
-    return np.asarray(used & (active | ~bounded))
 
 
 def _cholesky(matrix: FloatArray, ridge: float = 0.0) -> FloatArray:

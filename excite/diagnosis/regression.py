@@ -243,8 +243,9 @@ class JointRegression:
         out.nonnegative = np.zeros(p, bool) if nonnegative is None else nonnegative
         out._likely = np.ones(p, bool)
         for j in range(torque.shape[1]):
-            used = np.flatnonzero(np.abs(base[:, j]).max(axis=0) > 0.0)
-            x = base[:, j, used] * moving[:, j, None]
+            of_joint = base[:, j].copy()  # adjacent in memory
+            used = np.flatnonzero(of_joint.any(axis=0))
+            x = of_joint[:, used] * moving[:, j, None]
             power = float(np.sum(torque[moving[:, j], j] ** 2))
             out._grams.append(_JointGram(x, used, x.T @ x, x.T @ torque[:, j], power))
         return out

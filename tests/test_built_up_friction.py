@@ -122,16 +122,16 @@ def test_an_element_that_never_slips_in_both_directions_is_no_friction():
 
 def test_friction_that_builds_up_has_the_direction_of_its_elements():
     motions = diagnosed(True).model.motions
-    bristles = hysteresis.dense_model(motions, 0)
+    bristles = hysteresis.HYSTERESIS.dense_model(motions, 0)
     c = np.zeros(len(bristles.nonnegative))
     c[[2, 4]] = 0.3, 0.1
-    shape = stribeck.dense_model(motions, 0, hysteresis.build_up(bristles, c, 1.0))
+    shape = stribeck.STRIBECK.dense_model(motions, 0, hysteresis.build_up(bristles, c, 1.0))
     q = motions[0].samples.q[:, 0]
     reaches = hysteresis.reaches(bristles.values)
     elements = [hysteresis.maxwell_slip(q, reaches[i]) for i in (2, 4)]
     expected = 0.3 * elements[0] + 0.1 * elements[1] + 0.6 * motions[0].sign(0)
     np.testing.assert_allclose(hysteresis.direction(motions[0], shape), expected, atol=1e-12)
-    plain = stribeck.dense_model(motions, 0)
+    plain = stribeck.STRIBECK.dense_model(motions, 0)
     np.testing.assert_array_equal(hysteresis.direction(motions[0], plain), motions[0].sign(0))
 
 

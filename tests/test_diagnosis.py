@@ -282,7 +282,7 @@ def test_a_large_held_out_error_is_not_called_explained():
 
 @pytest.mark.parametrize(("curve", "convex"), [(k, k >= 6) for k in range(8)])
 def test_a_curve_of_viscous_friction_is_a_power_that_opposes_motion(curve, convex):
-    shape = nonlinear_viscous.dense_model(motions(), 0)
+    shape = nonlinear_viscous.NONLINEAR_VISCOUS.dense_model(motions(), 0)
     coefficients = np.full(len(shape.nonnegative), 0.05)
     coefficients[curve] = 1.0
     estimate = shape.parameters(coefficients, motions()[0].fitted_robot)

@@ -41,7 +41,7 @@ def test_friction_of_slow_motions_holds_at_three_times_their_speed():
 @given(st.lists(st.floats(0.0, 5.0), min_size=8, max_size=8), st.floats(0.0, 5.0))
 def test_friction_does_not_fall_beyond_the_fitted_speeds(curves, viscous):
     c = np.array(curves)
-    plain = nonlinear_viscous.dense_model(motions(), 0)
+    plain = nonlinear_viscous.NONLINEAR_VISCOUS.dense_model(motions(), 0)
     model = nonlinear_viscous.without_falling(plain, c, viscous)
     top = model.values["top_speed"]
     for speeds in (np.linspace(top, 6.0 * top, 50), np.linspace(-0.1 * top, top, 50)):

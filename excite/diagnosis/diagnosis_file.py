@@ -24,27 +24,6 @@ from .unmodelled import UnmodelledTorque
 
 SCHEMA = "excite.diagnosis/1"
 """Schema of the document."""
-REGIMES = {
-    "stribeck": "speed",
-    "nonlinear_viscous": "speed",
-    "drag": "speed",
-    "asymmetric_viscous": "direction",
-    "load_friction": "load",
-    "torque_saturation": "load",
-    "position_friction": "position",
-    "spring": "position",
-    "torque_ripple": "order",
-    "encoder_error": "order",
-    "hysteresis": "reversal",
-    "backlash": "reversal",
-    "thermal_drift": "run time",
-    "contact": "time",
-    "delay": "frequency",
-    "elasticity": "frequency",
-    "base_compliance": "frequency",
-    "coupling": "other joints",
-}
-"""Quantity over which an effect shows, by effect."""
 CONSIDERED = 20
 """Effects that are listed though they are not asserted."""
 NEUTRAL_VALUES = {"exponent": 1.0}
@@ -201,7 +180,7 @@ def _entry(
     """Element of "findings" or "considered", without equivalents that are excluded."""
     effect, shape = EFFECTS_BY_NAME[estimate.effect], estimate.models[0]
     place = "all joints" if estimate.joint is None else f"joint '{_joint(diagnosis, shape.joint)}'"
-    regime = "temperature" if "reference" in shape.values else REGIMES.get(estimate.effect, "all")
+    regime = "temperature" if "reference" in shape.values else effect.regime
     where: dict[str, Any] = {
         "statement": f"{place}: {shape.signature or effect.signature}",
         "regime": regime,

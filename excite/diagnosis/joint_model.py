@@ -19,16 +19,14 @@ from functools import cached_property
 import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
-from ..effects import (
-    hysteresis,
-    load_friction,
-    nonlinear_viscous,
-    recorded_motion,
-    stribeck,
-)
+from ..effects import hysteresis, recorded_motion
 from ..effects.effect import CandidateModel, Key
 from ..effects.form_error import with_form_error
+from ..effects.hysteresis import HYSTERESIS
+from ..effects.load_friction import LOAD_FRICTION
+from ..effects.nonlinear_viscous import NONLINEAR_VISCOUS
 from ..effects.recorded_motion import RecordedMotion
+from ..effects.stribeck import STRIBECK
 from ..identification import consistency
 from ..identification.consistency import ConsistentEstimate
 from ..identification.dissipation import friction_powers
@@ -58,13 +56,10 @@ MIN_TORQUE_SHARE = 0.1
 MAX_LOG_STEP = 0.7
 """Largest change of the logarithm of a Coulomb width, or of a corner frequency, in a round."""
 FRICTIONS = {
-    "stribeck": stribeck,
-    "nonlinear_viscous": nonlinear_viscous,
-    "hysteresis": hysteresis,
-    "load_friction": load_friction,
+    effect.name: effect for effect in (STRIBECK, NONLINEAR_VISCOUS, HYSTERESIS, LOAD_FRICTION)
 }
-"""Frictions that are fitted at every joint: name and module with its `dense_model`."""
-BUILDING_UP = {"stribeck": stribeck, "load_friction": load_friction}
+"""Frictions that are fitted at every joint, by their names."""
+BUILDING_UP = (STRIBECK, LOAD_FRICTION)
 """Those that may build up in the presliding elements."""
 MIN_BUILT_UP_SHARE = 0.5
 """Share of Coulomb friction in the presliding elements of a joint from which its other dry
@@ -246,7 +241,7 @@ def _acting_joints(columns: FloatArray) -> BoolArray:
 
 def _is_built_up(model: CandidateModel) -> bool:
     """Tell whether a friction builds up in presliding elements."""
-    return model.effect in BUILDING_UP and "reach" in model.values
+    return model.definition in BUILDING_UP and "reach" in model.values
 
 
 def _built_up(models: Sequence[CandidateModel]) -> dict[int, tuple[int | None, int | None]]:
@@ -275,12 +270,10 @@ def dense_models(
     """
     near_rest = np.any([(m.moving & ~m.far_from_rest).any(axis=0) for m in motions], axis=0)
     plain = [
-        hysteresis.dense_model(motions, j, (shares or {}).get(j))
-        if effect is hysteresis
-        else effect.dense_model(motions, j)
+        effect.dense_model(motions, j, (shares or {}).get(j) if effect is HYSTERESIS else None)
         for j in range(motions[0].n)
         for effect in FRICTIONS.values()
-        if near_rest[j] or effect is not hysteresis
+        if near_rest[j] or effect is not HYSTERESIS
     ]
     return [*plain, *_built_up_models(motions, build_ups or {})]
 
@@ -292,7 +285,7 @@ def _built_up_models(
     return [
         effect.dense_model(motions, j, build_up)
         for j, build_up in build_ups.items()
-        for effect in BUILDING_UP.values()
+        for effect in BUILDING_UP
     ]
 
 

@@ -46,9 +46,6 @@ MAX_RARE_EFFECTS = 8
 """Rare effects that are added at most."""
 OPTIMISED_CANDIDATES = 4
 """Candidates whose nonlinear parameters are optimised before the best is chosen."""
-MAX_MODELS = {"base_compliance": 2, "spring": 2, "position_friction": 2, "encoder_error": 2}
-"""Models of one effect at one joint, where several describe it: modes of a base, waves of a curve;
-1 of all others."""
 LAST_RESORTS = (UNMODELLED, "contact")
 """Explanations that are tried when no other is left: a flexible model fits what remains, and the
 time of a contact is chosen where most remains."""
@@ -256,7 +253,7 @@ class _Search:
             for key, evidence in scores.items()
             if (key[0] in LAST_RESORTS) is last_resorts
             and evidence > max(MIN_CANDIDATE_EVIDENCE, self._rejected.get(key, -np.inf) + TIE)
-            and added.count(key) < MAX_MODELS.get(key[0], 1)
+            and added.count(key) < rankings[key].best.model.definition.max_models
             and not any(_is_same_body(rankings[key].best.model, shape) for shape in self._shapes)
         ]
         return sorted(promising, key=lambda key: -scores[key])

@@ -41,6 +41,7 @@ ASYMMETRIC_VISCOUS = _AsymmetricViscous(
     {"positive": "N m s/rad", "negative": "N m s/rad"},
     "torque against speed has another slope in each direction",
     "constant speeds in both directions, several of them",
+    regime="direction",
     form_std={"positive": 0.09, "negative": 0.09},
 )
 """Direction-dependent viscous friction."""

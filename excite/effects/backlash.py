@@ -72,6 +72,7 @@ BACKLASH = _Backlash(
     {"width": "rad"},
     "a kick where the load changes sign",
     "slow reversals through zero load",
+    regime="reversal",
     form_std={"width": 0.47},
     bounds=SCALES,
 )

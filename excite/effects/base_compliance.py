@@ -200,6 +200,8 @@ BASE_COMPLIANCE = _BaseCompliance(
     {"frequency": "Hz"},
     "the same resonance in all joints",
     "a chirp of joint 1 with the arm stretched",
+    regime="frequency",
+    max_models=2,
     form_std={"frequency": 0.2},
 )
 """Compliant base; users call it a wobbly table, a soft mount or an oscillating pedestal."""

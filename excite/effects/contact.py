@@ -127,6 +127,7 @@ CONTACT = _Contact(
     {"force": "N"},
     "for some of the time only, in the joints before the contact",
     "the same motion without anything near the robot",
+    regime="time",
     has_candidates=False,
     form_std={"force": 0.1},
     of_link=True,

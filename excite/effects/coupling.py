@@ -85,6 +85,7 @@ COUPLING = _Coupling(
     {"viscous": "N m s/rad", "coulomb": "N m", "inertia": "kg m²", "ratio": "1"},
     "torque where only the other joint moves",
     "each joint singly, then together",
+    regime="other joints",
     form_std={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1, "ratio": 0.1},
 )
 """Transmission coupling of wrist joints; users call it gear coupling or a differential wrist."""

@@ -161,6 +161,7 @@ DELAY = _Delay(
     {"seconds": "s"},
     "residual like the slope of torque",
     "fast, jerky motion",
+    regime="frequency",
     form_std={"seconds": 0.1},
 )
 """Time delay between torque and position, actuator lag, latency; torque later: positive."""

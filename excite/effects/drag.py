@@ -12,6 +12,7 @@ DRAG = JointTorque(
     {"coefficient": "N m s²/rad²"},
     "resistance grows with the square of speed",
     "very fast motion",
+    regime="speed",
     bounds=(0.0, np.inf),
 )
 """Air or fluid drag, churning losses of a gear's oil."""

@@ -26,9 +26,12 @@ class Effect:
 
     Attributes:
         equation: Equation and its source.
+        regime: Quantity over which the effect shows.
         nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
-        has_candidates: False for an effect that the joint model has at every joint, or that is
-            sought in its residual.
+        has_candidates: False for an effect that the joint model has at every joint, see
+            `dense_model`, or that is sought in its residual.
+        max_models: Largest number of its models at one joint, where several describe it: modes of
+            a base, waves of a curve.
         prior_only: Whether a refit of the base model absorbs the effect, if it acts all the time,
             so that it can be found only with a trusted prior.
         form_std: Relative standard deviation of the parameters where the robot's effect has not
@@ -43,8 +46,10 @@ class Effect:
     units: Mapping[str, str]
     signature: str
     experiment: str
+    regime: str = "all"
     nonnegative: tuple[bool, ...] = ()
     has_candidates: bool = True
+    max_models: int = 1
     prior_only: bool = False
     form_std: Mapping[str, float] = field(default_factory=dict)
     of_link: bool = False
@@ -61,6 +66,20 @@ class Effect:
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         """Yield all candidate models for a robot with recorded motions: one of every joint."""
         return (CandidateModel(self, j) for j in range(motions[0].n if self.has_candidates else 0))
+
+    def dense_model(
+        self,
+        motions: Sequence[RecordedMotion],
+        joint: int,
+        build_up: Mapping[str, float] | None = None,
+    ) -> CandidateModel:
+        """Return the model of a joint, linear in its coefficients, of a friction of every joint.
+
+        Args:
+            build_up: How dry friction builds up after a reversal, see `hysteresis.build_up`; at
+                once if None.
+        """
+        raise NotImplementedError
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the reported parameters by name: the coefficients, in the order of the units.

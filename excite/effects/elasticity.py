@@ -116,6 +116,7 @@ ELASTICITY = _Elasticity(
     {"stiffness": "N m/rad"},
     "residual like the second derivative of the load",
     "fast motion at several poses",
+    regime="frequency",
     form_std={"stiffness": 0.14},
 )
 """Flexible joint; users call it joint flexibility, gear compliance or harmonic-drive torsion."""

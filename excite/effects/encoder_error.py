@@ -87,6 +87,8 @@ ENCODER_ERROR = _EncoderError(
     {"amplitude": "rad", "order": "1/turn"},
     "once or a few times a turn, growing with the square of speed",
     "constant speeds, slow and fast, over a turn",
+    regime="order",
+    max_models=2,
     form_std={"amplitude": 0.4, "order": 0.4},
 )
 """Periodic encoder error; users call it encoder eccentricity or sensor ripple."""

@@ -111,6 +111,30 @@ class _Hysteresis(Effect):
         damped = motion.lowpass((motion.samples.dq[:, j] * (sticks @ damping(values)))[:, None])
         return single_joint_rows(motion, j, np.hstack([columns, damped]))
 
+    def dense_model(
+        self,
+        motions: Sequence[RecordedMotion],
+        joint: int,
+        build_up: Mapping[str, float] | None = None,
+    ) -> CandidateModel:
+        """Return a nonnegative combination of Maxwell-slip elements of a joint.
+
+        The columns after them, of either sign, make the two branches of the loop unequal; the last
+        one is the damping of the elements. They are damped by their shares in an earlier fit, as
+        `build_up` returns them, or by equal ones.
+        """
+        unit = radian(motions, joint)
+        last = LAST_REACH * unit
+        step = max(float(motion.steps[joint]) for motion in motions)
+        first = min(max(FIRST_REACH * unit, step), MAX_FIRST_REACH * last)
+        values = dict(build_up or {"reach": first, "last_reach": last})
+        travel = max(float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
+        if not built_up_share(values):
+            values |= {f"share_{i}": 1.0 / ELEMENTS for i in range(ELEMENTS)}
+        slips = 2.0 * reaches(values) < travel
+        prior_shares = tuple(np.where(slips, 1.0, STICKING_SHARE).tolist())
+        return CandidateModel(self, joint, values, prior_shares=prior_shares)
+
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         stiffness = float(np.sum(c[:ELEMENTS] / reaches(model.values)))
         return {"amplitude": float(c[:ELEMENTS].sum()), "stiffness": stiffness}
@@ -123,30 +147,9 @@ HYSTERESIS = _Hysteresis(
     {"amplitude": "N m", "stiffness": "N m/rad"},
     "friction takes some way to build up after a reversal",
     "strokes of many small amplitudes",
+    regime="reversal",
     nonnegative=(True,) * ELEMENTS + (False,) * len(UNEQUAL_ELEMENTS) + (True,),
     has_candidates=False,
     form_std={"amplitude": 0.1, "stiffness": 0.4},
 )
 """Presliding friction; users call it friction hysteresis, LuGre or Dahl friction."""
-
-
-def dense_model(
-    motions: Sequence[RecordedMotion], joint: int, build_up: Mapping[str, float] | None = None
-) -> CandidateModel:
-    """Return a nonnegative combination of Maxwell-slip elements of a joint.
-
-    The columns after them, of either sign, make the two branches of the loop unequal; the last one
-    is the damping of the elements. They are damped by their shares in an earlier fit, as
-    `build_up` returns them, or by equal ones.
-    """
-    unit = radian(motions, joint)
-    last = LAST_REACH * unit
-    step = max(float(motion.steps[joint]) for motion in motions)
-    first = min(max(FIRST_REACH * unit, step), MAX_FIRST_REACH * last)
-    values = dict(build_up or {"reach": first, "last_reach": last})
-    travel = max(float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
-    if not built_up_share(values):
-        values |= {f"share_{i}": 1.0 / ELEMENTS for i in range(ELEMENTS)}
-    slips = 2.0 * reaches(values) < travel
-    prior_shares = tuple(np.where(slips, 1.0, STICKING_SHARE).tolist())
-    return CandidateModel(HYSTERESIS, joint, values, prior_shares=prior_shares)

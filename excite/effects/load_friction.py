@@ -23,6 +23,22 @@ class _LoadFriction(JointTorque):
     The load itself is of either sign: the efficiency of gears differs by the direction of power.
     """
 
+    def dense_model(
+        self,
+        motions: Sequence[RecordedMotion],
+        joint: int,
+        build_up: Mapping[str, float] | None = None,
+    ) -> CandidateModel:
+        load = np.abs(np.concatenate([motion.transmitted_torque[:, joint] for motion in motions]))
+        return CandidateModel(
+            self,
+            joint,
+            {"dense": 1.0, "scale": max(float(load.max()), 1e-9), **(build_up or {})},
+            facts={"mean_load": float(load.mean())},
+            prior_std=PRIOR_COEFFICIENT,
+            prior_shares=(1.0, 1.0, EFFICIENCY_DIFFERENCE),
+        )
+
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"mu": float(c[0] + c[1] * model.facts["mean_load"] / model.values["scale"])}
 
@@ -33,26 +49,9 @@ LOAD_FRICTION = _LoadFriction(
     {"mu": "1"},
     "friction grows with the torque carried",
     "repeat the same trajectory with another load",
+    regime="load",
     nonnegative=(True, True, False),
     has_candidates=False,
     form_std={"mu": 0.35},
 )
 """Load-dependent gear friction, torque-dependent losses."""
-
-
-def dense_model(
-    motions: Sequence[RecordedMotion], joint: int, build_up: Mapping[str, float] | None = None
-) -> CandidateModel:
-    """Return friction of a joint that grows with the load and its square.
-
-    It builds up as `hysteresis.build_up` says; at once if None.
-    """
-    load = np.abs(np.concatenate([motion.transmitted_torque[:, joint] for motion in motions]))
-    return CandidateModel(
-        LOAD_FRICTION,
-        joint,
-        {"dense": 1.0, "scale": max(float(load.max()), 1e-9), **(build_up or {})},
-        facts={"mean_load": float(load.mean())},
-        prior_std=PRIOR_COEFFICIENT,
-        prior_shares=(1.0, 1.0, EFFICIENCY_DIFFERENCE),
-    )

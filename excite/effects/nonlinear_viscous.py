@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -30,6 +30,14 @@ class _NonlinearViscous(JointTorque):
         j = model.joint_index
         return single_joint_rows(motion, j, _curves(motion, j, *model.values.items()))
 
+    def dense_model(
+        self,
+        motions: Sequence[RecordedMotion],
+        joint: int,
+        build_up: Mapping[str, float] | None = None,
+    ) -> CandidateModel:
+        return CandidateModel(self, joint, {"top_speed": max_speed(motions, joint)})
+
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the power whose deviation from a line fits best; friction opposes motion."""
         share = np.linspace(0.02, 1.0, 60)
@@ -50,16 +58,12 @@ NONLINEAR_VISCOUS = _NonlinearViscous(
     {"coefficient": "N m (s/rad)^k", "exponent": "1"},
     "friction is not linear in speed",
     "a wide range of constant speeds",
+    regime="speed",
     nonnegative=(True,) * (CONCAVE_CURVES + 2),
     has_candidates=False,
     form_std={"coefficient": 0.25, "exponent": 0.25},
 )
 """Shear-thinning or shear-thickening lubricant friction."""
-
-
-def dense_model(motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
-    """Return a nonnegative combination of concave and convex friction curves of a joint."""
-    return CandidateModel(NONLINEAR_VISCOUS, joint, {"top_speed": max_speed(motions, joint)})
 
 
 def without_falling(model: CandidateModel, c: FloatArray, viscous: float) -> CandidateModel:

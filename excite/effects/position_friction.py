@@ -44,6 +44,8 @@ POSITION_FRICTION = _PositionFriction(
     {"amplitude": "N m"},
     "friction depends on where the joint is",
     "the same stroke at shifted positions",
+    regime="position",
+    max_models=2,
     form_std={"amplitude": 0.5},
 )
 """Friction that varies with joint position, as by a misaligned bearing or a tight spot."""

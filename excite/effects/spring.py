@@ -77,6 +77,8 @@ SPRING = _Spring(
     "the same in both directions, pose alone",
     "poses up to both ends",
     # a refit base model absorbs as much of the slope into gravity as the form permits
+    regime="position",
+    max_models=2,
     form_std={"stiffness": 1.0, "amplitude": 0.25},
 )
 """Position-dependent torque; users call it counterbalance, gas spring, cable or dress pack."""

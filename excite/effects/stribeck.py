@@ -16,6 +16,15 @@ from .recorded_motion import FittedRobot, RecordedMotion, max_speed
 class _Stribeck(JointTorque):
     """Exponential and Gaussian curves."""
 
+    def dense_model(
+        self,
+        motions: Sequence[RecordedMotion],
+        joint: int,
+        build_up: Mapping[str, float] | None = None,
+    ) -> CandidateModel:
+        values = {"top_speed": max_speed(motions, joint), **(build_up or {})}
+        return CandidateModel(self, joint, values)
+
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the excess at rest, and the speed at which it has fallen to 1/e."""
         top_speed = model.values["top_speed"]
@@ -32,19 +41,9 @@ STRIBECK = _Stribeck(
     {"amplitude": "N m", "velocity": "rad/s"},
     "friction is larger near zero speed",
     "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
+    regime="speed",
     nonnegative=(True,) * 2 * len(STRIBECK_SPEEDS),
     has_candidates=False,
     form_std={"amplitude": 0.25, "velocity": 0.25},
 )
 """Stribeck friction; users call it stiction, breakaway friction or stick-slip."""
-
-
-def dense_model(
-    motions: Sequence[RecordedMotion], joint: int, build_up: Mapping[str, float] | None = None
-) -> CandidateModel:
-    """Return a nonnegative combination of exponential and Gaussian Stribeck curves of a joint.
-
-    They build up as `hysteresis.build_up` says; at once if None.
-    """
-    values = {"top_speed": max_speed(motions, joint), **(build_up or {})}
-    return CandidateModel(STRIBECK, joint, values)

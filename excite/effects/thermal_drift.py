@@ -205,6 +205,7 @@ THERMAL_DRIFT = _ThermalDrift(
     {"change": "1", "time_constant": "s"},
     "friction changes with run time or temperature",
     "a long run that ends with its first motion, temperatures recorded",
+    regime="run time",
     form_std={"change": 0.25, "time_constant": 0.25},
 )
 """Warm-up: friction that falls as lubricant and gear get warm."""

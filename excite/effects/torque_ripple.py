@@ -16,6 +16,7 @@ TORQUE_RIPPLE = JointTorque(
     {"order": "1/turn", "amplitude": "N m"},
     "periodic in the angle, whatever the speed",
     "slow constant speed over a turn",
+    regime="order",
     has_candidates=False,
     form_std={"order": 0.0, "amplitude": 0.1},  # teeth and poles are whole numbers
 )

@@ -112,5 +112,6 @@ TORQUE_SATURATION = _TorqueSaturation(
     {"loss": "1"},
     "torque is missing at high current only",
     "short bursts near the torque limit",
+    regime="load",
 )
 """Motor saturation, current limit, torque constant that falls with current."""

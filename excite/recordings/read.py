@@ -78,7 +78,7 @@ def read(
         raise UnusableInput(f"{path}: has no rows; record again")
     cut, steps = remove_clock_steps(concatenate(blocks))
     unsigned_values.check_signs(str(path), cut, robot)  # interpolated values would hide them
-    joined, interleaved = interleaved_rows.join_rows(cut)
+    joined, interleaved = interleaved_rows.join_rows(cut, robot)
     ordered, late = sort_rows(str(path), joined)
     remarks = [*steps, *interleaved, *late]
     window = RowWindow(ordered, remarks=tuple(remarks))

@@ -7,7 +7,9 @@ import sys
 import numpy as np
 import pytest
 
+import excite
 from excite.cli import main as main_module
+from excite.errors import UnusableInput
 from excite.robot.robot import locate
 
 MODELS = locate("two_link").parent
@@ -152,6 +154,25 @@ def test_identifiability_of_a_trajectory_and_of_a_recording_agree(capsys, design
         counts.append(sum(d["identifiable"] for d in document["directions"]))
         assert (tmp_path / motion / "report.html").exists()
     assert abs(counts[0] - counts[1]) <= 1
+
+
+@pytest.mark.parametrize("option", [("--columns", "t=clock"), ("--trajectory", "x.json")])
+def test_options_of_recordings_are_refused_for_a_trajectory(capsys, designed, tmp_path, option):
+    words = ("identifiability", "two_link", designed / "trajectory.json", *option)
+    assert option[0] in refused(capsys, *words, "-o", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"columns": {"t": "clock"}}, "--columns"),
+        ({"columns": {"t": "clock"}, "for_task": "x.json"}, "--columns"),
+        ({"trajectory": "x.json", "for_task": "y.csv"}, "--trajectory"),
+    ],
+)
+def test_designs_in_python_refuse_options_of_recordings_without_any(options, word):
+    with pytest.raises(UnusableInput, match=word):
+        excite.design("two_link", **options)
 
 
 def test_identifiability_states_the_torque_noise_of_the_trajectory(capsys, tmp_path):
@@ -421,7 +442,10 @@ def test_unreadable_urdf(capsys, tmp_path, text, words):
         (["two_link", "--limits", "nowhere.toml"], ("nowhere.toml",)),
         (["two_link", "--given", "nowhere.json"], ("nowhere.json",)),
         (["two_link", "--columns", "t=clock"], ("--columns", "--given or --for")),
+        (["two_link", "--columns", "t=clock", "--for", "x.json"], ("--columns", "--for")),
+        (["two_link", "--columns", "t=clock", "--given", "x.json"], ("--columns", "--given")),
         (["two_link", "--trajectory", "x.json", "--for", "y.csv"], ("--trajectory", "--given")),
+        (["two_link", "--trajectory", "x.json", "--given", "y.json"], ("--trajectory", "--given")),
         (["two_link", "--speed", "0"], ("--speed",)),
         (["two_link", "--speed", "nan"], ("--speed",)),
     ],

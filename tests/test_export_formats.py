@@ -249,6 +249,40 @@ def test_names_that_scripts_spell_are_read_only_if_they_are_clear(two_link, tmp_
     assert_refused(named("q2", "q3"), two_link, "the numbers 2, 3, neither 0 to 1", remedy)
 
 
+@pytest.mark.parametrize("word", ["eff", "effort"])
+@pytest.mark.parametrize("names", [("{}_1", "{}_2"), ("joint_1_{}", "joint_2/{}")])
+def test_efforts_next_to_positions_with_short_names_are_read(two_link, tmp_path, word, names):
+    columns = {"time": COLUMNS["t"]}
+    for quantity, first in (("q", "q"), ("dq", "vel"), ("tau", word)):
+        for name, joint in zip(names, ("joint_1", "joint_2"), strict=True):
+            columns[name.format(first)] = COLUMNS[f"{quantity}.{joint}"]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    assert_same_motion(read_with_warnings(path, two_link)[0])
+
+
+@pytest.mark.parametrize("word", ["eff", "effort"])
+def test_an_effort_next_to_a_torque_is_chosen_by_columns(two_link, tmp_path, word):
+    columns = {"time": COLUMNS["t"]}
+    for k in (1, 2):
+        columns |= {f"q_{k}": COLUMNS[f"q.joint_{k}"], f"dq_{k}": COLUMNS[f"dq.joint_{k}"]}
+        columns |= {f"tau_{k}": COLUMNS[f"tau.joint_{k}"], f"{word}_{k}": COLUMNS["t"]}
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    assert_refused(path, two_link, "'tau_1'", f"'{word}_1'", "--columns tau.joint_1=COLUMN")
+    chosen = {f"tau.joint_{k}": f"tau_{k}" for k in (1, 2)}
+    assert_same_motion(read_with_warnings(path, two_link, columns=chosen)[0])
+
+
+def test_words_that_end_like_an_effort_are_none(tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text(locate("two_link").read_text().replace('"joint_1"', '"eff"'))
+    robot, t = load(str(path)), COLUMNS["t"]
+    values = [COLUMNS["q.joint_1"], COLUMNS["q.joint_2"], COLUMNS["tau.joint_1"], t, t]
+    names = ["time", "eff_pos", "joint_2_pos", "eff_eff", "coeff_joint_2", "joint_2_coeff"]
+    recording = recordings.read(write(tmp_path / "r.csv", names, rows(t, *values)), robot)
+    assert recording.tau is not None and not np.isfinite(recording.tau[:, 1]).any()
+    np.testing.assert_allclose(recording.tau[:, 0], values[2])
+
+
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_comma_decimals_and_byte_order_mark(two_link, tmp_path, separator):
     cells = [[cell.replace(".", ",") for cell in row] for row in rows(*COLUMNS.values())]

@@ -138,6 +138,7 @@ def test_complete_rows_that_repeat_at_any_ratio_are_not_used(two_link, tmp_path,
     assert remark.repaired and "repeat the one before" in texts[0]
     frequency = float(remark.text.split("(")[1].split()[0])
     assert frequency == pytest.approx(100.0 / mean, rel=0.15)
+    assert recording.rate == pytest.approx(len(updates) / t[-1], rel=0.01)
     assert np.abs(recording.q - position(recording.t)).max() < 0.02
 
 

@@ -309,6 +309,19 @@ def test_a_validation_recording_of_short_stretches_is_refused(model, truth):
         identify(model, whole, short)
 
 
+def test_recordings_that_are_too_short_are_refused_by_the_longest(model, truth):
+    whole = synthetic_recording(model, truth, random_fourier(2, 5), 3, 0.3)
+    recordings = [
+        dataclasses.replace(whole.rows(np.arange(rows)), source=f"{rows}.csv", sidecar=Sidecar())
+        for rows in (40, 20)
+    ]
+    message = r"^40\.csv: no gap-free stretch is longer than the .* s that a band"
+    with pytest.raises(UnusableInput, match=message):
+        identification.identify(
+            model.robot, model.parameters, model.base, recordings, [], IdentificationOptions()
+        )
+
+
 def test_torque_of_the_emps_pulses_is_predicted_to_five_percent():
     """EMPS, pulses of torque that the fit has not seen, both sides filtered below 25 Hz."""
     if not REAL_RECORDINGS.is_dir():

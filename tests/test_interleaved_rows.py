@@ -68,6 +68,25 @@ def test_a_topic_of_each_joint_is_joined(two_link, tmp_path):
     np.testing.assert_allclose(recording.torque, torque(recording.t), atol=1e-3)
 
 
+@pytest.mark.parametrize("lag", [2e-3, 5e-3, 8e-3])
+def test_wrapped_positions_of_a_topic_of_each_joint_are_unwrapped(two_link, tmp_path, lag):
+    """Both joints pass zero 13 times, where [0, 2π) wraps: no value lies between the two ends."""
+
+    def turned(t):
+        return np.sin(7.0 * t)[:, None] * np.array([0.9, 1.0])
+
+    late = T + lag
+    rows = [
+        *messages("q", T, turned(T) % (2.0 * np.pi), (1,)),
+        *messages("q", late, turned(late) % (2.0 * np.pi), (2,)),
+        *messages("tau", T, torque(T)),
+    ]
+    recording, texts = read_with_warnings(write_rows(tmp_path / "run.csv", rows), two_link)
+    np.testing.assert_allclose(recording.q, turned(recording.t), atol=1e-3)
+    unwrapped = [text for text in texts if "13 steps of a whole turn" in text]
+    assert len(unwrapped) == 2 and not any("glitch" in text for text in texts)
+
+
 @pytest.mark.parametrize("pattern", ["pairs", "some"])
 def test_messages_may_arrive_at_nearly_the_same_time(two_link, tmp_path, pattern):
     """The noise of two such messages is no slope, and their distance is not the usual step."""

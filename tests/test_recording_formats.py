@@ -343,6 +343,31 @@ def test_names_that_are_separated_otherwise_than_the_rows_are_refused(
     assert_refused(path, two_link, *parts)
 
 
+@pytest.mark.parametrize(
+    ("separator", "remedy"),
+    [
+        (";", "separate the names by semicolons"),
+        ("\t", "separate the names by tabs"),
+        (" ", "separate names and cells by semicolons"),
+    ],
+)
+def test_decimal_commas_below_names_between_commas_are_refused(
+    two_link, tmp_path, separator, remedy
+):
+    path = write_columns(tmp_path / "r.csv", two_joint_motion(), separator)
+    names, rows = path.read_text().split("\n", 1)
+    path.write_text(f"{names.replace(separator, ',')}\n{rows.replace('.', ',')}")
+    assert_refused(path, two_link, "row 2", "7 cells are separated by", remedy)
+
+
+def test_decimal_commas_between_commas_are_refused(two_link, tmp_path):
+    path = write_columns(tmp_path / "r.csv", two_joint_motion())
+    names = path.read_text().split("\n", 1)[0]
+    path.write_text("\n".join([names, *(f"{k},0,1,0,2,0,3,0" for k in range(20))]) + "\n")
+    parts = ("8 cells instead of 7", "if commas are decimal points", "by semicolons")
+    assert_refused(path, two_link, *parts)
+
+
 def test_inconsistent_archives_are_refused(two_link, tmp_path):
     columns = two_joint_motion()
     t, q = columns["t"], np.column_stack([columns["q.joint_1"], columns["q.joint_2"]])

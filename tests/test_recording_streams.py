@@ -112,6 +112,32 @@ def test_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
     assert np.allclose(blocks[2].t[: blocks[2].run_in], blocks[1].t[-blocks[2].run_in :])
 
 
+@pytest.mark.parametrize(
+    ("holds", "word"),
+    [([4], "positions are refreshed every 4 rows"), ([1, 2, 2, 3], "complete rows repeat")],
+)
+def test_a_stream_warns_once_of_rows_that_repeat_values(two_link, tmp_path, holds, word):
+    columns = two_joint_motion(3000)
+    rows = np.cumsum(np.random.default_rng(0).choice(holds, 3000))
+    updates = np.union1d([0], rows[rows < 3000])
+    latest = updates[np.searchsorted(updates, np.arange(3000), side="right") - 1]
+    held = {name: values[latest] for name, values in columns.items()} | {"t": columns["t"]}
+    path = write_columns(tmp_path / "r.csv", held)
+    with pytest.warns(ExciteWarning, match=word) as caught:
+        blocks = list(recordings.stream(path, two_link, rows=500))
+    assert len(caught) == 1 and "a stream keeps" in str(caught[0].message)
+    assert sum(map(len, blocks)) == 3000
+    assert all(word in block.doubts[0].text for block in blocks)
+
+
+def test_a_stream_of_negative_numbers_stored_unsigned_is_refused(two_link, tmp_path):
+    columns = two_joint_motion(3000)
+    columns["tau.joint_2"] = np.round(100.0 * columns["tau.joint_2"]) % 2**16
+    path = write_columns(tmp_path / "r.csv", columns)
+    with pytest.raises(UnusableInput, match="stored unsigned"):
+        list(recordings.stream(path, two_link, rows=500))
+
+
 def test_invalid_streams_are_refused(two_link, tmp_path):
     path = write_columns(tmp_path / "r.csv", two_joint_motion(1000))
     with pytest.raises(UnusableInput, match="at least 256 rows"):

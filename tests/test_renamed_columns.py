@@ -119,5 +119,19 @@ def test_the_next_design_reads_the_columns_of_given_recordings(folder, tmp_path,
     assert run(*words, *QUICK) == 2
 
 
+def test_a_payload_is_identified_next_to_the_recordings_of_a_model(folder, tmp_path, capsys):
+    """The recording with the payload has standard names, those of the model their own."""
+    subject = two_link_model()
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    psi[10] += 1.0  # mass of the last link
+    carrying = write_recording(
+        synthetic_recording(subject, psi, random_fourier(2, 7), 3, 0.2), tmp_path / "with.csv"
+    )
+    words = ("payload", "two_link", "--with", carrying, "--model", folder / "out" / "model.json")
+    assert run(*words, "-o", tmp_path / "out") == 0, capsys.readouterr().err
+    document = json.loads((tmp_path / "out" / "payload.json").read_text())
+    assert [Path(name).name for name in document["without"]] == ["train.csv"]
+
+
 def test_the_report_names_the_options_to_repeat(folder):
     assert "--columns" in (folder / "out" / "report.html").read_text()

@@ -20,6 +20,7 @@ from excite.designer.sqp import History, SearchState
 from excite.report import design_page, identifiability_page
 from excite.report.design import relative_margins
 from excite.report.figures.drawing import thin_curve
+from excite.report.figures.small_multiples import CurvePanel, draw_curves
 from excite.report.figures.svg import round_ticks
 from excite.report.formatting import number
 from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
@@ -495,6 +496,17 @@ def test_ticks_are_few_and_within_the_range(low: float, high: float) -> None:
     ticks = round_ticks(low, high, 3)
     assert 3 <= len(ticks) <= 9
     assert low - 1e-9 <= ticks[0] and ticks[-1] <= high * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-10, 1e-6, 1e-3, 1.0])
+@pytest.mark.parametrize("middle", [0.0, 21.3, -123.456, 4000.0])
+def test_ticks_of_nearly_constant_curves_differ(spread: float, middle: float) -> None:
+    motion = parts("two_link")[0].motion
+    t = np.linspace(0.0, motion.duration, 50)
+    panels = [CurvePanel("distance", t, middle + spread * np.sin(t), (-np.inf, np.inf))]
+    picture = draw_curves("distances", panels, motion, columns=2, height=80.0)
+    labels = re.findall(r'text-anchor="end"[^>]*>([^<]*)</text>', picture)
+    assert len(labels) >= 3 and len(set(labels)) == len(labels)
 
 
 def test_number_format() -> None:

@@ -55,7 +55,7 @@ from .identification_result import (
 from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
-from .task_design import TaskDesign, read_task, trajectory_samples
+from .task_design import TaskDesign, is_recording, read_task, trajectory_samples
 
 MOTION_FILES = ("trajectory.json", "trajectory.csv")
 """Files of a motion."""
@@ -401,6 +401,7 @@ def design(
         Infeasible: No motion satisfies all limits.
         CheckFailed: The certificate fails and `force` is not set.
     """
+    _require_recordings(given, for_task, trajectory, columns)
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits, margin)
     request = time_budget.MotionRequest(period, harmonics, samples, periods)
@@ -488,11 +489,10 @@ def design(
 
     delivery = deliver()
     second = validation.design_validation(delivery, loaded, deliver) if validate else None
-    analysis = _analyse(delivery, loaded, threshold, earlier)
     return DesignResult(
         delivery,
         loaded,
-        analysis,
+        _analyse(delivery, loaded, threshold, earlier),
         second,
         workcell,
         plan,
@@ -529,6 +529,24 @@ def _require_consistent(
         name = "--for" if discriminate is None else "--discriminate"
         raise UnusableInput(f"{name} and --for-payload are two criteria; choose one")
     robot.carrying_body(options.payload_link, "--for-payload")
+
+
+def _require_recordings(
+    given: Sequence[str | Path],
+    for_task: str | Path | None,
+    trajectory: TrajectorySources,
+    columns: Mapping[str, str],
+) -> None:
+    """Raise UnusableInput for options of recordings without a recording that they apply to."""
+    recorded = any(is_recording(path) for path in given)
+    if trajectory and not recorded:
+        raise UnusableInput(
+            "--trajectory: is for a recording of --given; add --given RECORDING or leave it out"
+        )
+    if columns and not recorded and (for_task is None or not is_recording(for_task)):
+        raise UnusableInput(
+            "--columns: is for a recording of --given or --for; add one or leave it out"
+        )
 
 
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:
@@ -603,7 +621,7 @@ def motion_samples(
     Raises:
         UnusableInput: The file cannot be used, or moves other joints.
     """
-    if path.suffix != ".json":
+    if is_recording(path):
         recording = with_detected_period(
             with_trajectory(recordings.read(path, robot, columns=columns), executed)
         )

@@ -41,6 +41,7 @@ from .identification_result import (
 from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
+from .stated_recordings import stated_columns
 
 PAYLOAD_FILES = ("payload.json", "report.html")
 """Files of a payload."""
@@ -174,7 +175,8 @@ def identify_payload(
         band: Cutoff frequency [Hz]; None: chosen from the data.
         trajectory: The `trajectory.json` that was executed, or several; static poses imply
             `static`.
-        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file;
+            for the recordings of a model those that it states, if it states any.
         static: Use only the poses at rest, which show mass and centre of mass. With a model, its
             prediction is then the torque without the payload.
 
@@ -196,13 +198,22 @@ def identify_payload(
         )
     files = [trajectory] if isinstance(trajectory, str | Path) else trajectory
     static = static or any("static" in read_trajectory(Path(file)).design for file in files)
-    sources = [*empty, *([] if model is None or static else _recordings_of(Path(model)))]
+    of_model = [] if model is None or static else _recordings_of(Path(model))
     inputs = argument_files(
-        loaded.source, model, limits, trajectory, recordings=(*carrying, *sources), shape=shape
+        *(loaded.source, model, limits, trajectory),
+        recordings=(*carrying, *empty, *(path for path, _ in of_model)),
+        shape=shape,
     )
 
-    def read(paths: Sequence[RecordingSource], has_payload: bool) -> list[Recording]:
-        recordings = [read_recording(p, loaded, limits=table, columns=columns) for p in paths]
+    def read(
+        paths: Sequence[RecordingSource],
+        has_payload: bool,
+        with_names: Sequence[tuple[Path, Mapping[str, str]]] = (),
+    ) -> list[Recording]:
+        recordings = [
+            read_recording(path, loaded, limits=table, columns=names or columns)
+            for path, names in [*((path, columns) for path in paths), *with_names]
+        ]
         if not static:  # the rests are found in the recording
             recordings = [with_trajectory(r, trajectory, required=False) for r in recordings]
         recordings = [
@@ -211,8 +222,11 @@ def identify_payload(
         ]
         return recordings if static else [with_detected_period(r) for r in recordings]
 
-    logger.info(f"reading {len(carrying)} recordings with and {len(sources)} without the payload")
-    loaded_recordings, empty_recordings = read(carrying, True), read(sources, False)
+    logger.info(
+        f"reading {len(carrying)} recordings with and {len(empty) + len(of_model)} without the "
+        "payload"
+    )
+    loaded_recordings, empty_recordings = read(carrying, True), read(empty, False, of_model)
     for group in (loaded_recordings, empty_recordings):
         require_distinct(group, ())
     both = {r.source for r in loaded_recordings} & {r.source for r in empty_recordings}
@@ -293,8 +307,8 @@ def _model_of(path: Path, robot: Robot) -> IdentifiedModel:
     return model
 
 
-def _recordings_of(path: Path) -> list[Path]:
-    """Paths of the recordings that a model was fitted to.
+def _recordings_of(path: Path) -> list[tuple[Path, Mapping[str, str]]]:
+    """Paths of the recordings that a model was fitted to, and the names of their columns.
 
     They are sought in the folder of the model first: another folder may hold other recordings of
     the same names.
@@ -313,5 +327,5 @@ def _recordings_of(path: Path) -> list[Path]:
                 f"{path}: its recording {name} is not in its place; give the recordings without "
                 "the payload with --without"
             )
-        out.append(place)
+        out.append((place, stated_columns(content, place)))
     return out

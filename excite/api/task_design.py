@@ -121,12 +121,17 @@ def read_task(
 
 def _task_samples(path: Path, robot: Robot, columns: Mapping[str, str]) -> Samples:
     """Read a task at about REFERENCE_RATE."""
-    if path.suffix != ".json":
+    if is_recording(path):
         recording = recordings.read(path, robot, columns=columns)
         samples = recording.samples()
         step = max(1, round(recording.rate / REFERENCE_RATE))
         return samples.rows(slice(None, None, step))
     return trajectory_samples(path, robot)[0]
+
+
+def is_recording(path: str | Path) -> bool:
+    """Return True for the path of a recording, False for a `trajectory.json`."""
+    return Path(path).suffix != ".json"
 
 
 def trajectory_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory]:

@@ -32,12 +32,6 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     shared.require_floating(arguments, support_design.FLOATING_ONLY)
     if arguments.static or arguments.poses is not None:
         return static_design.run(arguments)
-    if not arguments.given:
-        reason = "is for a recording of --given; add --given FILE or leave it out"
-        shared.refuse_given(arguments, ["--trajectory"], reason)
-    if not arguments.given and arguments.for_task is None:
-        reason = "is for a recording of --given or --for; add one or leave it out"
-        shared.refuse_given(arguments, ["--columns"], reason)
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
     output = output_folder(Path(arguments.out), DESIGN_FILES, shared.input_files(arguments))

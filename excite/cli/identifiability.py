@@ -10,6 +10,7 @@ from .._json import dumps
 from .._system.output_files import output_folder
 from ..api.design_result import compare_experiments, motion_samples
 from ..api.identification_result import REFERENCE_RATE
+from ..api.task_design import is_recording
 from ..designer import experiment_comparison, identifiability
 from ..designer.options import torque_noise_levels
 from ..robot import base_parameters, inertial_parameters
@@ -25,6 +26,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     if arguments.floating:
         return floating_identifiability.run(arguments)
     shared.require_floating(arguments, floating_identifiability.FLOATING_ONLY)
+    if not is_recording(arguments.motion):
+        reason = f"is for a recording, and {arguments.motion} is a trajectory; leave it out"
+        shared.refuse_given(arguments, ["--trajectory", "--columns"], reason)
     output = output_folder(
         Path(arguments.out), ("identifiability.json", "report.html"), shared.input_files(arguments)
     )

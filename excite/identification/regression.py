@@ -160,7 +160,8 @@ def build_equations(
         UnusableInput: All segments are shorter than the margins that the filter discards.
     """
     parts, motions = list[TorqueEquations](), list[_SegmentMotion]()
-    starts, count, margins = list[tuple[int, RecordingSegment, int]](), 0, 0.0
+    starts, count = list[tuple[int, RecordingSegment, int]](), 0
+    segments = list(segments)
     for segment in segments:
         band = segment.band(hertz)
         chunks = list(_chunk_equations(model, segment, band))
@@ -170,9 +171,10 @@ def build_equations(
             starts.append((count, segment, sum(map(len, chunks))))
             count += starts[-1][2]
             parts += chunks
-        margins = 2.0 * band.margin / segment.rate
     if not parts:
-        raise too_short("recordings", margins, hertz)
+        longest = max(segments, key=lambda segment: len(segment) / segment.rate)
+        needed = 2.0 * longest.band(hertz).margin / longest.rate
+        raise too_short(longest.source, needed, hertz)
     return TorqueEquations(
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),

@@ -78,6 +78,8 @@ SEPARATOR_LINE = re.compile(rb"sep=.\r?\n", re.IGNORECASE)
 """First line by which spreadsheets state the separator of cells."""
 MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \t]*(?![^,\n])')
 """Cell that says that nothing was measured."""
+WHOLE_CELL = re.compile(r"\s*[+-]?\d+\s*")
+"""Cell that holds a whole number, as either part of a number with a decimal comma."""
 DATE = re.compile(r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}:\d{2}:)")
 """Date or time of day in the message of a parser."""
 
@@ -363,14 +365,25 @@ def _require_names(path: Path, names: Sequence[str], robot: Robot, separator: st
 def _require_separator(
     path: Path, row: int, separator: str, names: Sequence[str], line: bytes
 ) -> None:
-    """Check that the first row of data, with that number, has the separator of the names."""
-    if len(_cells(separator, line)) > 1 or len(names) < 2:
+    """Check that the first row of data, with that number, has the separator of the names.
+
+    Commas in it may be decimal points: `0,1;0,2` below `t,q.elbow`.
+    """
+    by_names = _cells(separator, line)
+    if len(by_names) == len(names) or len(names) < 2:
         return
     for other, word in SEPARATORS.items():
-        if other != separator and len(_cells(other, line)) == len(names):
+        if other == separator:
+            continue
+        cells = _cells(other, line)
+        are_numbers = all(not cell or _is_number(cell.replace(",", ".")) for cell in cells)
+        if len(cells) == len(names) and (are_numbers or len(by_names) <= 1):
+            remedy = f"separate the names by {word}"
+            if other == " " and b"," in line:  # between blanks, commas are no decimal points
+                remedy = "separate names and cells by semicolons"
             raise UnusableInput(
                 f"{path}: row {row}: its {len(names)} cells are separated by {word}, and the names "
-                f"above by {SEPARATORS[separator]}; separate the names by {word}"
+                f"above by {SEPARATORS[separator]}; {remedy}"
             )
 
 
@@ -503,9 +516,14 @@ def _parse_tolerant(text: bytes, width: int, columns: Sequence[int]) -> FloatArr
     ]
     for number, line in enumerate(lines):
         if '"' not in line and line.count(",") != width - 1:
-            raise ValueError(
-                f"{line.count(',') + 1} cells instead of {width} at row {number}, column 0"
-            )
+            cells = line.split(",")
+            fault = f"{len(cells)} cells instead of {width}"
+            if len(cells) > width and all(WHOLE_CELL.fullmatch(cell) for cell in cells):
+                fault += (
+                    ", all whole numbers: if commas are decimal points, write points, or separate "
+                    "names and cells by semicolons"
+                )
+            raise ValueError(f"{fault} at row {number}, column 0")
     if any(",," in line or line.startswith(",") or line.endswith(",") for line in lines):
         lines = [",".join(cell.strip() or "nan" for cell in line.split(",")) for line in lines]
     if not lines:

@@ -102,7 +102,9 @@ def check_and_repair(
     held, freezes = list[Remark](), np.empty(0)
     if complete:
         block, held, freezes = held_values.keep_updates(block)
-        grid = find_grid(source, block.t, freezes) if held else grid
+        if held:
+            irregular = any(remark.kind is RemarkKind.REPEATED for remark in held)
+            grid = find_grid(source, block.t, freezes, complete=irregular)
         block, repairs = glitches.mask_glitches(source, block, robot, context.limits)
         block, wraps = position_wraps.unwrap_positions(block, robot, context.limits)
         repairs += wraps

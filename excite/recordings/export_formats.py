@@ -114,7 +114,7 @@ def recognise(
     listed = _listed(source, names, first_row, robot, separator, prefixes)
     if listed is not None:
         return listed
-    if "t" not in names and any(INDEXED.fullmatch(name) for name in names):
+    if "t" not in names and _is_indexed(names, robot):
         time_columns = next(
             (entry for entry in TIME_COLUMNS if all(name in names for name, _ in entry)), None
         )
@@ -124,6 +124,13 @@ def recognise(
     if spelled is not None:
         return Header(spelled.names, (spelled.time,), numbered=spelled.numbered)
     return Header(tuple(names))
+
+
+def _is_indexed(names: Sequence[str], robot: Robot) -> bool:
+    """Return True if positions are elements of an array, or named while other fields are."""
+    fields = {match[1] for name in names if (match := INDEXED.fullmatch(name))}
+    is_named = all(f"q.{joint}" in names for joint in robot.joints)
+    return bool(fields & {"name", "position"}) or (bool(fields) and is_named)
 
 
 def _plotjuggler(

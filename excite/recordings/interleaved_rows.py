@@ -9,18 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from .._types import BoolArray, FloatArray
+from ..robot.robot import Robot
 from .block import QUANTITIES, Block
 from .held_values import SUBJECTS
 from .missing_values import SLOW
+from .position_wraps import unwrap_steps
 from .remark import Remark, RemarkKind
 from .time_axis import MAX_FILLED_STEPS
+from .unsigned_values import POSITIONS
 
 MAX_SHARED = 0.5
 """Share of the values of a column in rows with a position below which the column belongs to other
 rows [1]: messages of several topics have a common stamp by chance alone."""
 
 
-def join_rows(block: Block) -> tuple[Block, list[Remark]]:
+def join_rows(block: Block, robot: Robot) -> tuple[Block, list[Remark]]:
     """Interpolate quantities that are never in one row with the positions at the times of these.
 
     The rows are those of the joint with the most positions. Values are interpolated over their own
@@ -49,7 +52,10 @@ def join_rows(block: Block) -> tuple[Block, list[Remark]]:
         values[name] = value[reference].copy()
         for i in np.flatnonzero(apart[name]):
             measured = known[name][:, i] & has_time
-            values[name][:, i] = _interpolated(block.t[measured], value[measured, i], times)
+            is_angle = name in POSITIONS and robot.entries[i].kind != "prismatic"
+            values[name][:, i] = _interpolated(
+                block.t[measured], value[measured, i], times, is_angle=is_angle
+            )
     if "q" in moved:
         text = (
             "signals of the joints are in different rows, as messages of several topics are; they "
@@ -72,14 +78,27 @@ def _is_apart(rows: BoolArray, reference: BoolArray) -> BoolArray:
     return np.asarray((count > 1) & (shared < MAX_SHARED * np.minimum(count, reference.sum())))
 
 
-def _interpolated(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
-    """Interpolate a column; NaN outside its stamps and in its gaps. Shape (M,)."""
+def _interpolated(
+    t: FloatArray, values: FloatArray, times: FloatArray, *, is_angle: bool
+) -> FloatArray:
+    """Interpolate a column; NaN outside its stamps and in its gaps. Shape (M,).
+
+    Args:
+        t: Stamps. Shape (N,) [s].
+        values: Values. Shape (N,).
+        times: Times at which values are wanted. Shape (M,) [s].
+        is_angle: True if a step of whole turns is none of the motion.
+    """
     stamps, first = np.unique(t, return_index=True)
     if len(stamps) < 2:
         return np.full(len(times), np.nan)
     from scipy.interpolate import PchipInterpolator  # slow to import
 
-    out = np.asarray(PchipInterpolator(stamps, values[first])(times))
+    known = values[first]
+    smooth = unwrap_steps(known)[0] if is_angle else known
+    # wrapped again like the value before: `position_wraps` judges and remarks the steps
+    latest = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
+    out = np.asarray(PchipInterpolator(stamps, smooth)(times)) + (known - smooth)[latest]
     behind = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
     steps = np.diff(stamps)
     is_gap = steps[behind - 1] > (MAX_FILLED_STEPS + 0.5) * np.mean(steps)

@@ -60,7 +60,7 @@ def unwrap_positions(
         q = block.values["q"][:, i]
         if not is_plausible(q, robot, i, limits):
             continue
-        unwrapped, wraps = _unwrapped(q)
+        unwrapped, wraps = unwrap_steps(q)
         turns = _turns_into_limits(unwrapped, _limits(robot, i, limits))
         q = unwrapped + TURN * turns if turns else unwrapped
         others = _aligned(block, q, robot, i, limits)
@@ -108,7 +108,7 @@ def _aligned(
         known = np.isfinite(q) & np.isfinite(column)
         if column is q or not known.any():
             continue
-        unwrapped, wraps = _unwrapped(column)
+        unwrapped, wraps = unwrap_steps(column)
         turns = np.round(np.median((q - unwrapped)[known]) / TURN)
         aligned = unwrapped + TURN * turns
         if (len(wraps) or turns) and is_plausible(aligned, robot, i, limits):
@@ -121,8 +121,15 @@ def _aligned_remark(joint: str, name: str) -> Remark:
     return Remark(RemarkKind.WRAPPED, text, joint, repaired=True)
 
 
-def _unwrapped(q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions without steps of whole turns, and the indices of the rows behind such a step."""
+def unwrap_steps(q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return positions without steps of whole turns, and the rows behind such a step.
+
+    Args:
+        q: Positions of a revolute joint, NaN where one is missing. Shape (N,) [rad].
+
+    Returns:
+        The positions, shape (N,) [rad], and the indices of the rows behind each step. Shape (W,).
+    """
     known = np.flatnonzero(np.isfinite(q))
     steps = np.diff(q[known])
     turns = np.round(steps / TURN)

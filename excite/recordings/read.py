@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +11,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from . import (
     csv_reader,
     data_quality,
+    held_values,
     interleaved_rows,
     locked_joints,
     magnitudes,
@@ -78,7 +80,7 @@ def read(
         raise UnusableInput(f"{path}: has no rows; record again")
     cut, steps = remove_clock_steps(concatenate(blocks))
     unsigned_values.check_signs(str(path), cut, robot)  # interpolated values would hide them
-    joined, interleaved = interleaved_rows.join_rows(cut)
+    joined, interleaved = interleaved_rows.join_rows(cut, robot)
     ordered, late = sort_rows(str(path), joined)
     remarks = [*steps, *interleaved, *late]
     window = RowWindow(ordered, remarks=tuple(remarks))
@@ -100,13 +102,15 @@ def stream(
 ) -> Iterator[Recording]:
     """Read consecutive blocks of a recording in memory that depends on `rows` alone.
 
-    Each block is repaired as `read` repairs the recording, on the grid of the first block. Not
-    judged are properties of the complete recording: clock steps, interleaved rows, held values,
-    wrapped positions, glitches, the period, joints that never move, locked joints that move,
-    timestamp jitter, quantization, and coarse, frozen, repeated or clipped signals. Shares of
-    missing values are judged by block. A repair is warned of where it first occurs; numbers in a
-    remark may include up to 32 rows around the block. Memory is bounded for CSV, bags and .npz,
-    except 2-D arrays in Fortran order.
+    Each block is repaired as `read` repairs the recording, on the grid of the first block. Shares
+    of missing values, negative numbers stored unsigned, held values, repeated rows and freezes are
+    judged by block. Held values, repeated rows and freezes are warned of and kept, with a doubt
+    among the remarks: which rows are new depends on the complete recording. Not judged are other
+    properties of the complete recording: clock steps, interleaved rows, wrapped positions,
+    glitches, the period, joints that never move, locked joints that move, timestamp jitter,
+    quantization, coarse or clipped signals and torques that jump to one value. A fault is warned of
+    where it first occurs; numbers in a remark may include up to 32 rows around the block. Memory is
+    bounded for CSV, bags and .npz, except 2-D arrays in Fortran order.
 
     Args:
         path: As of `read`.
@@ -125,18 +129,36 @@ def stream(
             "or more; raise rows"
         )
     context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
-    grid, warned = None, set[tuple[RemarkKind, str | None]]()
+    grid, warned = None, set[tuple[RemarkKind, str | None, bool]]()
     positions = locked_joints.LockedPositions(robot)
     blocks = map(positions.watched, _read_blocks(path, context))
     for window in _windows(str(path), _regrouped(blocks, rows), overlap):
         positions.check(str(path))
+        unsigned_values.check_signs(str(path), window.block, robot)
         grid = grid or find_grid(str(path), window.block.t)
         part = data_quality.check_and_repair(context, window, grid, complete=False)
-        new = [remark for remark in part.remarks if (remark.kind, remark.joint) not in warned]
+        repetitions = _repetitions(window.block)
+        part = replace(part, remarks=(*part.remarks, *repetitions))
+        kinds = {remark: (remark.kind, remark.joint, remark.doubt) for remark in part.remarks}
+        new = [remark for remark, kind in kinds.items() if kind not in warned]
         data_quality.warn_of_repairs(str(path), new)
-        warned |= {(remark.kind, remark.joint) for remark in part.remarks}
+        for remark in repetitions:
+            if remark in new:
+                warnings.warn(f"{path}: {remark.text}", ExciteWarning, stacklevel=2)
+        warned |= set(kinds.values())
         if len(part):
             yield part
+
+
+def _repetitions(block: Block) -> list[Remark]:
+    """Doubt rows that repeat values of earlier ones, which a stream keeps."""
+    _, held, _ = held_values.keep_updates(block)
+    remedy = "a stream keeps rows that repeat values; `read` the complete recording to drop them"
+    texts = [f"{remark.text.rpartition('; ')[0]}; {remedy}" for remark in held]
+    return [
+        replace(remark, text=text, repaired=False, doubt=True)
+        for remark, text in zip(held, texts, strict=True)
+    ]
 
 
 def _read_blocks(

@@ -3,7 +3,7 @@
 | column | examples |
 |---|---|
 | time | `time`, `timestamp`, `stamp`, `elapsed_time`, `time_s`, `t [ms]` |
-| quantity and joint | `q_elbow`, `elbow_pos`, `elbow/velocity`, `tau[elbow]`, `elbow.effort` |
+| quantity and joint | `q_elbow`, `elbow_pos`, `elbow/velocity`, `tau[elbow]`, `eff_elbow` |
 | quantity and number, by the order of the robot | `q1`, `dq_1`, `tau[0]`, `joint1_torque` |
 | quantity alone, of a robot with a single joint | `position`, `torque` |
 
@@ -33,6 +33,7 @@ WORDS = {
     "tau": "tau",
     "torque": "tau",
     "effort": "effort",
+    "eff": "effort",
     "i": "i",
     "current": "i",
     "temp": "temp",
@@ -127,6 +128,10 @@ def find_spelled_columns(
         ordered = tuple(names_of[column] for column in positions)
         if len(robot.joints) > 1 and not all(map(holds_name, ordered, robot.joints)):
             numbered = ordered
+    # a column with the standard name, as of --columns, precedes
+    places = {
+        name: place for name, place in places.items() if name == place[0] or place[0] not in names
+    }
     first: dict[str, str] = {}
     for name, (column, unit) in places.items():
         if first.setdefault(column, name) != name:

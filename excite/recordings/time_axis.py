@@ -124,7 +124,9 @@ def sort_rows(source: str, block: Block) -> tuple[Block, list[Remark]]:
     return block, remarks
 
 
-def find_grid(source: str, t: FloatArray, freezes: FloatArray | None = None) -> TimeGrid:
+def find_grid(
+    source: str, t: FloatArray, freezes: FloatArray | None = None, *, complete: bool = False
+) -> TimeGrid:
     """Estimate the time step: the median, then the mean over the rows without gaps.
 
     Args:
@@ -132,6 +134,8 @@ def find_grid(source: str, t: FloatArray, freezes: FloatArray | None = None) -> 
         t: Increasing times. Shape (N,) [s].
         freezes: Increasing times within gaps that are left by dropped rows, not by the stamps.
             Shape (F,) [s]; None: there are none.
+        complete: True if no rows are missing but in gaps, as where repeated rows are dropped: times
+            between rows are then uneven by themselves, and their mean is the step.
 
     Raises:
         UnusableInput: The median is 0.5 s or longer, which is another unit of time, or shorter than
@@ -152,7 +156,8 @@ def find_grid(source: str, t: FloatArray, freezes: FloatArray | None = None) -> 
             f"{source}: the usual time step is {usual:g} s, more than a million rows a second; is "
             "time in another unit? Seconds are needed"
         )
-    is_gap = ~(steps <= (MAX_FILLED_STEPS + 0.5) * usual)
+    is_short = steps <= (MAX_FILLED_STEPS + 0.5) * usual
+    is_gap = ~is_short
     if freezes is not None:
         is_gap &= np.diff(np.searchsorted(freezes, t)) == 0
     if is_gap.sum() > max(MAX_GAP_SHARE * len(steps), MIN_TOLERATED_GAPS):
@@ -161,7 +166,7 @@ def find_grid(source: str, t: FloatArray, freezes: FloatArray | None = None) -> 
             f"{MAX_FILLED_STEPS} usual ones ({usual:.3g} s); "
             "use the time of measurement, not of arrival"
         )
-    return TimeGrid(mean_step(t), float(t[0]))
+    return TimeGrid(float(steps[is_short].mean()) if complete else mean_step(t), float(t[0]))
 
 
 def mean_step(t: FloatArray) -> float:

@@ -85,7 +85,8 @@ def draw_spectra(
             _joint(axes, k, torque, noise, residual, far)
             axes.axvspan(hertz, far, color="#f3f5f7", linewidth=0.0, zorder=0)
             axes.axvline(hertz, color=INK, linewidth=0.9, dashes=(4, 2))
-            axes.set_title(names[k], loc="left", fontweight="bold", pad=3)
+            # y: no search for a place above the ticks, which takes long
+            axes.set_title(names[k], loc="left", y=1.0, fontweight="bold", pad=3)
             if k + columns >= len(joints):
                 axes.set_xlabel("frequency [Hz]")
         handles, labels = cells[0, 0].get_legend_handles_labels()

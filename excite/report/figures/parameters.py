@@ -58,7 +58,7 @@ def draw_changes(entries: Sequence[ParameterChange]) -> str:
                 (left / width, (height - 0.42 - size) / height, cell / width, size / height)
             )
             _draw_intervals(axes, group)
-            axes.set_title(title, loc="left")
+            axes.set_title(title, loc="left", y=1.0)  # no search above the ticks
         _legend(figure)
 
     return render_svg("Change of every base parameter with its 95 % interval", height, draw)
@@ -68,38 +68,41 @@ def _draw_intervals(axes: Any, group: Sequence[ParameterChange]) -> None:
     """Draw the interval and the identified value of each parameter."""
     limit = _limit(group)
     axes.axvline(0.0, color=INK, linewidth=0.8)
-    for row, entry in enumerate(group):
-        known = entry.data is not None and np.isfinite(entry.half_width)
-        if known and entry.data is not None:
-            low, high = entry.data - entry.half_width, entry.data + entry.half_width
-            axes.plot(
-                np.clip([low, high], -limit, limit),
-                [row, row],
-                color=BLUE,
-                linewidth=1.1,
-                alpha=0.55,
-                solid_capstyle="butt",
-            )
-            if abs(entry.data) <= limit:
-                axes.plot(entry.data, row, "o", color=BLUE, markersize=2.6)
-            else:
-                axes.plot(
-                    np.sign(entry.data) * limit,
-                    row,
-                    ">" if entry.data > 0 else "<",
-                    color=BLUE,
-                    markersize=3.5,
-                    clip_on=False,
-                )
+    rows = np.arange(len(group))
+    data = np.array([np.nan if e.data is None else e.data for e in group], float)
+    half = np.array([e.half_width for e in group], float)
+    known = np.isfinite(data) & np.isfinite(half)
+    # all intervals in one line, interrupted by NaN: an artist for each takes matplotlib long
+    ends = np.clip([data - half, data + half], -limit, limit)[:, known]
+    axes.plot(
+        np.vstack([ends, np.full(known.sum(), np.nan)]).ravel(order="F"),
+        np.repeat(rows[known], 3),
+        color=BLUE,
+        linewidth=1.1,
+        alpha=0.55,
+        solid_capstyle="butt",
+    )
+    is_inside = known & (np.abs(data) <= limit)
+    axes.plot(data[is_inside], rows[is_inside], "o", color=BLUE, markersize=2.6)
+    for sign, marker in ((1.0, ">"), (-1.0, "<")):
+        beyond = known & (sign * data > limit)
         axes.plot(
-            np.clip(entry.value, -limit, limit),
-            row,
-            "D",
-            color=ORANGE,
-            markersize=5.0,
-            markerfacecolor="none",
-            markeredgewidth=0.9,
+            np.full(beyond.sum(), sign * limit),
+            rows[beyond],
+            marker,
+            color=BLUE,
+            markersize=3.5,
+            clip_on=False,
         )
+    axes.plot(
+        np.clip([e.value for e in group], -limit, limit),
+        rows,
+        "D",
+        color=ORANGE,
+        markersize=5.0,
+        markerfacecolor="none",
+        markeredgewidth=0.9,
+    )
     axes.set_xlim(-limit, limit)
     limit_ticks(axes, 5, 5)
     axes.xaxis.set_major_formatter(

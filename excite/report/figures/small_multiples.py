@@ -35,6 +35,9 @@ _LETTER_WIDTH = 4.4
 """Mean width of a letter of the legend; all lengths in units of the SVG."""
 MAX_LIMIT_DISTANCE = 5.0
 """Limits further from the curve's middle than this many of its half ranges are named, not drawn."""
+MIN_RANGE_SHARE = 2e-4
+"""Smallest range of an axis over its largest value [1]: the ticks, at least a tenth of it apart,
+differ in six digits."""
 NEAR_LIMIT_SHARE = 0.3
 """Limits of a phase plane are drawn within this share of the curves' range beyond it."""
 
@@ -214,8 +217,7 @@ def _plane_range(
     near = NEAR_LIMIT_SHARE * (high - low)
     visible = [v for v in limits if np.isfinite(v) and low - near <= v <= high + near]
     low, high = min([low, *visible]), max([high, *visible])
-    pad = 0.06 * max(high - low, 1e-9)
-    return low - pad, high + pad, visible
+    return (*_padded(low, high, 0.06), visible)
 
 
 def _curve_range(panel: CurvePanel) -> tuple[float, float, list[float]]:
@@ -227,8 +229,14 @@ def _curve_range(panel: CurvePanel) -> tuple[float, float, list[float]]:
         v for v in panel.limits if np.isfinite(v) and abs(v - middle) <= MAX_LIMIT_DISTANCE * reach
     ]
     low, high = min([low, *visible]), max([high, *visible])
-    pad = 0.08 * max(high - low, 1e-9)
-    return low - pad, high + pad, visible
+    return (*_padded(low, high, 0.08), visible)
+
+
+def _padded(low: float, high: float, share: float) -> tuple[float, float]:
+    """Range with a margin at both ends of a share of it; a constant is drawn in the middle."""
+    least = max(MIN_RANGE_SHARE * max(abs(low), abs(high)), 1e-9)
+    pad = share * max(high - low, least) + 0.5 * max(least - (high - low), 0.0)
+    return low - pad, high + pad
 
 
 def _draw_plane(

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from .. import recordings
 from .._system.progress import Progress, logger
@@ -144,9 +145,10 @@ def identify_floating(
         standard = floating_base.standard_parameters(loaded)
         inertial = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
         chosen = dataclasses.replace(chosen, bounds=inertial)
-    result = floating_identification.identify(
-        loaded, train, held_out, chosen, table, progress or logger.info
-    )
+    with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+        result = floating_identification.identify(
+            loaded, train, held_out, chosen, table, progress or logger.info
+        )
     inputs = argument_files(
         loaded.joint_robot.source, limits, bounds, recordings=(*recordings_of_fit, *validate)
     )

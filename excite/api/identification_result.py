@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from .. import recordings
 from .._system.progress import Progress, logger
@@ -348,7 +349,8 @@ def identify(
         **choices,
     )
     recording_cost.require_identifiable([*train, *held_out], report)
-    result = identification.identify(loaded, standard, base, train, held_out, chosen, report)
+    with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+        result = identification.identify(loaded, standard, base, train, held_out, chosen, report)
     return IdentificationResult(
         result,
         tuple(train),

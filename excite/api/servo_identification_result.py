@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from .._system.progress import Progress, logger
 from .._types import FloatArray
@@ -155,9 +156,10 @@ def identify_servo(
         else read_bounds(bounds, standard),
         **choices,
     )
-    result = servo_identification.identify_servo(
-        loaded, standard, base, train, held_out, chosen, report
-    )
+    with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+        result = servo_identification.identify_servo(
+            loaded, standard, base, train, held_out, chosen, report
+        )
     inputs = argument_files(
         loaded.source, limits, bounds, trajectory, recordings=(*recordings, *validate)
     )

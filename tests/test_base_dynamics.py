@@ -196,3 +196,17 @@ def test_base_stiffness_is_the_same_in_all_recordings(monkeypatch):
             ),
         )
     assert len(stiffnesses) == len(recorded) > 1
+
+
+def test_a_base_on_equal_springs_is_tried_next_to_one_of_equal_frequencies():
+    """With the arm stretched, its inertias about both axes differ, and with them frequencies."""
+    recorded = motions()
+    inertia_at_zero = recorded[0].upright_inertia[3:5]
+    stiffness_ratios = {
+        round(float((inertia[1] / inertia[0]) * model.values["apart"] ** 2), 6)
+        for model in EFFECTS_BY_NAME["base_compliance"].candidates(recorded)
+        if model.values["way"] == 1.0
+        for inertia in [inertia_at_zero + model.values["stand"] * inertia_at_zero.max()]
+    }
+    assert len(stiffness_ratios) == 2
+    assert 1.0 in stiffness_ratios

@@ -38,7 +38,7 @@ PEDESTAL_FACTOR = 2.5
 FREQUENCY_RATIO_FACTOR = 1.15
 """Factor between neighbouring ratios of the frequencies about the second and the first axis."""
 MAX_FREQUENCY_RATIO = 2.0
-"""Largest ratio of these frequencies."""
+"""Largest ratio of these frequencies, over that of equal ones or of equal springs."""
 MAX_SCALE, MAX_OPPOSED = 4.0, 0.3
 """Largest plausible coefficient of the response to a force, by errors of the robot's inertia, and
 the largest one against the force, over the largest along it."""
@@ -99,6 +99,12 @@ def matrix_exponential(a: FloatArray) -> tuple[FloatArray, FloatArray]:
     return exponential, mean
 
 
+def _upright_inertia(motion: RecordedMotion, axes: Sequence[int], pedestal: float) -> FloatArray:
+    """Inertia of robot and pedestal about some axes with all joints at zero, shape (k,)."""
+    upright = motion.upright_inertia[list(axes)]
+    return np.asarray(upright + pedestal * upright.max())
+
+
 def _upright_frequency_ratio(
     motions: Sequence[RecordedMotion], axes: Sequence[int], pedestal: float
 ) -> float:
@@ -109,6 +115,20 @@ def _upright_frequency_ratio(
     )
     added = pedestal * upright.max()
     return float(np.exp(0.5 * np.mean(np.log((in_motion + added) / (upright + added)))))
+
+
+def _usual_frequency_ratios(
+    motions: Sequence[RecordedMotion], axes: Sequence[int], pedestal: float
+) -> tuple[float, ...]:
+    """Ratios of the frequencies about the second and the first axis, all joints at zero.
+
+    Both frequencies are the same, or both springs: with the arm stretched, the moments of inertia
+    about the axes differ by a factor of ten.
+    """
+    inertia = _upright_inertia(motions[0], axes, pedestal)
+    of_equal_springs = float(np.sqrt(inertia[0] / inertia[-1]))
+    is_same = abs(np.log(of_equal_springs)) < np.log(FREQUENCY_RATIO_FACTOR)
+    return (1.0,) if is_same else (1.0, of_equal_springs)
 
 
 class _BaseCompliance(Effect):
@@ -123,11 +143,11 @@ class _BaseCompliance(Effect):
     def torque_columns(self, motion: RecordedMotion, model: CandidateModel) -> FloatArray:
         values = model.values
         axes = list(BASE_MODES[int(values["way"])])
-        dynamics, upright = motion.base_dynamics, motion.upright_inertia[axes]
+        dynamics = motion.base_dynamics
         mass, by_speed, by_place = (
             x[:, :, axes] for x in (dynamics.mass, dynamics.by_speed, dynamics.by_place)
         )
-        inertia = upright + values["stand"] * upright.max()
+        inertia = _upright_inertia(motion, axes, values["stand"])
         spring = (
             2.0 * np.pi * values["frequency"] * values["apart"] ** np.arange(len(axes))
         ) ** 2 * inertia
@@ -138,7 +158,7 @@ class _BaseCompliance(Effect):
             1.0, (1.0 - MIN_STIFFNESS_SHARE) / max(toppling, 1e-9)
         )
         base_motion = simulate_base(
-            mass[:, axes] + np.diag(inertia - upright),
+            mass[:, axes] + np.diag(inertia - motion.upright_inertia[axes]),
             by_speed[:, axes] + np.diag(damping),
             stiffness,
             (dynamics.reaction.mean(axis=0) - dynamics.reaction)[:, axes],
@@ -149,20 +169,22 @@ class _BaseCompliance(Effect):
         return motion.lowpass(np.sum(torque, axis=0), Grid.COARSE)
 
     def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        """Yield frequencies and damping ratios of every mode."""
+        """Yield frequencies and damping ratios of every mode, and both usual frequency ratios."""
         for mode, axes in enumerate(BASE_MODES):
             ratio = _upright_frequency_ratio(motions, axes, PEDESTAL_INERTIA)
-            frequencies = (FREQUENCIES * ratio).tolist()
-            for damping in DAMPING_RATIOS:
-                values = {
-                    "frequency": frequencies[0],
-                    "damping": damping,
-                    "way": float(mode),
-                    "stand": PEDESTAL_INERTIA,
-                    "apart": 1.0,
-                }
-                model = CandidateModel(self, None, values, motions=motions)
-                yield from grid_candidates(model, "frequency", frequencies)
+            for apart in _usual_frequency_ratios(motions, axes, PEDESTAL_INERTIA):
+                # the mean of both frequencies
+                frequencies = (FREQUENCIES * ratio / np.sqrt(apart)).tolist()
+                for damping in DAMPING_RATIOS:
+                    values = {
+                        "frequency": frequencies[0],
+                        "damping": damping,
+                        "way": float(mode),
+                        "stand": PEDESTAL_INERTIA,
+                        "apart": apart,
+                    }
+                    model = CandidateModel(self, None, values, motions=motions)
+                    yield from grid_candidates(model, "frequency", frequencies)
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"frequency": model.values["frequency"]}
@@ -185,10 +207,11 @@ class _BaseCompliance(Effect):
                 )
                 out.append(model.with_values(frequency=frequency, stand=stand))
         neighbours = v["apart"] / FREQUENCY_RATIO_FACTOR, v["apart"] * FREQUENCY_RATIO_FACTOR
+        usual = _usual_frequency_ratios(model.motions, axes, v["stand"])
         out += [
             model.with_values(apart=ratio)
             for ratio in (neighbours if len(axes) > 1 else ())
-            if 1.0 / MAX_FREQUENCY_RATIO < ratio < MAX_FREQUENCY_RATIO
+            if min(usual) / MAX_FREQUENCY_RATIO < ratio < max(usual) * MAX_FREQUENCY_RATIO
         ]
         return [within(variant, "frequency", FREQUENCY_FACTOR) for variant in out]
 

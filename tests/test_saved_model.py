@@ -205,9 +205,25 @@ def test_saved_effects_are_read_back_with_the_same_torque(name):
     ]
     for motion in result.final.motions:
         np.testing.assert_allclose(
-            fitted_effects.torque(restored, motion), fitted_effects.torque(saved, motion)
+            *(fitted_effects.torque(x, motion, is_filtered=True) for x in (restored, saved))
         )
     assert (noise_ratios(result)[1] < 1.4).all()
+
+
+def test_known_effects_leave_nothing_at_the_edge_of_the_band():
+    """Filtered before it is subtracted, their torque would be filtered twice, and a part remain."""
+    along = recording_of(None, 5)
+    ripple = effect_entry("torque_ripple", "joint_2", {"order": 80.0, "load": 1.0}, 1.0, 0.0, 0.0, 0.0)
+    model = model_with_effects(ripple)
+    (_, with_ripple), (_, plain) = (
+        fitted_effects.predict(m, along) for m in (model, model_with_effects())
+    )
+    known = (with_ripple - plain)[:, 1]
+    removed = (along.torque - fitted_effects.without_effects(model, along).torque)[:, 1]
+    band = LowPassFilter(model.hertz, RATE, len(removed))
+    inside = slice(int(0.4 * RATE), -int(0.4 * RATE))
+    left = (band.filter(removed, Grid.RECORDED) - known)[inside]
+    assert np.std(left) < 1e-3 * np.std(known[inside])
 
 
 @pytest.mark.parametrize("seconds", [0.004, 0.012])

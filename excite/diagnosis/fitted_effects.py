@@ -22,7 +22,7 @@ from ..effects.recorded_motion import RecordedMotion
 from ..identification import identified_model
 from ..identification.identification import MAX_BAND_SHARE
 from ..identification.identified_model import IdentifiedModel, at_row_times
-from ..identification.lowpass import Grid
+from ..identification.lowpass import FLAT_BANDWIDTH_RATIO, Grid
 from ..identification.segments import RecordingSegment
 from ..recordings import Recording
 from ..robot.robot import Robot
@@ -37,12 +37,22 @@ class FittedEffect:
     coefficients: FloatArray
 
 
-def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArray:
-    """Return the low-passed torque of effects at every sample of a segment [N m], (M, n)."""
+def torque(
+    effects: Sequence[FittedEffect], motion: RecordedMotion, *, is_filtered: bool
+) -> FloatArray:
+    """Return the torque of effects at every sample of a segment [N m], (M, n).
+
+    Args:
+        effects: The effects.
+        motion: The motion of the segment.
+        is_filtered: Whether the torque is low-passed, to be compared with low-passed torque. If
+            not, it is complete below the cutoff frequency, to be subtracted before a filter.
+    """
     segment = motion.segment
     at_samples = dataclasses.replace(
         motion,
         grid=Grid.RECORDED,
+        bandwidth_ratio=1.0 if is_filtered else FLAT_BANDWIDTH_RATIO,
         kept=slice(0, len(segment)),
         time=segment.start + np.arange(len(segment)) / segment.rate,
     )
@@ -80,7 +90,8 @@ def restored(stated: EffectDocument, robot: Robot) -> FittedEffect:
 
 def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, FloatArray]:
     """Return times (N,) [s] of a recording and the torque (N, n) [N m] there, effects included."""
-    return fitted.predict(recording, _effect_torque(fitted, recording) if fitted.effects else None)
+    of_effects = _effect_torque(fitted, recording, is_filtered=True) if fitted.effects else None
+    return fitted.predict(recording, of_effects)
 
 
 def read_back(document: Mapping[str, Any]) -> IdentifiedModel:
@@ -109,7 +120,7 @@ def residuals(
 
 def without_effects(fitted: IdentifiedModel, recording: Recording) -> Recording:
     """Return a recording whose torque is without what the effects of a model predict."""
-    effect_torque = _effect_torque(fitted, recording)
+    effect_torque = _effect_torque(fitted, recording, is_filtered=False)
     torques = [(stretch, effect_torque(stretch)) for stretch in recording.segments()]
     times, torque = at_row_times(recording, torques)
     at_samples = [np.interp(recording.t, times, column) for column in torque.T]
@@ -117,9 +128,12 @@ def without_effects(fitted: IdentifiedModel, recording: Recording) -> Recording:
 
 
 def _effect_torque(
-    fitted: IdentifiedModel, recording: Recording
+    fitted: IdentifiedModel, recording: Recording, *, is_filtered: bool
 ) -> Callable[[Recording], FloatArray]:
-    """Function that predicts the torque of all effects along a gap-free stretch of a recording."""
+    """Function that predicts the torque of all effects along a gap-free stretch of a recording.
+
+    `is_filtered` as of `torque`.
+    """
     effects = [restored(stated, fitted.robot) for stated in fitted.effects]
     robot = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
     of_motion, of_measured_torque = (
@@ -156,13 +170,14 @@ def _effect_torque(
             moving=no_rows.astype(bool),
             far_from_rest=no_rows.astype(bool),
         )
-        out = torque(of_motion, motion)
+        out = torque(of_motion, motion, is_filtered=is_filtered)
+        ratio = 1.0 if is_filtered else FLAT_BANDWIDTH_RATIO
         for part in of_measured_torque:
             produced = motion.motor_torque + out
             change = part.shape.definition.predicted_torque(
                 motion, part.shape, part.coefficients, produced
             )
-            out += band.filter(change, Grid.RECORDED)
+            out += band.filter(change, Grid.RECORDED, bandwidth_ratio=ratio)
         return out
 
     return effect_torque

@@ -101,6 +101,7 @@ class RecordedMotion:
         far_from_rest: Rows that no friction at rest reaches through the low-pass filter, shape
             (N, n).
         grid: Grid to which `lowpass` reduces.
+        bandwidth_ratio: Cutoff of `lowpass` over that of the band.
         modelled_torque: Torque of a fitted joint model, which takes the place of the measured
             torque; None without one, shape (M, n) [N m].
         modelled_motor_torque: The same in the place of the base model's torque.
@@ -120,6 +121,7 @@ class RecordedMotion:
     moving: BoolArray
     far_from_rest: BoolArray
     grid: Grid = Grid.KEPT
+    bandwidth_ratio: float = 1.0
     modelled_torque: FloatArray | None = None
     modelled_motor_torque: FloatArray | None = None
     motion_cache: dict[Hashable, object] = field(
@@ -261,7 +263,8 @@ class RecordedMotion:
         if self.grid is Grid.RECORDED and of is Grid.COARSE:
             x = self.upsample(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
         source = Grid.RECORDED if self.grid is Grid.RECORDED else of
-        return self.band.filter(x, self.grid, source=source)[self.kept]
+        ratio = self.bandwidth_ratio
+        return self.band.filter(x, self.grid, source=source, bandwidth_ratio=ratio)[self.kept]
 
     def at_samples(self, rows: FloatArray) -> FloatArray:
         """Interpolate from the kept rows to every sample: (N, k) -> (M, k)."""

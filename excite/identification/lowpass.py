@@ -24,6 +24,8 @@ from ..errors import UnusableInput
 
 TAPER_FRACTION = 0.2
 """Share of the band over which the gain falls to zero for aperiodic signals: a sharp edge rings."""
+FLAT_BANDWIDTH_RATIO = 1.0 / (1.0 - TAPER_FRACTION)
+"""Cutoff from which the gain is 1 in all of the band, over the cutoff of the band."""
 SETTLING_FACTOR = 1.5
 """Discarded margin at an end in units of 1/(TAPER_FRACTION · cutoff) [s]: beyond it the effect of
 the reflection is below a thousandth of the signal."""

@@ -213,8 +213,8 @@ def test_saved_effects_are_read_back_with_the_same_torque(name):
 def test_known_effects_leave_nothing_at_the_edge_of_the_band():
     """Filtered before it is subtracted, their torque would be filtered twice, and a part remain."""
     along = recording_of(None, 5)
-    ripple = effect_entry("torque_ripple", "joint_2", {"order": 80.0, "load": 1.0}, 1.0, 0.0, 0.0, 0.0)
-    model = model_with_effects(ripple)
+    values = {"order": 80.0, "load": 1.0}
+    model = model_with_effects(effect_entry("torque_ripple", "joint_2", values, 1.0, 0.0, 0.0, 0.0))
     (_, with_ripple), (_, plain) = (
         fitted_effects.predict(m, along) for m in (model, model_with_effects())
     )

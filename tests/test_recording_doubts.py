@@ -459,6 +459,32 @@ def test_the_scale_of_torque_is_named(simulated, factor, word):
     assert factor in (1e3, 1e-3) or not any("off by" in d.text for d in doubts)
 
 
+@pytest.mark.parametrize(("factor", "is_doubt"), [(1.0, False), (1e3, True)])
+def test_a_load_at_a_last_joint_with_a_light_link_is_no_doubt(tmp_path, factor, is_doubt):
+    """It has 40 times the nominal torque there; in mN m it is more than the joints before carry."""
+    robot = load("panda")
+    recording = slow_recording(robot, 3, 0.0, tmp_path, hertz=0.05)
+    with_load, last = robot.model.copy(), robot.n
+    lever = np.array([15.0, 15.0, 1.0]) * robot.model.inertias[last].lever
+    with_load.inertias[last] += pin.Inertia(2.0, lever, 1e-3 * np.eye(3))
+    motion = recording.samples()
+    load_torque = inverse_dynamics(robot, with_load, motion) - inverse_dynamics(
+        robot, robot.model, motion
+    )
+    assert recording.tau is not None
+    tau = recording.tau + load_torque
+    tau[:, -1] *= factor
+    remarks = [
+        remark
+        for remark in nominal_comparison.compare_with_nominal(
+            dataclasses.replace(recording, tau=tau), robot
+        )
+        if remark.kind is RemarkKind.TORQUE_SCALE
+    ]
+    assert [(remark.joint, remark.doubt) for remark in remarks] == [("panda_joint7", is_doubt)]
+    assert ("a load is missing" in remarks[0].text) is not is_doubt
+
+
 @pytest.mark.parametrize(("factor", "cause"), [(5.0, "a load is missing"), (0.2, "too heavy")])
 @pytest.mark.parametrize("is_current", [True, False])
 def test_a_scale_that_masses_may_explain_is_remarked(tmp_path, factor, cause, is_current):

@@ -213,7 +213,7 @@ def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
     comparison = _comparison(torque, motion, gravity, dynamic)
     remarks = [
         *_sign_doubts(recording, robot, rows, comparison),
-        *_scale_doubts(recording, comparison),
+        *_scale_doubts(recording, robot, comparison),
     ]
     if not remarks:
         remarks += _exchanged_joints(recording, robot, torque, motion, comparison)
@@ -303,23 +303,39 @@ def _sign_doubts(
         yield Remark(RemarkKind.TORQUE_SIGN, text, joint, doubt=not right)
 
 
-def _scale_doubts(recording: Recording, comparison: NominalComparison) -> Iterator[Remark]:
-    """Yield a doubt for each joint whose torque is of another size than the nominal one."""
+def _scale_doubts(
+    recording: Recording, robot: Robot, comparison: NominalComparison
+) -> Iterator[Remark]:
+    """Yield a doubt for each joint whose torque is of another size than the nominal one.
+
+    At a last joint whose own link is small and symmetric a usual load has 50 times the nominal
+    torque. That is no doubt where the torque is less than what the joints before it carry, and
+    theirs is of the nominal size.
+    """
     slope, correlation = comparison.slopes()
     size = np.abs(slope)
     judged = np.abs(correlation) > MIN_CORRELATION
     wrong = judged & ((size < PLAUSIBLE_SLOPE[0]) | (size > PLAUSIBLE_SLOPE[1]))
     if not wrong.any():
         return
+    measured, nominal = (np.std(x, axis=0) for x in (comparison.measured, comparison.nominal))
     agree = bool(wrong[judged].all() and np.ptp(np.log(size[judged])) < np.log(SLOPE_AGREEMENT))
     for j in np.flatnonzero(wrong).tolist():
         joint = recording.joints[j]
+        supports = set(robot.model.supports[robot.body_of(j)])
+        carry = np.array([i != j and robot.body_of(i) in supports for i in range(robot.n)])
+        is_less = measured[j] < nominal[carry & judged & ~wrong].max(initial=0.0)
+        may_be_load = slope[j] > 1.0 and bool(is_less)
+        reason = (
+            "a load is missing there in the robot description, or its unit is wrong"
+            if may_be_load
+            else _likely_unit(float(size[j]), recording, joint, agree)
+        )
         text = (
             f"joint '{joint}': measured torque is {slope[j]:.3g} times the torque of the nominal "
-            f"model, with a correlation of {correlation[j]:.2f}; "
-            f"{_likely_unit(float(size[j]), recording, joint, agree)}"
+            f"model, with a correlation of {correlation[j]:.2f}; {reason}"
         )
-        yield Remark(RemarkKind.TORQUE_SCALE, text, joint, doubt=True)
+        yield Remark(RemarkKind.TORQUE_SCALE, text, joint, doubt=not may_be_load)
 
 
 def _scale_remarks(recording: Recording, comparison: NominalComparison) -> Iterator[Remark]:

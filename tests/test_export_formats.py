@@ -272,6 +272,26 @@ def test_an_effort_next_to_a_torque_is_chosen_by_columns(two_link, tmp_path, wor
     assert_same_motion(read_with_warnings(path, two_link, columns=chosen)[0])
 
 
+def test_each_quantity_is_numbered_for_itself(two_link, tmp_path):
+    columns = {"time": COLUMNS["t"]}
+    for k in (1, 2):
+        columns |= {f"q_{k}": COLUMNS[f"q.joint_{k}"], f"dq_{k}": COLUMNS[f"dq.joint_{k}"]}
+        columns |= {f"effort_{k - 1}": COLUMNS[f"tau.joint_{k}"]}
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    assert_same_motion(read_with_warnings(path, two_link)[0])
+
+
+def test_numbers_of_more_joints_than_the_robot_has_are_refused(two_link, tmp_path):
+    """With a gripper, or with its base, as the first one: nobody can tell."""
+    columns = {"time": COLUMNS["t"]}
+    for k in (1, 2):
+        columns |= {f"q_{k}": COLUMNS[f"q.joint_{k}"]}
+    columns |= {f"effort_{k}": COLUMNS["tau.joint_1"] for k in (0, 1, 2)}
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    with pytest.raises(UnusableInput):
+        recordings.read(path, two_link)
+
+
 def test_words_that_end_like_an_effort_are_none(tmp_path):
     path = tmp_path / "robot.urdf"
     path.write_text(locate("two_link").read_text().replace('"joint_1"', '"eff"'))

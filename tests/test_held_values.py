@@ -138,8 +138,24 @@ def test_complete_rows_that_repeat_at_any_ratio_are_not_used(two_link, tmp_path,
     assert remark.repaired and "repeat the one before" in texts[0]
     frequency = float(remark.text.split("(")[1].split()[0])
     assert frequency == pytest.approx(100.0 / mean, rel=0.15)
-    assert recording.rate == pytest.approx(len(updates) / t[-1], rel=0.01)
+    # rows that were lost leave the others on their grid
+    rate = 100.0 if mean == 1.1 else len(updates) / t[-1]
+    assert recording.rate == pytest.approx(rate, rel=0.01)
     assert np.abs(recording.q - position(recording.t)).max() < 0.02
+
+
+@pytest.mark.parametrize("lost", [0.06, 0.2])
+def test_lost_rows_that_repeat_the_last_one_leave_the_grid_as_it_is(two_link, tmp_path, lost):
+    """Stamps that err by a tenth of a row are corrected, as without a lost row."""
+    rng = np.random.default_rng(0)
+    even = np.arange(1500) / 200.0
+    t = even + rng.uniform(-5e-4, 5e-4, len(even))
+    updates = np.union1d([0], np.flatnonzero(rng.uniform(size=len(t)) > lost))
+    q, tau = (held(x(even), updates) for x in (position, torque))
+    recording, _ = DamagedMotion(columns(t, q, tau)).read(tmp_path, two_link)
+    assert recording.rate == pytest.approx(200.0, rel=1e-3)
+    error = np.sqrt(np.mean((recording.q - position(recording.t)) ** 2))
+    assert error < 1e-4
 
 
 def test_positions_alone_that_repeat_at_random_are_no_repeated_rows(two_link, tmp_path):

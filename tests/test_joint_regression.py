@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from regression_columns import columns_on_all_joints
+from scipy import optimize
 
 from excite.diagnosis.regression import CandidateBatch, Columns, JointRegression, independent_share
 
@@ -68,6 +69,34 @@ def test_constrained_solution_satisfies_the_optimality_conditions(seed):
     assert (x[3:] >= 0.0).all()
     np.testing.assert_allclose(gradient[regression.solution.active], 0.0, atol=1e-5)
     assert (gradient[~regression.solution.active] >= -1e-5).all()
+
+
+@given(seed=st.integers(0, 1000), slowest=st.floats(0.05, 1.0))
+def test_constrained_solution_of_nearly_collinear_columns_is_that_of_nnls(seed, slowest):
+    """Exponentials are so alike that exchanges of the active set may cycle."""
+    rng = np.random.default_rng(seed)
+    rates = np.linspace(slowest, 3.0, 30)
+    columns = np.exp(-np.outer(np.linspace(0.0, 5.0, 80), rates))[:, None]
+    torque = columns @ np.maximum(rng.normal(size=30), 0.0) + 0.1 * rng.normal(size=(80, 1))
+    regression = JointRegression.of_base(
+        torque,
+        np.ones((80, 1), bool),
+        np.ones((80, 1, 1)),
+        (np.zeros(1), np.eye(1)),
+        np.ones(1),
+        1.0,
+    )
+    regression.add(columns_on_all_joints(columns, np.ones(30, bool), np.full(30, 3.0)))
+    x = regression.solution.coefficients
+    a = np.column_stack([np.ones(80), -np.ones(80), columns[:, 0]])
+    prior = np.hstack([np.zeros((30, 2)), np.eye(30) / 3.0])
+    rows = np.vstack([a, [1.0, -1.0, *np.zeros(30)], prior])
+    reference, least = optimize.nnls(rows, np.concatenate([torque[:, 0], np.zeros(31)]))
+    residual = regression.residual()[:, 0]
+    objective = residual @ residual + x[0] ** 2 + np.sum((x[1:] / 3.0) ** 2)
+    assert (x[1:] >= 0.0).all()
+    assert objective == pytest.approx(least**2, rel=1e-6)
+    assert x[0] == pytest.approx(reference[0] - reference[1], rel=1e-3, abs=1e-3)
 
 
 @given(seed=st.integers(0, 1000))

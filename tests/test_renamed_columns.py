@@ -133,5 +133,21 @@ def test_a_payload_is_identified_next_to_the_recordings_of_a_model(folder, tmp_p
     assert [Path(name).name for name in document["without"]] == ["train.csv"]
 
 
+def test_options_for_the_recording_with_the_payload_are_not_those_of_the_model(
+    folder, tmp_path, capsys
+):
+    """The recording with the payload has other names, that of the model standard ones."""
+    subject = two_link_model()
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    empty = write_recording(
+        synthetic_recording(subject, psi, random_fourier(2, 2), 3, 0.2), tmp_path / "empty.csv"
+    )
+    assert run("identify", "two_link", empty, "-o", tmp_path / "model") == 0
+    model = tmp_path / "model" / "model.json"
+    words = ("payload", "two_link", "--with", folder / "other.csv", "--model", model)
+    run(*words, *column_options(), "-o", tmp_path / "out")  # it has no payload to be found
+    assert "has no column" not in capsys.readouterr().err
+
+
 def test_the_report_names_the_options_to_repeat(folder):
     assert "--columns" in (folder / "out" / "report.html").read_text()

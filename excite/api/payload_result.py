@@ -176,7 +176,7 @@ def identify_payload(
         trajectory: The `trajectory.json` that was executed, or several; static poses imply
             `static`.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file;
-            for the recordings of a model those that it states, if it states any.
+            those of the recordings of a model are stated in it.
         static: Use only the poses at rest, which show mass and centre of mass. With a model, its
             prediction is then the torque without the payload.
 
@@ -211,7 +211,7 @@ def identify_payload(
         with_names: Sequence[tuple[Path, Mapping[str, str]]] = (),
     ) -> list[Recording]:
         recordings = [
-            read_recording(path, loaded, limits=table, columns=names or columns)
+            read_recording(path, loaded, limits=table, columns=names)
             for path, names in [*((path, columns) for path in paths), *with_names]
         ]
         if not static:  # the rests are found in the recording

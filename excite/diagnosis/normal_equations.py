@@ -149,9 +149,10 @@ def _bounded_minimum(
 
     From the active set `likely` of a similar problem a few exchanges of all coefficients that
     violate an optimality condition suffice (Portugal, Júdice & Vicente, Math. Comput. 63, 1994).
-    They may not end. The objective then falls from one active set to the next (Lawson & Hanson,
-    Solving Least Squares Problems, 1974, but with all coefficients added at once: the step of one
-    of them at least is positive). Returns x, its active coefficients, and log det M over these.
+    These exchanges may cycle. The objective then falls from one active set to the next (Lawson &
+    Hanson, Solving Least Squares Problems, 1974, but with all coefficients added at once: the step
+    of one of them at least is positive). Returns x, its active coefficients, and log det M over
+    these.
     """
     bounded = bounded & used
     tolerance = RELATIVE_TOLERANCE * float(np.abs(target[bounded]).max(initial=0.0))
@@ -164,10 +165,12 @@ def _bounded_minimum(
         return x, factor
 
     def negative(x: FloatArray, active: BoolArray) -> BoolArray:
+        """Return the active coefficients that violate their bound."""
         least = -RELATIVE_TOLERANCE * np.abs(x[bounded]).max(initial=0.0)
         return np.asarray(bounded & active & (x < least))
 
     def missing(x: FloatArray, active: BoolArray) -> BoolArray:
+        """Return the coefficients at zero that would lower the objective."""
         return np.asarray(bounded & ~active & (matrix @ x - target < -tolerance))
 
     active, fewest, tries = used & (likely | ~bounded), len(target) + 1, BLOCK_EXCHANGES
@@ -178,7 +181,7 @@ def _bounded_minimum(
         fewest = min(fewest, count)
         active = active ^ wrong
         x, factor = minimum(active)
-    while (below := negative(x, active)).any():  # none is left that is not feasible
+    while (below := negative(x, active)).any():  # until all coefficients are feasible
         active = active & ~below
         x, factor = minimum(active)
     x[bounded] = np.maximum(x[bounded], 0.0)

@@ -21,9 +21,9 @@ from .gear_dynamics import (
 from .recorded_motion import FittedRobot, RecordedMotion
 
 FREQUENCIES = np.geomspace(1.9, 19.0, 10)
-"""Grid of natural frequencies of the base under the moving robot [Hz]. Optimised between its points
-they have a prior from 1.5 to 24 Hz: mounts of robots lie at 5 to 20 Hz (the catalogue's usual
-sizes), soft stands below."""
+"""Grid of natural frequencies of the base under the moving robot, of two axes their mean [Hz].
+Optimised between its points they have a prior from 1.5 to 24 Hz: mounts of robots lie at 5 to 20 Hz
+(the catalogue's usual sizes), soft stands below."""
 DAMPING_RATIOS = (0.08, 0.3)
 """Damping ratios of the initial grid; the second, wide one locates a resonance that lies between
 two grid frequencies, from where it is optimised."""

@@ -29,6 +29,7 @@ class _LoadFriction(JointTorque):
         joint: int,
         build_up: Mapping[str, float] | None = None,
     ) -> CandidateModel:
+        """Return friction that grows with the load and its square."""
         load = np.abs(np.concatenate([motion.transmitted_torque[:, joint] for motion in motions]))
         return CandidateModel(
             self,

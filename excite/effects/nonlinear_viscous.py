@@ -36,6 +36,7 @@ class _NonlinearViscous(JointTorque):
         joint: int,
         build_up: Mapping[str, float] | None = None,
     ) -> CandidateModel:
+        """Return a nonnegative combination of concave and convex friction curves."""
         return CandidateModel(self, joint, {"top_speed": max_speed(motions, joint)})
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:

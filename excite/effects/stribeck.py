@@ -22,6 +22,7 @@ class _Stribeck(JointTorque):
         joint: int,
         build_up: Mapping[str, float] | None = None,
     ) -> CandidateModel:
+        """Return a nonnegative combination of exponential and Gaussian Stribeck curves."""
         values = {"top_speed": max_speed(motions, joint), **(build_up or {})}
         return CandidateModel(self, joint, values)
 

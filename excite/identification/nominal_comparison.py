@@ -215,14 +215,20 @@ def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
         *_sign_doubts(recording, robot, rows, comparison),
         *_scale_doubts(recording, robot, comparison),
     ]
-    if not remarks:
+
+    def is_explained() -> bool:
+        """Tell whether something other than a load differs, which mimics what follows."""
+        return any(r.doubt or r.kind is not RemarkKind.TORQUE_SCALE for r in remarks)
+
+    if not is_explained():
         remarks += _exchanged_joints(recording, robot, torque, motion, comparison)
-    if not remarks and np.any(robot.model.gravity.linear):
+    if not is_explained() and np.any(robot.model.gravity.linear):
         remarks += _gravity_doubts(recording, robot, torque, motion, comparison)
-    if not remarks:  # another direction of gravity mimics another zero of the second axis
+    if not is_explained():  # another direction of gravity mimics another zero of the second axis
         remarks += _position_doubts(recording, robot, torque, motion, comparison)
-    if not remarks:
-        remarks += _scale_remarks(recording, comparison)
+    if not is_explained():
+        remarked = {remark.joint for remark in remarks}
+        remarks += [r for r in _scale_remarks(recording, comparison) if r.joint not in remarked]
         remarks += _weight_remarks(recording, robot, torque, gravity, gravity + dynamic)
     return remarks
 
@@ -309,8 +315,7 @@ def _scale_doubts(
     """Yield a doubt for each joint whose torque is of another size than the nominal one.
 
     At a last joint whose own link is small and symmetric a usual load has 50 times the nominal
-    torque. That is no doubt where the torque is less than what the joints before it carry, and
-    theirs is of the nominal size.
+    torque. That is no doubt where a joint before it shows a load as well and carries more.
     """
     slope, correlation = comparison.slopes()
     size = np.abs(slope)
@@ -322,10 +327,20 @@ def _scale_doubts(
     agree = bool(wrong[judged].all() and np.ptp(np.log(size[judged])) < np.log(SLOPE_AGREEMENT))
     for j in np.flatnonzero(wrong).tolist():
         joint = recording.joints[j]
-        supports = set(robot.model.supports[robot.body_of(j)])
-        carry = np.array([i != j and robot.body_of(i) in supports for i in range(robot.n)])
-        is_less = measured[j] < nominal[carry & judged & ~wrong].max(initial=0.0)
-        may_be_load = slope[j] > 1.0 and bool(is_less)
+        supports = [set(robot.model.supports[robot.body_of(i)]) for i in range(robot.n)]
+        others = [i for i in range(robot.n) if i != j]
+        is_last = not any(robot.body_of(j) in supports[i] for i in others)
+        carrying = [
+            i
+            for i in others
+            if robot.body_of(i) in supports[j]
+            and robot.entries[i].kind == robot.entries[j].kind
+            and judged[i]
+            and not wrong[i]
+        ]
+        is_less = measured[j] < nominal[carrying].max(initial=0.0)
+        is_shown = slope[carrying].max(initial=0.0) > MAX_EXPECTED_RATIO
+        may_be_load = is_last and slope[j] > 1.0 and bool(is_less and is_shown)
         reason = (
             "a load is missing there in the robot description, or its unit is wrong"
             if may_be_load

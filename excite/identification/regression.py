@@ -171,6 +171,8 @@ def build_equations(
             starts.append((count, segment, sum(map(len, chunks))))
             count += starts[-1][2]
             parts += chunks
+    if not segments:
+        raise too_short("recordings", 0.0, hertz)
     if not parts:
         longest = max(segments, key=lambda segment: len(segment) / segment.rate)
         needed = 2.0 * longest.band(hertz).margin / longest.rate

@@ -376,7 +376,9 @@ def _require_separator(
         if other == separator:
             continue
         cells = _cells(other, line)
-        are_numbers = all(not cell or _is_number(cell.replace(",", ".")) for cell in cells)
+        are_numbers = all(
+            not cell or (cell[-1] != "," and _is_number(cell.replace(",", "."))) for cell in cells
+        )
         if len(cells) == len(names) and (are_numbers or len(by_names) <= 1):
             remedy = f"separate the names by {word}"
             if other == " " and b"," in line:  # between blanks, commas are no decimal points

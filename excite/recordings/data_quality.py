@@ -99,7 +99,7 @@ def check_and_repair(
     source, robot = context.source, context.robot
     block = floating_signals.with_continuous_quaternions(source, window.block)
     repairs = list[Remark]()
-    held, freezes = list[Remark](), np.empty(0)
+    held, freezes, irregular = list[Remark](), np.empty(0), False
     if complete:
         block, held, freezes = held_values.keep_updates(block)
         if held:
@@ -117,7 +117,8 @@ def check_and_repair(
     stamps: list[Remark] = []
     if complete:
         block, stamps = uneven_stamps.correct_uneven_stamps(block, grid)
-        grid = find_grid(source, block.t, freezes) if stamps else grid
+        if stamps:
+            grid = find_grid(source, block.t, freezes, complete=irregular)
     gridded, uneven = resample(block, grid)
     remarks = [*block.remarks, *window.remarks, *held, *repairs, *missing, *stamps, *uneven]
     smoothed = np.zeros(robot.n, bool)

@@ -33,6 +33,7 @@ def join_rows(block: Block, robot: Robot) -> tuple[Block, list[Remark]]:
 
     Args:
         block: Rows as they were read.
+        robot: Robot whose joints are recorded.
 
     Returns:
         The rows with a position, and a remark; the rows as they are if they hold all quantities.
@@ -87,7 +88,7 @@ def _interpolated(
         t: Stamps. Shape (N,) [s].
         values: Values. Shape (N,).
         times: Times at which values are wanted. Shape (M,) [s].
-        is_angle: True if a step of whole turns is none of the motion.
+        is_angle: True for a position of a revolute joint, which may be wrapped.
     """
     stamps, first = np.unique(t, return_index=True)
     if len(stamps) < 2:

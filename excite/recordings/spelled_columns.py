@@ -230,18 +230,29 @@ def _of_number(
 ) -> dict[str, tuple[str, str]]:
     """Return the standard names and units of columns with numbers.
 
-    Numbers start from 0 or 1. A single joint needs none, except for a current `i`, which may be the
-    number of a row.
+    Numbers start from 0 or 1, those of each quantity for themselves. A single joint needs none,
+    except for a current `i`, which may be the number of a row.
     """
     read = _read_numbers(names, joints, effort)
     numbers = sorted({k for prefix, k in read.values() if prefix == "q" and k is not None})
     first = numbers[0] if numbers else 0
     if first not in (0, 1) or (numbers and numbers != list(range(first, first + len(joints)))):
         return {}
+    counted: dict[str, set[int]] = {}
+    for prefix, number in read.values():
+        if number is not None:
+            counted.setdefault(prefix, set()).add(number)
+    from_zero = set(range(len(joints)))
+    firsts = {prefix: 0 if found == from_zero else first for prefix, found in counted.items()}
+    if any(min(found) < firsts[prefix] for prefix, found in counted.items()):
+        return {}  # of more joints than the robot has, or numbered in an unknown way
     return {
-        name: (f"{prefix}.{joints[0 if number is None else number - first]}", _unit(name.strip()))
+        name: (
+            f"{prefix}.{joints[0 if number is None else number - firsts[prefix]]}",
+            _unit(name.strip()),
+        )
         for name, (prefix, number) in read.items()
-        if number is None or 0 <= number - first < len(joints)
+        if number is None or 0 <= number - firsts[prefix] < len(joints)
     }
 
 

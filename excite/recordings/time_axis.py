@@ -48,6 +48,8 @@ rate above 0.6."""
 MAX_STAMP_ERROR = 0.5
 """Standard deviation of stamps about an even grid over its step above which the grid is not that of
 the rows [1]: they are then nearer to other rows."""
+MIN_GRID_ROWS = 20
+"""Shortest run without a gap by which a grid is judged [rows]."""
 GRID_ROUNDING = 1e-6
 """Distance of a row from the grid that counts as rounding, over the time step [1]."""
 
@@ -135,7 +137,8 @@ def find_grid(
         freezes: Increasing times within gaps that are left by dropped rows, not by the stamps.
             Shape (F,) [s]; None: there are none.
         complete: True if no rows are missing but in gaps, as where repeated rows are dropped: times
-            between rows are then uneven by themselves, and their mean is the step.
+            between rows are then uneven by themselves, and their mean is the step, unless the rows
+            lie on an even grid: those between them were lost, and the last one was repeated.
 
     Raises:
         UnusableInput: The median is 0.5 s or longer, which is another unit of time, or shorter than
@@ -166,7 +169,16 @@ def find_grid(
             f"{MAX_FILLED_STEPS} usual ones ({usual:.3g} s); "
             "use the time of measurement, not of arrival"
         )
-    return TimeGrid(float(steps[is_short].mean()) if complete else mean_step(t), float(t[0]))
+    step = mean_step(t)
+    if complete:
+        mean = float(steps[is_short].mean())
+        runs = [run for run in gap_free_slices(t, usual) if run.stop - run.start > MIN_GRID_ROWS]
+
+        def is_even(period: float) -> bool:
+            return all(row_numbers(t[run], period) is not None for run in runs)
+
+        step = step if is_even(step) and not is_even(mean) else mean
+    return TimeGrid(step, float(t[0]))
 
 
 def mean_step(t: FloatArray) -> float:

@@ -339,7 +339,7 @@ def _scale_doubts(
             and not wrong[i]
         ]
         is_less = measured[j] < nominal[carrying].max(initial=0.0)
-        is_shown = slope[carrying].max(initial=0.0) > MAX_EXPECTED_RATIO
+        is_shown = slope[carrying].max(initial=0.0) > NOMINAL_ERROR
         may_be_load = is_last and slope[j] > 1.0 and bool(is_less and is_shown)
         reason = (
             "a load is missing there in the robot description, or its unit is wrong"

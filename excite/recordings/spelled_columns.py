@@ -243,8 +243,8 @@ def _of_number(
         if number is not None:
             counted.setdefault(prefix, set()).add(number)
     from_zero = set(range(len(joints)))
-    firsts = {prefix: 0 if found == from_zero else first for prefix, found in counted.items()}
-    if any(min(found) < firsts[prefix] for prefix, found in counted.items()):
+    firsts = {prefix: 0 if used == from_zero else first for prefix, used in counted.items()}
+    if any(min(used) < firsts[prefix] for prefix, used in counted.items()):
         return {}  # of more joints than the robot has, or numbered in an unknown way
     return {
         name: (

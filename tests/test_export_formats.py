@@ -272,11 +272,13 @@ def test_an_effort_next_to_a_torque_is_chosen_by_columns(two_link, tmp_path, wor
     assert_same_motion(read_with_warnings(path, two_link, columns=chosen)[0])
 
 
-def test_each_quantity_is_numbered_for_itself(two_link, tmp_path):
+@pytest.mark.parametrize(("position", "effort"), [(1, 0), (0, 1)])
+def test_each_quantity_is_numbered_for_itself(two_link, tmp_path, position, effort):
     columns = {"time": COLUMNS["t"]}
     for k in (1, 2):
-        columns |= {f"q_{k}": COLUMNS[f"q.joint_{k}"], f"dq_{k}": COLUMNS[f"dq.joint_{k}"]}
-        columns |= {f"effort_{k - 1}": COLUMNS[f"tau.joint_{k}"]}
+        for quantity in ("q", "dq"):
+            columns[f"{quantity}_{k - 1 + position}"] = COLUMNS[f"{quantity}.joint_{k}"]
+        columns[f"effort_{k - 1 + effort}"] = COLUMNS[f"tau.joint_{k}"]
     path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
     assert_same_motion(read_with_warnings(path, two_link)[0])
 

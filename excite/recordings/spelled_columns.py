@@ -242,8 +242,8 @@ def _of_number(
     for prefix, number in read.values():
         if number is not None:
             counted.setdefault(prefix, set()).add(number)
-    from_zero = set(range(len(joints)))
-    firsts = {prefix: 0 if used == from_zero else first for prefix, used in counted.items()}
+    starts = {frozenset(range(start, start + len(joints))): start for start in (0, 1)}
+    firsts = {prefix: starts.get(frozenset(used), first) for prefix, used in counted.items()}
     if any(min(used) < firsts[prefix] for prefix, used in counted.items()):
         return {}  # of more joints than the robot has, or numbered in an unknown way
     return {

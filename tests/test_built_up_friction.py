@@ -125,7 +125,9 @@ def test_friction_that_builds_up_has_the_direction_of_its_elements():
     bristles = hysteresis.HYSTERESIS.dense_model(motions, 0)
     c = np.zeros(len(bristles.nonnegative))
     c[[2, 4]] = 0.3, 0.1
-    shape = stribeck.STRIBECK.dense_model(motions, 0, hysteresis.build_up(bristles, c, 1.0))
+    shape = stribeck.STRIBECK.dense_model(motions, 0).with_values(
+        **hysteresis.build_up(bristles, c, 1.0)
+    )
     q = motions[0].samples.q[:, 0]
     reaches = hysteresis.reaches(bristles.values)
     elements = [hysteresis.maxwell_slip(q, reaches[i]) for i in (2, 4)]

@@ -266,16 +266,21 @@ def dense_models(
 
     Args:
         build_ups: How dry frictions build up, by joint; these joints have both forms of them.
-        shares: Shares of the presliding elements in an earlier fit, by joint.
+        shares: Shares of the presliding elements in an earlier fit, by joint; they are damped by
+            these, if any is positive.
     """
     near_rest = np.any([(m.moving & ~m.far_from_rest).any(axis=0) for m in motions], axis=0)
-    plain = [
-        effect.dense_model(motions, j, (shares or {}).get(j) if effect is HYSTERESIS else None)
-        for j in range(motions[0].n)
-        for effect in FRICTIONS.values()
-        if near_rest[j] or effect is not HYSTERESIS
-    ]
-    return [*plain, *_built_up_models(motions, build_ups or {})]
+    out = []
+    for j in range(motions[0].n):
+        of_joint = (shares or {}).get(j, {})
+        for effect in FRICTIONS.values():
+            if effect is not HYSTERESIS:
+                out.append(effect.dense_model(motions, j))
+            elif near_rest[j]:
+                model = effect.dense_model(motions, j)
+                damped = hysteresis.built_up_share(of_joint) > 0.0
+                out.append(model.with_values(**of_joint) if damped else model)
+    return [*out, *_built_up_models(motions, build_ups or {})]
 
 
 def _built_up_models(
@@ -283,7 +288,7 @@ def _built_up_models(
 ) -> list[CandidateModel]:
     """Return the frictions that build up, by joint."""
     return [
-        effect.dense_model(motions, j, build_up)
+        effect.dense_model(motions, j).with_values(**build_up)
         for j, build_up in build_ups.items()
         for effect in BUILDING_UP
     ]

@@ -67,18 +67,8 @@ class Effect:
         """Yield all candidate models for a robot with recorded motions: one of every joint."""
         return (CandidateModel(self, j) for j in range(motions[0].n if self.has_candidates else 0))
 
-    def dense_model(
-        self,
-        motions: Sequence[RecordedMotion],
-        joint: int,
-        build_up: Mapping[str, float] | None = None,
-    ) -> CandidateModel:
-        """Return the model of a joint, linear in its coefficients, of a friction of every joint.
-
-        Args:
-            build_up: How dry friction builds up after a reversal, see `hysteresis.build_up`; at
-                once if None.
-        """
+    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+        """Return the model of a joint, linear in its coefficients, of a friction of every joint."""
         raise NotImplementedError
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:

@@ -111,26 +111,19 @@ class _Hysteresis(Effect):
         damped = motion.lowpass((motion.samples.dq[:, j] * (sticks @ damping(values)))[:, None])
         return single_joint_rows(motion, j, np.hstack([columns, damped]))
 
-    def dense_model(
-        self,
-        motions: Sequence[RecordedMotion],
-        joint: int,
-        build_up: Mapping[str, float] | None = None,
-    ) -> CandidateModel:
+    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
         """Return a nonnegative combination of Maxwell-slip elements of a joint.
 
         The columns after them, of either sign, make the two branches of the loop unequal; the last
-        one is the damping of the elements. They are damped by their shares in an earlier fit, as
-        `build_up` returns them, or by equal ones.
+        one is the damping of the elements, by equal shares of each.
         """
         unit = radian(motions, joint)
         last = LAST_REACH * unit
         step = max(float(motion.steps[joint]) for motion in motions)
         first = min(max(FIRST_REACH * unit, step), MAX_FIRST_REACH * last)
-        values = dict(build_up or {"reach": first, "last_reach": last})
+        values = {"reach": first, "last_reach": last}
+        values |= {f"share_{i}": 1.0 / ELEMENTS for i in range(ELEMENTS)}
         travel = max(float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
-        if not built_up_share(values):
-            values |= {f"share_{i}": 1.0 / ELEMENTS for i in range(ELEMENTS)}
         slips = 2.0 * reaches(values) < travel
         prior_shares = tuple(np.where(slips, 1.0, STICKING_SHARE).tolist())
         return CandidateModel(self, joint, values, prior_shares=prior_shares)

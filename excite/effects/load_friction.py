@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,18 +23,13 @@ class _LoadFriction(JointTorque):
     The load itself is of either sign: the efficiency of gears differs by the direction of power.
     """
 
-    def dense_model(
-        self,
-        motions: Sequence[RecordedMotion],
-        joint: int,
-        build_up: Mapping[str, float] | None = None,
-    ) -> CandidateModel:
+    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
         """Return friction that grows with the load and its square."""
         load = np.abs(np.concatenate([motion.transmitted_torque[:, joint] for motion in motions]))
         return CandidateModel(
             self,
             joint,
-            {"dense": 1.0, "scale": max(float(load.max()), 1e-9), **(build_up or {})},
+            {"dense": 1.0, "scale": max(float(load.max()), 1e-9)},
             facts={"mean_load": float(load.mean())},
             prior_std=PRIOR_COEFFICIENT,
             prior_shares=(1.0, 1.0, EFFICIENCY_DIFFERENCE),

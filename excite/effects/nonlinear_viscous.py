@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -30,12 +30,7 @@ class _NonlinearViscous(JointTorque):
         j = model.joint_index
         return single_joint_rows(motion, j, _curves(motion, j, *model.values.items()))
 
-    def dense_model(
-        self,
-        motions: Sequence[RecordedMotion],
-        joint: int,
-        build_up: Mapping[str, float] | None = None,
-    ) -> CandidateModel:
+    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
         """Return a nonnegative combination of concave and convex friction curves."""
         return CandidateModel(self, joint, {"top_speed": max_speed(motions, joint)})
 

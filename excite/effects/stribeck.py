@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,15 +16,9 @@ from .recorded_motion import FittedRobot, RecordedMotion, max_speed
 class _Stribeck(JointTorque):
     """Exponential and Gaussian curves."""
 
-    def dense_model(
-        self,
-        motions: Sequence[RecordedMotion],
-        joint: int,
-        build_up: Mapping[str, float] | None = None,
-    ) -> CandidateModel:
+    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
         """Return a nonnegative combination of exponential and Gaussian Stribeck curves."""
-        values = {"top_speed": max_speed(motions, joint), **(build_up or {})}
-        return CandidateModel(self, joint, values)
+        return CandidateModel(self, joint, {"top_speed": max_speed(motions, joint)})
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the excess at rest, and the speed at which it has fallen to 1/e."""

@@ -324,10 +324,10 @@ def _scale_doubts(
     if not wrong.any():
         return
     measured, nominal = (np.std(x, axis=0) for x in (comparison.measured, comparison.nominal))
+    supports = [set(robot.model.supports[robot.body_of(i)]) for i in range(robot.n)]
     agree = bool(wrong[judged].all() and np.ptp(np.log(size[judged])) < np.log(SLOPE_AGREEMENT))
     for j in np.flatnonzero(wrong).tolist():
         joint = recording.joints[j]
-        supports = [set(robot.model.supports[robot.body_of(i)]) for i in range(robot.n)]
         others = [i for i in range(robot.n) if i != j]
         is_last = not any(robot.body_of(j) in supports[i] for i in others)
         carrying = [

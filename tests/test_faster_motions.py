@@ -47,7 +47,10 @@ def test_friction_does_not_fall_beyond_the_fitted_speeds(curves, viscous):
     for speeds in (np.linspace(top, 6.0 * top, 50), np.linspace(-0.1 * top, top, 50)):
         motion = JointMotion(dq=speeds)
         torque = [
-            np.array(columns(shape.effect, shape.values, motion)[1]).T @ c
+            sum(
+                a * part.smooth
+                for a, part in zip(c, columns(shape.effect, shape.values, motion), strict=True)
+            )
             for shape in (plain, model)
         ]
         if speeds[-1] <= top:

@@ -247,7 +247,7 @@ def test_a_spring_that_ends_within_the_range_of_its_joint_is_no_polynomial_of_th
 
 def test_every_file_states_what_its_simulator_cannot_hold(tmp_path):
     effects = (
-        effect_entry("load_friction", "joint_1", {"dense": 1.0, "scale": 20.0}, 0.1, 0.0, 0.0),
+        effect_entry("load_friction", "joint_1", {"dense": 1.0, "scale": 20.0}, 0.1, 0.0, 0.0, 0.0),
         effect_entry("torque_ripple", "joint_2", {"order": 23.0, "load": 9.0}, 0.3, 0.4, 0.1, 0.1),
     )
     path = write_model(tmp_path, "two_link", effects)

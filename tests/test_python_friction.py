@@ -12,12 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnosis_cases import effect_entry
+from hypothesis import given
+from hypothesis import strategies as st
 from identified_models import model_torque, random_states, read_model, write_model
 from synthetic_recordings import random_fourier
 
 import excite
 from excite._types import FloatArray
 from excite.diagnosis import fitted_effects
+from excite.effects.friction_runtime import Friction
+from excite.effects.load_friction import LOAD_FRICTION
 from excite.identification.identified_model import IdentifiedModel
 from excite.recordings import Recording
 from excite.robot.samples import Samples
@@ -44,10 +48,11 @@ FRICTION_EFFECTS = {
     ),
     "drag": effect_entry("drag", "joint_1", {}, 0.4),
     "load_friction": effect_entry(
-        "load_friction", "joint_1", {"dense": 1.0, "scale": 9.0}, 0.1, 0.05, -0.02
+        "load_friction", "joint_1", {"dense": 1.0, "scale": 9.0}, 0.1, 0.05, 0.0, 0.02
     ),
     "load_friction, built up": effect_entry(
-        "load_friction", "joint_1", {"dense": 1.0, "scale": 9.0} | BUILD_UP, 0.1, 0.05, -0.02
+        *("load_friction", "joint_1", {"dense": 1.0, "scale": 9.0} | BUILD_UP),
+        *(0.1, 0.05, 0.0, 0.02),
     ),
     "position_friction": effect_entry(
         "position_friction",
@@ -281,3 +286,16 @@ def test_the_header_names_each_effect_of_a_dense_robot_that_the_file_does_not_ho
     }
     assert names == {effect["effect"] for effect in (*DENSE, delay)} - held.get(name, set())
     assert all(f"{effect}" in exported.text for effect in names)
+
+
+@given(st.tuples(*[st.floats(0.0, 2.0)] * 4), st.floats(-50.0, 50.0), st.sampled_from([-1.0, 1.0]))
+def test_load_friction_of_allowed_coefficients_never_drives(coefficients, load, speed):
+    assert LOAD_FRICTION.nonnegative == (True,) * len(coefficients)
+    values = {"dense": 1.0, "scale": 9.0}
+    entry = ("load_friction", 0, -1, values, list(coefficients), [])
+    names = ("effect", "joint", "other", "values", "coefficients", "held_by")
+    friction = Friction(
+        {"joints": ["a"], "widths": [1e-3], "terms": [dict(zip(names, entry, strict=True))]}
+    )
+    torque = friction.torque(np.zeros(1), np.array([speed]), np.array([load]))
+    assert torque[0] * speed >= -1e-12

@@ -87,13 +87,22 @@ class Term(NamedTuple):
     held_by: list[str]
 
 
-def columns(
-    effect: str, v: dict[str, float], x: JointMotion, m: Any = np
-) -> tuple[list[Any], list[Any]]:
-    """Return the torque per unit of each coefficient of an effect without memory, in their order.
+class Column(NamedTuple):
+    """Torque per unit of a coefficient, over `unit`: smooth + dry · sign(dq).
 
-    The first list has factors of the sign of the velocity, the second the columns without a sign,
-    both over `unit`. The functions are those of a module m: numpy, or casadi for symbols.
+    Attributes:
+        dry: Factor of the sign of the velocity.
+        smooth: Part without a sign.
+    """
+
+    dry: Any = 0.0
+    smooth: Any = 0.0
+
+
+def columns(effect: str, v: dict[str, float], x: JointMotion, m: Any = np) -> list[Column]:
+    """Return the columns of an effect without memory, in the order of its coefficients.
+
+    The functions are those of a module m: numpy, or casadi for symbols.
     """
     return _COLUMNS[effect](v, x, m)
 
@@ -105,22 +114,26 @@ def unit(v: dict[str, float]) -> float:
 
 def stateless(term: Term, x: JointMotion, m: Any = np) -> tuple[Any, Any]:
     """Return s and d of a term's torque s + d sign(dq), the sign smooth over the width."""
-    dry, smooth = columns(term.effect, term.values, x, m)
-    c = term.coefficients
-    parts = zip(c[len(dry) :], smooth, strict=True), zip(c[: len(dry)], dry, strict=True)
-    smooth_part, dry_part = (sum(a * column for a, column in part) for part in parts)
-    return unit(term.values) * smooth_part, unit(term.values) * dry_part
+    parts = columns(term.effect, term.values, x, m)
+    c, scale = term.coefficients, unit(term.values)
+    smooth = sum(a * part.smooth for a, part in zip(c, parts, strict=True))
+    return scale * smooth, scale * sum(a * part.dry for a, part in zip(c, parts, strict=True))
 
 
-_Columns = tuple[list[Any], list[Any]]
+def _dry(factors: list[Any]) -> list[Column]:
+    return [Column(dry=factor) for factor in factors]
 
 
-def _stribeck(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+def _smooth(parts: list[Any]) -> list[Column]:
+    return [Column(smooth=part) for part in parts]
+
+
+def _stribeck(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
     shares = [m.fabs(x.dq) / (speed * v["top_speed"]) for speed in STRIBECK_SPEEDS]
-    return [m.exp(-share) for share in shares] + [m.exp(-(share**2)) for share in shares], []
+    return _dry([m.exp(-share) for share in shares] + [m.exp(-(share**2)) for share in shares])
 
 
-def _nonlinear_viscous(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+def _nonlinear_viscous(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
     # beyond the speeds of the fit no curve rises by more than the line through its end: concave
     # ones go on as they are, convex ones, which would grow without bound, along that line
     share = x.dq / v["top_speed"]
@@ -132,21 +145,24 @@ def _nonlinear_viscous(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
     convex = [share * inner, share * inner**2]
     # less the line of equal friction at the largest speed, as far as viscous friction makes it up
     line = share - (1.0 - v.get("line_share", 1.0)) * sign * (size - inner)
-    return [], [curve - line for curve in concave] + [curve - share for curve in convex]
+    return _smooth([curve - line for curve in concave] + [curve - share for curve in convex])
 
 
-def _load_friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+def _load_friction(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
+    # what is lost in driving the load and in being driven by it: a common part of both, and more
+    # of one of them
     share = m.fabs(x.load) / v["scale"]
-    return [share, share**2], [x.load / v["scale"]]
+    load = x.load / v["scale"]
+    return [*_dry([share, share**2]), Column(share, load), Column(share, -load)]
 
 
-def _position_friction(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+def _position_friction(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
     positions, waves = np.linspace(v["low"], v["high"], CURVE_POINTS), []
     for order in [(k + 1) * v["order"] for k in range(int(v["waves"]))]:
         # friction that does not vary over the range of the joint is Coulomb friction
         waves.append(m.cos(order * x.q) - float(np.cos(order * positions).mean()))
         waves.append(m.sin(order * x.q) - float(np.sin(order * positions).mean()))
-    return waves, []
+    return _dry(waves)
 
 
 SPRING_FORMS = (
@@ -159,43 +175,43 @@ SPRING_FORMS = (
 """Torque of usual springs and counterbalances over the position, by their number in a model."""
 
 
-def _spring(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+def _spring(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
     # only a line and a sine wave say something beyond the positions of their recordings
     q = m.fmin(m.fmax(x.q, v["low"]), v["high"]) if "low" in v else x.q
     if "waves" in v:
         place = (q - v["low"]) / (v["high"] - v["low"])
-        return [], [m.cos(np.pi * (place * (k + 1))) for k in range(int(v["waves"]))]
+        return _smooth([m.cos(np.pi * (place * (k + 1))) for k in range(int(v["waves"]))])
     if "bend" in v:
         distance = q - v["bend"]
-        return [], [m.fmin(distance, 0.0), m.fmax(distance, 0.0)]
+        return _smooth([m.fmin(distance, 0.0), m.fmax(distance, 0.0)])
     if "order" in v:
         phase = v["order"] * (q - v["about"])
-        return [], [q - v["about"], m.cos(phase) - 1.0, m.sin(phase)]
-    return [], SPRING_FORMS[int(v["form"])](q, m)
+        return _smooth([q - v["about"], m.cos(phase) - 1.0, m.sin(phase)])
+    return _smooth(SPRING_FORMS[int(v["form"])](q, m))
 
 
-def _torque_ripple(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+def _torque_ripple(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
     waves = [m.cos(v["order"] * x.q), m.sin(v["order"] * x.q)]
-    return [], [*waves, *(x.load / v["load"] * wave for wave in waves)]
+    return _smooth([*waves, *(x.load / v["load"] * wave for wave in waves)])
 
 
-def _coupling(v: dict[str, float], x: JointMotion, m: Any) -> _Columns:
+def _coupling(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
     speed = x.dq + v["ratio"] * x.other_dq
     friction = [speed, m.tanh(speed / x.width)]
-    return [], friction if "light" in v else [*friction, v["ratio"] * x.other_ddq]
+    return _smooth(friction if "light" in v else [*friction, v["ratio"] * x.other_ddq])
 
 
 _COLUMNS: dict[str, Any] = {
-    "base": lambda v, x, m: ([1.0], [x.dq]),
-    "base_offset": lambda v, x, m: ([], [1.0]),
-    "asymmetric_viscous": lambda v, x, m: ([], [m.fabs(x.dq)]),
+    "base": lambda v, x, m: [Column(dry=1.0), Column(smooth=x.dq)],
+    "base_offset": lambda v, x, m: _smooth([1.0]),
+    "asymmetric_viscous": lambda v, x, m: _smooth([m.fabs(x.dq)]),
     "stribeck": _stribeck,
     "nonlinear_viscous": _nonlinear_viscous,
-    "drag": lambda v, x, m: ([], [x.dq * m.fabs(x.dq)]),
+    "drag": lambda v, x, m: _smooth([x.dq * m.fabs(x.dq)]),
     "load_friction": _load_friction,
     "position_friction": _position_friction,
-    "friction": lambda v, x, m: ([1.0], [x.dq]),
-    "torque_offset": lambda v, x, m: ([], [1.0]),
+    "friction": lambda v, x, m: [Column(dry=1.0), Column(smooth=x.dq)],
+    "torque_offset": lambda v, x, m: _smooth([1.0]),
     "spring": _spring,
     "torque_ripple": _torque_ripple,
     "coupling": _coupling,

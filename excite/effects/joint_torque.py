@@ -37,9 +37,7 @@ class JointTorque(Effect):
             s.ddq[:, other],
             float(motion.widths[j]),
         )
-        dry, smooth = columns(self.name, model.values, x)
-        if dry:
-            sign = direction(motion, model)
-            dry = [sign * column for column in dry]
-        stated = [np.broadcast_to(column, len(s)) for column in (*dry, *smooth)]
+        parts = columns(self.name, model.values, x)
+        sign = direction(motion, model)
+        stated = [np.broadcast_to(part.smooth + part.dry * sign, len(s)) for part in parts]
         return unit(model.values) * np.array(stated).T

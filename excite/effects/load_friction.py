@@ -18,9 +18,10 @@ PRIOR_COEFFICIENT = 0.2
 
 
 class _LoadFriction(JointTorque):
-    """|τ_L| sgn q̇, its square over the scale, and the load.
+    """|τ_L| sgn q̇, its square over the scale, and what is lost in one direction of power alone.
 
-    The load itself is of either sign: the efficiency of gears differs by the direction of power.
+    The efficiency of gears differs between driving a load and being driven by it, but neither gives
+    torque: |τ_L| sgn q̇ ± τ_L, both ≥ 0, hold no gain of the torque.
     """
 
     def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
@@ -32,11 +33,12 @@ class _LoadFriction(JointTorque):
             {"dense": 1.0, "scale": max(float(load.max()), 1e-9)},
             facts={"mean_load": float(load.mean())},
             prior_std=PRIOR_COEFFICIENT,
-            prior_shares=(1.0, 1.0, EFFICIENCY_DIFFERENCE),
+            prior_shares=(1.0, 1.0, EFFICIENCY_DIFFERENCE, EFFICIENCY_DIFFERENCE),
         )
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
-        return {"mu": float(c[0] + c[1] * model.facts["mean_load"] / model.values["scale"])}
+        square = c[1] * model.facts["mean_load"] / model.values["scale"]
+        return {"mu": float(c[0] + square + c[2] + c[3])}
 
 
 LOAD_FRICTION = _LoadFriction(
@@ -46,7 +48,7 @@ LOAD_FRICTION = _LoadFriction(
     "friction grows with the torque carried",
     "repeat the same trajectory with another load",
     regime="load",
-    nonnegative=(True, True, False),
+    nonnegative=(True,) * 4,
     has_candidates=False,
     form_std={"mu": 0.35},
 )

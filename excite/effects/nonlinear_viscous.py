@@ -20,7 +20,8 @@ LINE_SHARE = "line_share"
 def _curves(motion: RecordedMotion, joint: int, *values: tuple[str, float]) -> FloatArray:
     """Low-passed curves of a joint with the values of a model, shape (N, k)."""
     x = JointMotion(dq=motion.samples.dq[:, joint])
-    return motion.lowpass(np.array(columns("nonlinear_viscous", dict(values), x)[1]).T)
+    parts = columns("nonlinear_viscous", dict(values), x)
+    return motion.lowpass(np.array([part.smooth for part in parts]).T)
 
 
 class _NonlinearViscous(JointTorque):
@@ -37,8 +38,8 @@ class _NonlinearViscous(JointTorque):
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the power whose deviation from a line fits best; friction opposes motion."""
         share = np.linspace(0.02, 1.0, 60)
-        _, curves = columns(self.name, {"top_speed": 1.0}, JointMotion(dq=share))
-        curve = np.column_stack(curves) @ c
+        parts = columns(self.name, {"top_speed": 1.0}, JointMotion(dq=share))
+        curve = np.column_stack([part.smooth for part in parts]) @ c
         exponents = np.concatenate([np.linspace(0.2, 0.9, 29), np.linspace(1.2, 3.5, 47)])
         shapes = share[:, None] ** exponents - share[:, None]
         sizes = np.maximum(shapes.T @ curve / np.sum(shapes**2, axis=0), 0.0)

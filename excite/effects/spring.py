@@ -65,7 +65,8 @@ class _Spring(JointTorque):
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         """Return the steepest slope, with the sign of the whole curve, and half of the range."""
         q = np.linspace(model.facts["low"], model.facts["high"], CURVE_POINTS)
-        torque = np.column_stack(columns(self.name, model.values, JointMotion(q))[1]) @ c
+        parts = columns(self.name, model.values, JointMotion(q))
+        torque = np.column_stack([part.smooth for part in parts]) @ c
         steepest = np.abs(np.gradient(torque, q)).max() * np.sign((q - q.mean()) @ torque)
         return {"stiffness": float(steepest), "amplitude": 0.5 * float(np.ptp(torque))}
 

@@ -24,7 +24,7 @@ class _Stribeck(JointTorque):
         """Return the excess at rest, and the speed at which it has fallen to 1/e."""
         top_speed = model.values["top_speed"]
         speeds = np.geomspace(1e-3, 1.0, 400) * top_speed
-        curves, _ = columns(self.name, model.values, JointMotion(dq=speeds))
+        curves = [part.dry for part in columns(self.name, model.values, JointMotion(dq=speeds))]
         below = np.column_stack(curves) @ c < float(c.sum()) / np.e
         velocity = speeds[int(np.argmax(below))] if below.any() else top_speed
         return {"amplitude": float(c.sum()), "velocity": float(velocity)}

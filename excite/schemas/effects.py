@@ -108,8 +108,8 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     ),
     "drag": (EffectForm(),),
     "load_friction": (
-        EffectForm({"dense": FLAG, "scale": TORQUE}, coefficients=lambda values: 3),
-        EffectForm({"dense": FLAG, "scale": TORQUE, **BUILD_UP}, coefficients=lambda values: 3),
+        EffectForm({"dense": FLAG, "scale": TORQUE}, coefficients=lambda values: 4),
+        EffectForm({"dense": FLAG, "scale": TORQUE, **BUILD_UP}, coefficients=lambda values: 4),
     ),
     "position_friction": (
         EffectForm(

@@ -170,14 +170,15 @@ def _effect_torque(
             moving=no_rows.astype(bool),
             far_from_rest=no_rows.astype(bool),
         )
-        out = torque(of_motion, motion, is_filtered=is_filtered)
-        ratio = 1.0 if is_filtered else FLAT_BANDWIDTH_RATIO
+        out = torque(of_motion, motion, is_filtered=False)
         for part in of_measured_torque:
             produced = motion.motor_torque + out
             change = part.shape.definition.predicted_torque(
                 motion, part.shape, part.coefficients, produced
             )
-            out += band.filter(change, Grid.RECORDED, bandwidth_ratio=ratio)
+            out += band.filter(change, Grid.RECORDED, bandwidth_ratio=FLAT_BANDWIDTH_RATIO)
+        if is_filtered:
+            out = band.filter(out, Grid.RECORDED)
         return out
 
     return effect_torque

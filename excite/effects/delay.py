@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._types import FloatArray
-from ..identification.lowpass import Grid
+from ..identification.lowpass import FLAT_BANDWIDTH_RATIO, Grid
 from ..schemas.effects import is_recording_filter
 from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_rows
 from .recorded_motion import FittedRobot, RecordedMotion, interpolated
@@ -72,7 +72,9 @@ class LowPass:
         def change(frequencies: FloatArray) -> NDArray[np.complex128]:
             return self.response(frequencies) ** (-1 if inverse else 1) - 1.0
 
-        return torque + motion.band.transform(torque).filter(Grid.RECORDED, response=change)
+        return torque + motion.band.transform(torque).filter(
+            Grid.RECORDED, response=change, bandwidth_ratio=FLAT_BANDWIDTH_RATIO
+        )
 
 
 class _Delay(Effect):
@@ -133,7 +135,9 @@ class _Delay(Effect):
         torque = produced[:, joints]
         if "lagging" in model.values:
             low = motion.band.transform(torque)
-            lagging = low.filter(Grid.RECORDED, time_constant=seconds) - low.filter(Grid.RECORDED)
+            lagging = low.filter(Grid.RECORDED, 0, FLAT_BANDWIDTH_RATIO, seconds) - low.filter(
+                Grid.RECORDED, 0, FLAT_BANDWIDTH_RATIO
+            )
             out[:, joints] = lagging
         else:
             out[:, joints] = _delayed(motion, torque, seconds) - torque

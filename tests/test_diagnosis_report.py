@@ -160,7 +160,8 @@ def test_small_contributions_are_summed() -> None:
     worse = dataclasses.replace(half, after=1.1, torque=9.0)
     assert (
         "→" in worse.error
-        and worse.causes == "the saved model predicts this joint worse than the base model"
+        and worse.causes
+        == "the saved model, with Stribeck friction, predicts this joint worse than the base model"
     )
     poor = dataclasses.replace(half, after=0.9)
     assert poor.causes.endswith("; the error is 45 % of the torque")

@@ -249,11 +249,11 @@ def _weaker_waves(diagnosis: Diagnosis, estimate: EffectEstimate) -> list[dict[s
 def _determined(
     parameters: Mapping[str, tuple[float, float]],
 ) -> dict[str, tuple[float, float]]:
-    """Parameters that differ from their neutral value; a coefficient needs its exponent, too."""
+    """Parameters whose interval excludes zero, or their neutral value; none if that is in it."""
     out = {
         key: (value, std)
         for key, (value, std) in parameters.items()
-        if np.isfinite(value) and std < abs(value)
+        if np.isfinite(value) and QUANTILE * std < abs(value)
     }
     for key, neutral in NEUTRAL_VALUES.items():
         if key in parameters and QUANTILE * parameters[key][1] >= abs(parameters[key][0] - neutral):

@@ -36,6 +36,8 @@ BUMPS = 7
 """Bumps over the range of each state of a surface: the square of their number are fitted."""
 FREQUENCIES = np.geomspace(0.4, 15.0, 28)
 """Grid of resonance frequencies [Hz]; between two of them the frequency is optimised."""
+MIN_PERIODS = 3.0
+"""Periods of a resonance in the longest stretch, at least: a slow function shows fewer."""
 DAMPING_RATIOS = (0.02, 0.1)
 """Damping ratios of resonances: of a liquid or a beam, and a wide one."""
 DAMPING_STEP = 1.6
@@ -182,10 +184,12 @@ def _resonances(columns: _Columns, state: str, regime: str) -> Iterator[Candidat
         drives=drives,
         regime=regime,
     )
+    longest = max(float(motion.time[-1] - motion.time[0]) for motion in columns.motions)
+    grid_hertz = FREQUENCIES[FREQUENCIES * longest >= MIN_PERIODS]
     for damping in DAMPING_RATIOS:
         model = CandidateModel(resonance, columns.joint, {"frequency": 0.0, "damping": damping})
         for low, middle, high in zip(
-            FREQUENCIES[:-2], FREQUENCIES[1:-1], FREQUENCIES[2:], strict=True
+            grid_hertz[:-2], grid_hertz[1:-1], grid_hertz[2:], strict=True
         ):
             grid = float(middle), float(low), float(high)
             yield NonlinearParameter(model, "frequency", *grid).current

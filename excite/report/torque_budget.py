@@ -297,7 +297,9 @@ class JointBudget:
     def _removed(self) -> list[str]:
         """Effects that remove the error: 'load friction −30 %, delay −5 %'."""
         if self.is_spoiled:
-            return ["the saved model predicts this joint worse than the base model"]
+            saved = [effect_words(p.effect) for p in self.parts if p.effect != BASE_PARAMETERS]
+            model = f"the saved model, with {listed(saved)}," if saved else "the saved model"
+            return [f"{model} predicts this joint worse than the base model"]
         if not self.is_improved:
             if self.is_explained:
                 hidden = "noise hides what may be missing"

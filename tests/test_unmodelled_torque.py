@@ -6,12 +6,19 @@ from functools import cache
 
 import numpy as np
 import pytest
-from diagnosis_cases import NOISE, added_torque, at_joint, diagnose, findings_of, recordings_of
+from diagnosis_cases import (
+    NOISE,
+    added_torque,
+    at_joint,
+    diagnose,
+    findings_of,
+    recordings_of,
+)
 from scipy import signal
 from slow_tests import slow
 
 from excite.diagnosis.diagnosis import Diagnosis
-from excite.diagnosis.flexible_models import EXPERIMENTS
+from excite.diagnosis.flexible_models import EXPERIMENTS, flexible_models
 from excite.diagnosis.unmodelled import UnmodelledTorque, repeated_share
 from excite.recordings import Recording
 
@@ -96,6 +103,19 @@ def test_a_resonance_is_found_with_its_frequency():
     entry = entry_of("resonance")
     assert entry.regime.startswith("past") and entry.response.relative
     assert entry.frequency == pytest.approx(RESONANCE, rel=0.03)
+
+
+def test_a_resonance_repeats_within_the_longest_stretch():
+    """One period in a stretch is a slow function of the motion, not an oscillation."""
+    short = [r.between(r.t[0], r.t[0] + 5.0) for r in recordings_of(None)]
+    motions = diagnose(short).final.motions
+    longest = max(float(motion.time[-1] - motion.time[0]) for motion in motions)
+    frequencies = [
+        model.values["frequency"]
+        for model in flexible_models(motions, np.ones(2))
+        if "frequency" in model.values
+    ]
+    assert longest < 5.0 and min(frequencies) * longest >= 3.0
 
 
 def test_a_dent_is_found_at_its_place():

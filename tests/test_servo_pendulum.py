@@ -16,6 +16,7 @@ from excite import recordings
 from excite._types import FloatArray
 from excite.diagnosis import diagnosis, diagnosis_file
 from excite.errors import ExciteWarning
+from excite.identification import nominal_comparison
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 
 MASS = 1.0
@@ -118,3 +119,23 @@ def test_load_friction_is_reported_with_static_friction(tmp_path: Path):
     # 0.22 in fast motion, 0.33 in slow motion
     assert 0.15 < finding["parameters"]["mu"]["value"] < 0.6
     assert result.held_out.rmse_after[0] < 0.65 * result.held_out.rmse_before[0]
+
+
+def test_the_sign_of_a_single_joint_may_be_the_zero_of_its_position(tmp_path):
+    """A motor that only carries the pendulum shows no inertia or friction to tell them apart."""
+    (tmp_path / "servo.urdf").write_text(URDF)
+    t = np.arange(0.0, 10.0, 1.0 / RATE)
+    q = np.sin(2.0 * np.pi * 0.3 * t)
+    weight = -MASS * GRAVITY * LENGTH * np.sin(q)
+    noise = 0.02 * np.random.default_rng(3).normal(size=len(t))
+    np.savetxt(
+        tmp_path / "held.csv",
+        np.column_stack([t, q, weight + noise]),
+        delimiter=",",
+        header="t,q.servo,tau.servo",
+        comments="",
+    )
+    pendulum = robot.load(str(tmp_path / "servo.urdf"))
+    recording = recordings.read(tmp_path / "held.csv", pendulum)
+    remark = nominal_comparison.compare_with_nominal(recording, pendulum)[0]
+    assert "half a turn" in remark.text and remark.doubt

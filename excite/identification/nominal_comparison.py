@@ -270,7 +270,8 @@ def _sign_doubts(
 ) -> Iterator[Remark]:
     """Yield a doubt for each joint whose torque has the opposite sign.
 
-    Where its friction takes out power the sign is right, and the nominal model is wrong.
+    Where its friction takes out power the sign is right, and the nominal model is wrong. The
+    gravity of a single joint has the opposite sign half a turn away as well.
     """
     slope, correlation = comparison.slopes()
     opposite = np.flatnonzero(correlation < -MIN_CORRELATION).tolist()
@@ -300,6 +301,8 @@ def _sign_doubts(
             if right
             else "its sign is inverted, as probably that of all joints; turn it"
             if of_all
+            else "its sign is inverted, turn it, or the zero of its position is half a turn off"
+            if robot.n == 1 and robot.entries[j].kind != "prismatic"
             else "its sign is inverted, turn it"
         )
         text = (

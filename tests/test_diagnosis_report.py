@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,9 @@ def diagnosis_of(amplitude: float) -> Diagnosis:
     return diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:])
 
 
-def report_of(amplitude: float, remarks: Sequence[Remark] = (), **changes: Any) -> str:
+def report_of(
+    amplitude: float, remarks: Mapping[str, Sequence[Remark]] | None = None, **changes: Any
+) -> str:
     result = diagnosis_of(amplitude)
     return diagnosis_page(result, {**document(result), **changes}, remarks)
 
@@ -172,7 +174,7 @@ def test_small_contributions_are_summed() -> None:
         "the base model (200 % of the torque) is worse than predicting no torque"
     )
     absent = dataclasses.replace(half, absent=("hysteresis",)).causes
-    assert absent.endswith(f"presliding hysteresis hardly matters here{remains}")
+    assert absent.endswith(f", no change by presliding hysteresis{remains}")
     vain = dataclasses.replace(half, after=0.99, absent=("hysteresis",))
     assert vain.causes.startswith("presliding hysteresis and Stribeck friction do not reduce it")
     nothing = dataclasses.replace(vain, parts=(), absent=())
@@ -411,7 +413,7 @@ def test_remarks_are_listed_and_markup_is_escaped() -> None:
     text = diagnosis_page(
         dataclasses.replace(result, identified=changed),
         document(result),
-        [Remark(RemarkKind.GAP, "a gap of 12 rows", repaired=True)],
+        {"a.csv": [Remark(RemarkKind.GAP, "a gap of 12 rows", repaired=True)]},
     )
     assert "1 remark" in answer(text, "made") and "a gap of 12 rows" in section(text, "made")
     assert "<b>x</b>" not in text and "&lt;b&gt;x" in text

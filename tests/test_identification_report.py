@@ -82,10 +82,16 @@ def identification_of(*, held_out: bool = True, periodic: bool = True) -> Identi
     )
 
 
-REMARKS = (
-    Remark(RemarkKind.GAP, "a gap of <12> rows & more", start=1.0, end=1.12),
-    Remark(RemarkKind.UNIT, "degrees, read as such", joint="joint_2", repaired=True),
-)
+REMARKS = {
+    "monday.csv": (
+        Remark(RemarkKind.GAP, "a gap of <12> rows & more", start=1.0, end=1.12),
+        Remark(RemarkKind.UNIT, "degrees, read as such", joint="joint_1", repaired=True),
+        Remark(RemarkKind.UNIT, "degrees, read as such", joint="joint_2", repaired=True),
+    ),
+    "tuesday.csv": (
+        Remark(RemarkKind.UNIT, "degrees, read as such", joint="joint_2", repaired=True),
+    ),
+}
 
 
 @cache
@@ -184,7 +190,8 @@ def test_joint_predicted_worse_than_by_zero_torque_is_named() -> None:
 def test_remarks_and_facts_are_listed() -> None:
     text = section(page_of(), "made")
     assert "a gap of &lt;12&gt; rows &amp; more" in text and "1 to 1.12" in text
-    assert "the data-quality checks have 2 remarks" in answer(page_of(), "made")
+    assert "the data-quality checks have 4 remarks" in answer(page_of(), "made")
+    assert "monday.csv, tuesday.csv" in text and text.count("degrees, read as such") == 1
 
 
 def test_data_share_of_each_direction() -> None:
@@ -295,7 +302,7 @@ def test_robot_with_one_sliding_joint() -> None:
         [pulses],
         IdentificationOptions(band=25.0),
     )
-    page = identification_page(result, train.remarks)
+    page = identification_page(result, {"train.csv": train.remarks})
     check_page(page)
     assert answer(page, "prediction").startswith(
         "Yes: on validate_pulses.csv the error is 4.6 % of the RMS torque"

@@ -38,7 +38,7 @@ from .identification_result import (
 from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
-from .stated_recordings import with_recording_columns
+from .stated_recordings import remarks_by_recording, with_recording_columns
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
 """Files of a diagnosis."""
@@ -100,9 +100,7 @@ class DiagnosisResult(SavedResult):
         """Return the report as HTML."""
         from .. import report  # slow to import
 
-        remarks = [
-            r for recording in (*self.recordings, *self.validation) for r in recording.remarks
-        ]
+        remarks = remarks_by_recording([*self.recordings, *self.validation])
         return report.diagnosis_page(self.diagnosis, self._document, remarks)
 
     def contents(self) -> dict[str, str]:

@@ -11,6 +11,7 @@ from .. import _json
 from ..recordings import Recording
 from ..recordings.remark import Remark
 from .saved_result import SavedResult
+from .stated_recordings import remarks_by_recording
 
 IDENTIFICATION_FILES = ("model.json", "identified.urdf", "report.html")
 """Files of an identification."""
@@ -39,9 +40,9 @@ class SavedIdentification(SavedResult):
         return dict(zip(result.model.parameters.names, result.psi.tolist(), strict=True))
 
     @property
-    def remarks(self) -> list[Remark]:
-        """Remarks on all recordings."""
-        return [r for recording in (*self.recordings, *self.validation) for r in recording.remarks]
+    def remarks(self) -> dict[str, list[Remark]]:
+        """Remarks of the data-quality checks, by the name of their recording."""
+        return remarks_by_recording([*self.recordings, *self.validation])
 
     @abstractmethod
     def document(self) -> dict[str, Any]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os.path
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..recordings import Recording
 from ..recordings.csv_reader import read_column_names
+from ..recordings.remark import Remark
 
 COLUMNS_KEY = "recording_columns"
 """Key of the columns of recordings that were read with `--columns`."""
@@ -91,3 +92,11 @@ def stated_recording(
             if os.path.isfile(place):  # False for names that no file can have
                 return place, dict((content.get(COLUMNS_KEY) or {}).get(source, {}))
     return None
+
+
+def remarks_by_recording(recordings: Sequence[Recording]) -> dict[str, list[Remark]]:
+    """Return the remarks of the data-quality checks by the name of their recording."""
+    out: dict[str, list[Remark]] = {}
+    for recording in recordings:
+        out.setdefault(Path(recording.source).name, []).extend(recording.remarks)
+    return out

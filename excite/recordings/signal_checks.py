@@ -272,21 +272,25 @@ def check_frozen_position(block: Block, robot: Robot, i: int) -> Remark | None:
     rows = _frozen_rows(block, q)
     if rows is None:
         return None
-    motion = 0.0
+    motions = {}
     if "qref" in block.values:
-        motion = float(np.ptp(block.values["qref"][rows, i]))
+        motions["its command moves"] = float(np.ptp(block.values["qref"][rows, i]))
     if "dq" in block.values:
         duration = float(block.t[rows][-1] - block.t[rows][0])
-        motion = np.fmax(motion, abs(float(np.mean(block.values["dq"][rows, i]))) * duration)
+        speed = abs(float(np.nan_to_num(np.mean(block.values["dq"][rows, i]))))
+        motions["its velocity is not zero"] = speed * duration
+    cause, motion = max(motions.items(), key=lambda item: item[1], default=("", 0.0))
     is_frozen = motion > MIN_MOTION_SHARE * np.ptp(q) and motion > ANGLE_TOLERANCE
-    return _frozen_remark(block, robot.joints[i], "q", rows) if is_frozen else None
+    return _frozen_remark(block, robot.joints[i], "q", rows, cause) if is_frozen else None
 
 
-def _frozen_remark(block: Block, joint: str, name: str, rows: slice) -> Remark:
+def _frozen_remark(
+    block: Block, joint: str, name: str, rows: slice, motion: str = "the joint moves"
+) -> Remark:
     start, end = float(block.t[rows.start]), float(block.t[rows.stop - 1])
     text = (
         f"joint '{joint}': {name} is constant from {shown_time(start)} to {shown_time(end)} s "
-        "while the joint moves"
+        f"while {motion}"
     )
     return Remark(RemarkKind.FROZEN, text, joint, start, end)
 

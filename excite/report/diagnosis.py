@@ -11,7 +11,6 @@ from markupsafe import Markup
 from ..diagnosis.diagnosis import Diagnosis
 from ..diagnosis.estimates import MIN_PROBABILITY
 from ..effects import EFFECTS, EFFECTS_BY_NAME
-from ..recordings import Remark
 from ..robot.parameter_names import listed, plural
 from ..schemas.effects import effect_words
 from ..trajectory.trajectory_file import package_versions
@@ -27,7 +26,7 @@ from .diagnosis_evidence import (
 from .figures import diagnosis as diagnosis_figures
 from .figures.trajectory import torque_units
 from .formatting import capitalized, number, significant
-from .remarks import count_remarks, list_remarks
+from .remarks import RemarksByRecording, count_remarks, list_remarks
 from .render import render
 from .torque_budget import (
     JointBudget,
@@ -57,14 +56,16 @@ _NOISE_FLOORS = {
 }
 
 
-def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[Remark] = ()) -> str:
+def diagnosis_page(
+    diagnosis: Diagnosis, document: Document, remarks: RemarksByRecording | None = None
+) -> str:
     """Render the report of `excite diagnose` as HTML.
 
     Args:
         diagnosis: The result.
         document: The same as in `diagnosis.json`; findings are withheld in it if a recording is in
             doubt.
-        remarks: Remarks of the data-quality checks on all recordings.
+        remarks: Remarks of the data-quality checks, by recording.
     """
     robot = diagnosis.identified.model.robot
     units = dict(zip(robot.joints, torque_units(robot), strict=True))
@@ -85,7 +86,7 @@ def diagnosis_page(diagnosis: Diagnosis, document: Document, remarks: Sequence[R
             *encoders_section(diagnosis, document),
             _next_section(diagnosis, document, budgets),
             _considered_section(diagnosis, document),
-            _provenance_section(diagnosis, remarks),
+            _provenance_section(diagnosis, remarks or {}),
         ],
         footer=f"excite {package_versions()['excite']}",
     )
@@ -201,6 +202,7 @@ def _findings_section(
         "has_alternatives": any(finding["equivalents"] for finding in findings),
         "effects": Table(("effect", "how it shows", "equation"), signatures),
         "curves": Markup(diagnosis_figures.draw_effect_curves(curves, units)) if curves else "",
+        "points": CURVE_POINTS,
     }
     answer, tone = _findings_answer(document, budgets)
     return Section("what", "Which effects are there, and how sure is that?", answer, data, tone)
@@ -250,39 +252,44 @@ def _next_section(
 ) -> Section:
     """Experiments that separate or confirm effects."""
     groups, count = verdict.open_effects(document), len(document["joints"])
+    changed = [b.joint for b in budgets if b.is_changed]
     fast = [b.joint for b in budgets if b.is_extrapolated]
-    changed = [
+    partly_changed = [
         joint
         for joint in dict.fromkeys(c["joint"] for c in document["between_recordings"])
-        if joint not in fast
+        if joint not in (*changed, *fast)
     ]
-    causes = {
-        f"{verdict.ONE_SESSION}: friction or offset changed": changed,
-        f"{verdict.AS_FAST}: the model is extrapolated": fast,
-        f"{verdict.alone_words(count)}: the cause of what remains is not known": (
-            verdict.unforeseen(budgets)
-        ),
-    }
+
+    def at(action: str, cause: str, joints: Sequence[str]) -> list[str]:
+        """An action and its cause, where there is one."""
+        if not joints:
+            return []
+        return [f"{capitalized(action)}: {cause} at {joint_words(joints, count)}."]
+
+    # in the order of `verdict.next_words`, whose actions are the first ones
     lines = [
-        f"{capitalized(cause)} at {joint_words(joints, count)}."
-        for cause, joints in causes.items()
-        if joints
+        *at(verdict.ONE_SESSION, "friction or offset changed", changed),
+        *at(verdict.AS_FAST, "the model is extrapolated", fast),
     ]
-    for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
-        purpose = "To tell apart" if names[1:] else "To be surer of"
-        effects = listed([effect_words(name) for name in names])
-        experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
-        place = joint_words(list(dict.fromkeys(joints)), count)
-        lines.append(f"{purpose} {effects} ({place}): {experiments}.")
     lines += [
         f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
         for entry in document["unknown"]
     ]
     if any(key[1:] for key in groups):
         lines.append(
-            "One motion for all these questions: excite design ROBOT --discriminate diagnosis.json "
-            "-o DIR. What its recording decides: excite diagnose … --discriminating RECORDING."
+            "One motion for all effects that resemble each other: excite design ROBOT "
+            "--discriminate diagnosis.json -o DIR. What its recording decides: excite diagnose … "
+            "--discriminating RECORDING."
         )
+    for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
+        purpose = "To tell apart" if names[1:] else "To be surer of"
+        effects = listed([effect_words(name) for name in names])
+        experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
+        place = joint_words(list(dict.fromkeys(joints)), count)
+        lines.append(f"{purpose} {effects} ({place}): {experiments}.")
+    unforeseen = verdict.unforeseen(budgets)
+    lines += at(verdict.alone_words(count), "what remains has no known cause", unforeseen)
+    lines += at(verdict.ONE_SESSION, "friction or offset changed as well", partly_changed)
     answer = "Nothing; other speeds, loads or temperatures may show more."
     if "doubts" in document:
         answer = "Resolve the doubts about the recordings named at the top of this page."
@@ -308,7 +315,6 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
             effect_words(entry["effect"]),
             entry["joint"] or "whole robot",
             probability_words(entry["probability"]),
-            number(entry["evidence"]["log_bayes_factor"], 3),
             f"{entry['reason']}{', yet in the saved model' if entry['modelled'] else ''}",
         )
         for entry in document["considered"]
@@ -317,9 +323,9 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
     absorbed = [effect_words(effect.name) for effect in wanted if effect.prior_only]
     data = {
         "table": Table(
-            ("effect", "joint", "probability", "log Bayes factor", "why it is no finding"),
+            ("effect", "joint", "probability", "why it is no finding"),
             rows,
-            (2, 3),
+            (2,),
         ),
         "absorbed": listed(absorbed) if absorbed else "",
     }
@@ -333,7 +339,7 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
     return Section("considered", "What else was considered?", answer, data)
 
 
-def _provenance_section(diagnosis: Diagnosis, remarks: Sequence[Remark]) -> Section:
+def _provenance_section(diagnosis: Diagnosis, remarks: RemarksByRecording) -> Section:
     """Data, method and versions."""
     robot, trusted = diagnosis.identified.model.robot, diagnosis.identified.options.trusted
     fitted, held_out = (

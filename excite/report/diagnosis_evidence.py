@@ -68,7 +68,7 @@ def _prediction_answer(budgets: Sequence[JointBudget]) -> tuple[str, str]:
     furthest = max(budgets, key=lambda b: b.noise_ratio)
     answer, tone = "Yes, down to the noise" + (" at every joint" if budgets[1:] else ""), "good"
     if above:
-        answer, tone = f"Not down to the noise at {joint_words(above, len(budgets))}", "warn"
+        answer, tone = f"Its error is above the noise at {joint_words(above, len(budgets))}", "warn"
         ratio = f"{significant(furthest.noise_ratio)} × noise"
         answer += (
             f"; furthest from it is {furthest.joint}: {ratio}" if budgets[1:] else f": {ratio}"

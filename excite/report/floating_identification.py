@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from markupsafe import Markup
@@ -12,7 +11,6 @@ from ..identification import consistency
 from ..identification.floating_identification import FloatingIdentification
 from ..identification.identification import Prediction
 from ..identification.link_estimates import DECIDED_SHARE
-from ..recordings import Remark
 from ..robot.floating_base import WRENCH
 from ..robot.parameter_names import percent, plural
 from ..trajectory.trajectory_file import package_versions
@@ -20,7 +18,7 @@ from .content import Banner, ReportContent, Section, Table, TableCell
 from .figures.torque_fit import draw_fit, points_per_curve
 from .formatting import number
 from .identifiability import without_verdict
-from .remarks import count_remarks, list_remarks
+from .remarks import RemarksByRecording, count_remarks, list_remarks
 from .render import render
 
 LISTED_DIRECTIONS = 12
@@ -28,14 +26,15 @@ LISTED_DIRECTIONS = 12
 
 
 def floating_identification_page(
-    identification: FloatingIdentification, remarks: Sequence[Remark] = ()
+    identification: FloatingIdentification, remarks: RemarksByRecording | None = None
 ) -> str:
     """Render the report of `excite identify --floating` as HTML.
 
     Args:
         identification: The result.
-        remarks: Remarks of the data-quality checks on the recordings.
+        remarks: Remarks of the data-quality checks, by recording.
     """
+    remarks = remarks or {}
     model = identification.model
     content = ReportContent(
         title=f"Identification of {model.robot.name} with a floating base",
@@ -253,7 +252,7 @@ def _rows_section(identification: FloatingIdentification) -> Section:
 
 
 def _provenance_section(
-    identification: FloatingIdentification, remarks: Sequence[Remark]
+    identification: FloatingIdentification, remarks: RemarksByRecording
 ) -> Section:
     """Options, data and versions."""
     model, options = identification.model, identification.options
@@ -281,5 +280,6 @@ def _provenance_section(
         f"From {plural(len(identification.fits), 'recording')}, by weighted least squares and the "
         f"physically consistent robot nearest to data and prior together; {count_remarks(remarks)}."
     )
-    notes = [str(remark) for remark in list_remarks(remarks)]
-    return Section("made", "How was it made?", answer, {"tables": tables, "notes": notes})
+    if remarked := list_remarks(remarks):
+        tables.append(remarked["table"])
+    return Section("made", "How was it made?", answer, {"tables": tables})

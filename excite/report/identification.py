@@ -11,7 +11,6 @@ from ..designer.identifiability import Direction
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..identification.link_estimates import link_estimates
-from ..recordings import Remark
 from ..robot.inertial_parameters import DRIVE
 from ..robot.parameter_names import percent, plural
 from ..trajectory.trajectory_file import package_versions
@@ -21,7 +20,7 @@ from .formatting import number, uncapitalized
 from .identifiability import without_verdict
 from .noise import noise_section
 from .prediction import prediction_section, prediction_verdict
-from .remarks import count_remarks, list_remarks
+from .remarks import RemarksByRecording, count_remarks, list_remarks
 from .render import render
 
 _METHODS = {
@@ -41,14 +40,15 @@ _DISTANCES = {
 
 def identification_page(
     identification: Identification,
-    remarks: Sequence[Remark] = (),
+    remarks: RemarksByRecording | None = None,
 ) -> str:
     """Render the report of `excite identify` as HTML.
 
     Args:
         identification: The result.
-        remarks: Remarks of the data-quality checks on the recordings.
+        remarks: Remarks of the data-quality checks, by recording.
     """
+    remarks = remarks or {}
     content = ReportContent(
         title=f"Identification of {identification.model.robot.name}",
         subtitle="Physically consistent parameters from recordings: how well they predict, how "
@@ -72,9 +72,9 @@ def identification_page(
 # -- first screen ----------------------------------------------------------------------------------
 
 
-def _doubt_banners(remarks: Sequence[Remark]) -> list[Banner]:
+def _doubt_banners(remarks: RemarksByRecording) -> list[Banner]:
     """Unrepaired doubts about the recordings: with them the figures below say little."""
-    doubts = [remark.text for remark in remarks if remark.doubt]
+    doubts = [remark.text for group in remarks.values() for remark in group if remark.doubt]
     if not doubts:
         return []
     more = f" ({len(doubts) - 1} more below, in the remarks)" if len(doubts) > 1 else ""
@@ -220,7 +220,7 @@ def _weak_parts(identification: Identification, weak: Sequence[Direction]) -> li
 # -- provenance ------------------------------------------------------------------------------------
 
 
-def _provenance_section(identification: Identification, remarks: Sequence[Remark]) -> Section:
+def _provenance_section(identification: Identification, remarks: RemarksByRecording) -> Section:
     """Method, options, data and versions."""
     robot, options = identification.model.robot, identification.options
     method = _METHODS[options.method.value]

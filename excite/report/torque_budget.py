@@ -50,7 +50,7 @@ def base_words(diagnosis: Diagnosis) -> str:
         diagnosis: The result.
     """
     has_prior = bool(diagnosis.identified.options.trusted)
-    return "the model of the prior" if has_prior else "the base model identified alone"
+    return "the model of the prior" if has_prior else "the base model fitted without effects"
 
 
 def known_words(document: Mapping[str, Any]) -> str:
@@ -320,7 +320,7 @@ class JointBudget:
             texts.append(f"others {self.change_words(self.others)}")
         if self.absent:
             names = listed([effect_words(name) for name in self.absent])
-            texts.append(f"{names} hardly matter{'' if self.absent[1:] else 's'} here")
+            texts.append(f"no change by {names}")
         return [", ".join(texts)]
 
     def _remaining(self) -> list[str]:

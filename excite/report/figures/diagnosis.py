@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...diagnosis.budget import BASE_PARAMETERS
 from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.estimates import QUANTILE
 from ...effects.recorded_motion import split_by_motion
@@ -19,8 +20,17 @@ from . import drawing
 from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED
 from .trajectory import short_names
 
-_EFFECT_COLORS = (BLUE, ORANGE, GREEN, "#8e5ea2", "#c9a227", "#4aa8a4", "#b5651d", "#d16ba5")
-"""Colours of the effects in the torque budget, the largest effect of the robot first."""
+_USUAL_COLORS = {
+    "nonlinear_viscous": BLUE,
+    "stribeck": "#5f9bd1",
+    "hysteresis": "#8e5ea2",
+    "load_friction": GREEN,
+    "torque_ripple": "#4aa8a4",
+    BASE_PARAMETERS: "#7a8f2a",
+}
+"""Colours of what nearly every robot has in the torque budget, the same in all reports."""
+_RARE_COLORS = (ORANGE, "#c9a227", "#d16ba5", "#8c564b")
+"""Colours of other effects, the largest one of the robot first."""
 _OTHERS_COLOR = "#cfd6dd"
 _REMAINING_COLOR = "#5b6775"
 _CHANGED_COLOR = "#a9b4c0"
@@ -59,7 +69,9 @@ def draw_budget(budgets: Sequence[JointBudget]) -> str:
     for part in (part for budget in budgets for part in _removing_parts(budget)):
         totals[part.effect] = totals.get(part.effect, 0.0) + part.share
     ranked = sorted(totals, key=lambda effect: -totals[effect])
-    colors = dict(zip(ranked, _EFFECT_COLORS, strict=False))
+    rare = [effect for effect in ranked if effect not in _USUAL_COLORS]
+    palette = _USUAL_COLORS | dict(zip(rare, _RARE_COLORS, strict=False))
+    colors = {effect: palette[effect] for effect in ranked if effect in palette}
     names = short_names([budget.joint for budget in budgets], 24)
 
     def draw(figure: Any) -> None:
@@ -108,10 +120,11 @@ def _draw_bar(axes: Any, y: int, budget: JointBudget, colors: Mapping[str, str])
         if size >= _LABELLED_WIDTH:
             text = budget.change_words(part.share)
             axes.text(at + 0.5 * size, y, text, ha="center", va="center", color="white", fontsize=8)
-        at += size
+        # the right end is where the error comes from, the left one what the effect reduces it to
         reach, place = QUANTILE * part.std * removed, y + _WHISKER_PLACES[k % 3]
-        ends = max(at - reach, remaining), min(at + reach, 1.0)
+        ends = max(at - reach, 0.0), min(at + reach, 1.0)
         axes.plot(ends, (place, place), color=INK, linewidth=0.8, marker="|", markersize=3.0)
+        at += size
     if budget.is_improved:
         bar(max(1.0 - at, 0.0), left=at, color=_OTHERS_COLOR)
     drawn = [remaining, 1.0]

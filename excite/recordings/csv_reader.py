@@ -33,6 +33,7 @@ from .block import Block
 from .column_names import ColumnLayout, find_columns
 from .export_formats import Header, recognise
 from .remark import Remark, RemarkKind
+from .time_cells import DATE, DateColumn, epoch_unit
 
 CHUNK_SIZE = 1 << 23
 """Part of a file that is parsed at once [bytes]."""
@@ -82,7 +83,9 @@ MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \
 """Cell that says that nothing was measured."""
 WHOLE_CELL = re.compile(r"\s*[+-]?\d+\s*")
 """Cell that holds a whole number, as either part of a number with a decimal comma."""
-DATE = re.compile(r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}:\d{2}:)")
+DATE_CELL = re.compile(
+    r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}[./]\d{1,2}[./]\d{4}|\d{1,2}:\d{2}:)"
+)
 """Date or time of day in the message of a parser."""
 
 
@@ -149,6 +152,7 @@ def read_blocks(
         )
         table = _Table(path, separator, header, layout, unnamed)
         table.header_line = line.rstrip(b"\r\n") if header.has_line else None
+        table.find_dates(first_row)
         table.remarks += (*_planned(cells, robot), *_numbered(header.numbered, robot))
         table.row = row + 1 if header.has_line else 1
         remainder = b""
@@ -183,6 +187,8 @@ class _Table:
         self.places = [header.names.index(name) for name in layout.names]
         self.header_line: bytes | None = None
         self.origin: FloatArray | None = None
+        self.dates: DateColumn | None = None
+        self.has_times = False
         self.row = 1
         self.remarks: tuple[Remark, ...] = ()
         self.remarked: set[str] = set()
@@ -191,6 +197,8 @@ class _Table:
         """Parse complete lines."""
         count, first = text.count(b"\n"), self.row
         text = self._without_comments(self._without_repeated_headers(text))
+        if self.dates is not None:
+            text = self._without_dates(text, self.dates)
         if self.header.rewrite is not None:
             text, left_out = self.header.rewrite(text)
             if left_out:
@@ -207,8 +215,11 @@ class _Table:
         self.row += count
         table = self._without_empty_rows(table)
         times = len(self.layout.time_factors)
-        if self.layout.from_first and self.origin is None and len(table):
-            self.origin = table[0, :times].copy()
+        clock = table[np.isfinite(table[:, :times]).all(axis=1), :times]
+        if len(clock) and not self.has_times:
+            self.has_times = True
+            self._find_epoch(clock)
+            self.origin = clock[0].copy() if self.layout.from_first else None
         block = self.layout.block(table, self.origin)
         out = dataclasses.replace(block, remarks=self.remarks, row=first)
         self.remarks = ()
@@ -233,6 +244,33 @@ class _Table:
         if len(kept) < len(lines):
             self._remark(f"{len(lines) - len(kept)} rows that repeat the header are left out")
         return b"\n".join(kept)
+
+    def find_dates(self, first_row: Sequence[str]) -> None:
+        """Find out from the cells of the first row whether the times are dates."""
+        place = self.places[0]
+        if len(self.layout.time_factors) > 1 or self.header.rewrite is not None:
+            return
+        if place < len(first_row) and DATE.fullmatch(first_row[place].strip()):
+            self.dates = DateColumn(self.path, self.separator, place)
+
+    def _without_dates(self, text: bytes, dates: DateColumn) -> bytes:
+        """Text with seconds in place of dates."""
+        is_first = dates.first is None
+        text = dates.rewrite(text, self.row)
+        if is_first and dates.first is not None:
+            self.remarks += (Remark(RemarkKind.CLOCK, dates.remark(), repaired=True),)
+        return text
+
+    def _find_epoch(self, clock: FloatArray) -> None:
+        """Find out from the first times whether they count another unit than seconds since 1970."""
+        epoch = epoch_unit(float(np.median(clock[:, 0])))
+        if epoch is None or self.layout.time_factors != (1.0,):
+            return
+        unit, length = epoch
+        self.layout = dataclasses.replace(self.layout, time_factors=(length,), from_first=True)
+        text = f"its times count {unit} since 1970, by their size; they are converted to s from "
+        text += "the first row"
+        self.remarks += (Remark(RemarkKind.CLOCK, text, repaired=True),)
 
     def _without_comments(self, text: bytes) -> bytes:
         """Text in which lines of comments are empty, so that rows keep their numbers."""
@@ -395,8 +433,8 @@ def _require_names(
     example = separator.join(["t", f"q.{joint}", "…", f"tau.{joint}", "…"])
     raise UnusableInput(
         f"{path}: its first row holds numbers, no names; put the names of its "
-        f"{len(names) + unnamed} columns above it, or in its place if it numbers the columns: {example} (separated by "
-        f"{SEPARATORS[separator]})"
+        f"{len(names) + unnamed} columns above it, or in its place if it numbers the columns: "
+        f"{example} (separated by {SEPARATORS[separator]})"
     )
 
 
@@ -452,10 +490,10 @@ def _parse_rows(
         match = re.search(r"^(.*?)[ ;]*at row (\d+), column (\d+)", str(error))
         place = f"row {first_row + int(match[2])}" if match else f"after row {first_row - 1}"
         reason = match[1] if match else str(error)
-        if DATE.search(reason):
+        if DATE_CELL.search(reason):
             raise UnusableInput(
                 f"{path}: {place}: {reason.split(' to float')[0]}, a date or a time of day; write "
-                f"it in seconds, each row should hold {width} numbers"
+                f"it in seconds or as 2025-03-30T01:59:55.008, each row should hold {width} numbers"
             ) from error
         raise UnusableInput(
             f"{path}: {place}: {reason}; each row should hold {width} numbers, empty where "

@@ -14,8 +14,9 @@ They are renamed only if all positions and the time are found so. A unit may fol
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from ..errors import UnusableInput
 from ..robot.parameter_names import plural
@@ -78,6 +79,9 @@ _NUMBERED = re.compile(
     re.I,
 )
 
+Numbers: TypeAlias = Mapping[str, Mapping[int, str]]
+"""Names of columns by the prefix of their quantity and their number."""
+
 
 @dataclass(frozen=True)
 class SpelledColumns:
@@ -122,6 +126,9 @@ def find_spelled_columns(
         if set(positions) & columns:
             return None  # the name of another joint is misspelled
         places = _of_number(names, robot.joints, effort)
+        fault = surplus_fault(_numbers(names, robot.joints, effort), robot.n) if places else ""
+        if fault:
+            raise UnusableInput(f"{source}: {fault}; {surplus_remedy(robot)}")
         names_of = {column: name for name, (column, _) in places.items()}
         if not set(positions) <= set(names_of):
             return None
@@ -238,14 +245,7 @@ def _of_number(
     first = numbers[0] if numbers else 0
     if first not in (0, 1) or (numbers and numbers != list(range(first, first + len(joints)))):
         return {}
-    counted: dict[str, set[int]] = {}
-    for prefix, number in read.values():
-        if number is not None:
-            counted.setdefault(prefix, set()).add(number)
-    starts = {frozenset(range(start, start + len(joints))): start for start in (0, 1)}
-    firsts = {prefix: starts.get(frozenset(used), first) for prefix, used in counted.items()}
-    if any(min(used) < firsts[prefix] for prefix, used in counted.items()):
-        return {}  # of more joints than the robot has, or numbered in an unknown way
+    firsts = first_numbers(_numbers(names, joints, effort), len(joints))
     return {
         name: (
             f"{prefix}.{joints[0 if number is None else number - firsts[prefix]]}",
@@ -254,6 +254,68 @@ def _of_number(
         for name, (prefix, number) in read.items()
         if number is None or 0 <= number - firsts[prefix] < len(joints)
     }
+
+
+def first_numbers(columns: Numbers, n: int) -> dict[str, int]:
+    """Return the number of the first joint in the columns of each quantity.
+
+    Numbers start from 0 or 1, those of each quantity for itself; those of fewer columns than there
+    are joints start like those of the positions.
+
+    Args:
+        columns: Columns by quantity and number, those of positions complete.
+        n: Number of joints.
+    """
+    first = min(columns.get("q", {0: ""}))
+    starts = {frozenset(range(start, start + n)): start for start in (0, 1)}
+    return {prefix: starts.get(frozenset(used), first) for prefix, used in columns.items()}
+
+
+def surplus_fault(columns: Numbers, n: int) -> str:
+    """State which columns have numbers that are those of no joint; empty if there are none.
+
+    Columns of temperatures are no fault: more than those of the joints may be recorded.
+
+    Args:
+        columns: Columns by quantity and number, those of positions complete.
+        n: Number of joints.
+    """
+    positions = columns.get("q", {})
+    for prefix, first in first_numbers(columns, n).items():
+        used = columns[prefix]
+        surplus = [used[k] for k in sorted(used) if not first <= k < first + n]
+        if not surplus or not positions or prefix == "temp":
+            continue
+        return (
+            f"has {_span(used)} but {_span(positions)}; no position has the number of "
+            f"{', '.join(map(repr, surplus))}"
+        )
+    return ""
+
+
+def surplus_remedy(robot: Robot) -> str:
+    """Return the remedy of `surplus_fault`."""
+    joint = robot.joints[0]
+    return (
+        "remove columns that are of no joint of the robot, or name all with --columns "
+        f"t=COLUMN,q.{joint}=COLUMN,…,tau.{joint}=COLUMN,…"
+    )
+
+
+def _span(columns: Mapping[int, str]) -> str:
+    """Return the number of columns with their first and last name."""
+    if len(columns) == 1:
+        return f"the column '{columns[min(columns)]}'"
+    return f"{len(columns)} columns '{columns[min(columns)]}' to '{columns[max(columns)]}'"
+
+
+def _numbers(names: Sequence[str], joints: Sequence[str], effort: str) -> Numbers:
+    """Return the columns with numbers by quantity and number."""
+    columns: dict[str, dict[int, str]] = {}
+    for name, (prefix, number) in _read_numbers(names, joints, effort).items():
+        if number is not None:
+            columns.setdefault(prefix, {})[number] = name
+    return columns
 
 
 def _read_numbers(

@@ -83,6 +83,14 @@ MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \
 """Cell that says that nothing was measured."""
 WHOLE_CELL = re.compile(r"\s*[+-]?\d+\s*")
 """Cell that holds a whole number, as either part of a number with a decimal comma."""
+GROUPED = re.compile(r"(['\"])[+-]?\d{1,3}(?:[.,' ]\d{3})+(?:[.,]\d*)?\1")
+"""Number in the message of a parser that may have separators of thousands."""
+THOUSANDS = re.compile(
+    rb"(?m)(?:^|[;\t])[ \"]*[+-]?[1-9]\d{0,2}((?:,\d{3})+)(?:\.\d*)?[ \"]*(?=$|[;\t\r])"
+)
+"""Cell with commas between thousands."""
+POINT_CELL = re.compile(rb"(?m)(?:^|[;\t])[ \"]*[+-]?\d+\.\d+(?:[eE][+-]?\d+)?[ \"]*(?=$|[;\t\r])")
+"""Cell that is a number with a decimal point."""
 DATE_CELL = re.compile(
     r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}[./]\d{1,2}[./]\d{4}|\d{1,2}:\d{2}:)"
 )
@@ -152,7 +160,6 @@ def read_blocks(
         )
         table = _Table(path, separator, header, layout, unnamed)
         table.header_line = line.rstrip(b"\r\n") if header.has_line else None
-        table.find_dates(first_row)
         table.remarks += (*_planned(cells, robot), *_numbered(header.numbered, robot))
         table.row = row + 1 if header.has_line else 1
         remainder = b""
@@ -197,12 +204,11 @@ class _Table:
         """Parse complete lines."""
         count, first = text.count(b"\n"), self.row
         text = self._without_comments(self._without_repeated_headers(text))
-        if self.dates is not None:
-            text = self._without_dates(text, self.dates)
         if self.header.rewrite is not None:
             text, left_out = self.header.rewrite(text)
             if left_out:
                 self._remark(f"{left_out} rows that lack some of the robot's joints are left out")
+        text = self._without_dates(text)
         table = _parse_rows(
             self.path,
             text,
@@ -245,16 +251,16 @@ class _Table:
             self._remark(f"{len(lines) - len(kept)} rows that repeat the header are left out")
         return b"\n".join(kept)
 
-    def find_dates(self, first_row: Sequence[str]) -> None:
-        """Find out from the cells of the first row whether the times are dates."""
-        place = self.places[0]
-        if len(self.layout.time_factors) > 1 or self.header.rewrite is not None:
-            return
-        if place < len(first_row) and DATE.fullmatch(first_row[place].strip()):
-            self.dates = DateColumn(self.path, self.separator, place)
-
-    def _without_dates(self, text: bytes, dates: DateColumn) -> bytes:
-        """Text with seconds in place of dates."""
+    def _without_dates(self, text: bytes) -> bytes:
+        """Text with seconds in place of dates, if the time in the first row is one."""
+        dates, place = self.dates, self.places[0]
+        if dates is None and not self.has_times and len(self.layout.time_factors) == 1:
+            first = next((line for line in text.split(b"\n") if line.strip()), b"")
+            cells = _cells(self.separator, first)
+            if place < len(cells) and DATE.fullmatch(cells[place].strip()):
+                self.dates = dates = DateColumn(self.path, self.separator, place)
+        if dates is None:
+            return text
         is_first = dates.first is None
         text = dates.rewrite(text, self.row)
         if is_first and dates.first is not None:
@@ -490,6 +496,8 @@ def _parse_rows(
         match = re.search(r"^(.*?)[ ;]*at row (\d+), column (\d+)", str(error))
         place = f"row {first_row + int(match[2])}" if match else f"after row {first_row - 1}"
         reason = match[1] if match else str(error)
+        if GROUPED.search(reason):
+            reason += " (if it has separators of thousands, remove them)"
         if DATE_CELL.search(reason):
             raise UnusableInput(
                 f"{path}: {place}: {reason.split(' to float')[0]}, a date or a time of day; write "
@@ -521,6 +529,7 @@ def parse_numbers(
             "at row R, column C", counted from 0.
     """
     if separator in (";", "\t"):
+        _require_no_thousands(text)
         text = text.replace(b",", b".").replace(separator.encode(), b",")
     elif separator == " ":
         text = re.sub(rb"[ \t]+", b",", re.sub(rb"(?m)^[ \t]+|[ \t]+\r?$", b"", text))
@@ -534,6 +543,25 @@ def parse_numbers(
             with contextlib.suppress(ValueError):
                 return _parse_plain(text, cells)[:, list(columns)]
     return _parse_tolerant(text, width, columns, unnamed)
+
+
+def _require_no_thousands(text: bytes) -> None:
+    """Raise ValueError for commas that separate thousands, next to decimal points.
+
+    They are taken for that where each stands in front of three digits and behind one to three that
+    do not begin with 0.
+    """
+    if b"," not in text or b"." not in text or not POINT_CELL.search(text):
+        return
+    grouped = 0
+    for match in THOUSANDS.finditer(text):
+        grouped += match[1].count(b",")
+    if grouped == text.count(b","):
+        line = text[: text.index(b",")].count(b"\n")
+        raise ValueError(
+            "commas stand between thousands, next to decimal points; remove them at row "
+            f"{line}, column 0"
+        )
 
 
 def _without_empty_cells_behind(text: bytes, width: int) -> bytes:

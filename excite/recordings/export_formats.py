@@ -127,7 +127,7 @@ def recognise(
         )
         if time_columns is not None:
             return _indexed(source, names, first_row, robot, separator, time_columns, prefixes)
-    spelled = find_spelled_columns(source, names, robot, effort)
+    spelled = find_spelled_columns(source, names, robot, effort, topic)
     if spelled is not None:
         return Header(spelled.names, (spelled.time,), numbered=spelled.numbered)
     return Header(tuple(names))

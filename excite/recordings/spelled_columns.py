@@ -6,16 +6,19 @@
 | quantity and joint | `q_elbow`, `elbow_pos`, `elbow/velocity`, `tau[elbow]`, `eff_elbow` |
 | quantity and number, by the order of the robot | `q1`, `dq_1`, `tau[0]`, `joint1_torque` |
 | quantity alone, of a robot with a single joint | `position`, `torque` |
+| the same behind a topic | `/joint_states/elbow/position`, `joint_states.effort.elbow` |
 
-They are renamed only if all positions and the time are found so. A unit may follow (`q1 [rad]`,
-`torque_Nm`); any but SI units is refused, as the names of columns convert no values.
+They are renamed only if all positions and the time are found so, all behind the same topic. A unit
+may follow (`q1 [rad]`, `torque_Nm`) or stand behind the quantity (`current_A_elbow`); any but SI
+units is refused, as the names of columns convert no values.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from ..errors import UnusableInput
@@ -44,7 +47,10 @@ WORDS = {
 _TIME_UNIT = r"(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?"
 TIMES = tuple(
     re.compile(names + _TIME_UNIT, re.I)
-    for names in ("(?:t|time|timestamp|seconds)", "(?:stamp|time[ _]stamp|elapsed(?:[ _]?time)?)")
+    for names in (
+        "(?:t|time|timestamp|seconds)",
+        "(?:(?:header[./])?stamp|time[ _]stamp|elapsed(?:[ _]?time)?)",
+    )
 )
 """A column of time, with its unit, and names that are taken where there is none of the first: the
 stamp of a message, or the duration of a loop, may stand next to the time."""
@@ -73,11 +79,19 @@ UNIT = re.compile(
 )
 """A unit at the end of a name; a number in brackets is that of a joint."""
 _WORD = "|".join(sorted(WORDS, key=len, reverse=True))
+_INNER_UNIT = "a|amps?|nm|rad|rad_s|rad/s|deg|deg_s|deg/s|degrees|rpm|ma|mnm"
+"""Units between a quantity and a joint. Those of a single letter may be a part of another name, as
+the motor position `q_m`; `A` is one behind a current alone."""
+WORD_AND_UNIT = re.compile(rf"(?P<word>{_WORD})[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?", re.I)
+"""A quantity with its unit, in front of or behind a joint."""
 _NUMBERED = re.compile(
-    rf"(?P<word>{_WORD})[._ /-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
+    rf"(?P<word>{_WORD})(?:[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?(?=[._ /-]))?"
+    r"[._ /-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
     rf"|(?:joint|axis|j)[._ -]*(?P<first>\d+)[._ /-]+(?P<behind>{_WORD})",
     re.I,
 )
+NUMBERED_FIELD = re.compile(rf".*[./](?:{_WORD})[._]?[\[(]?\d+[\])]?", re.I)
+"""Column of a quantity with a number, behind a topic."""
 
 Numbers: TypeAlias = Mapping[str, Mapping[int, str]]
 """Names of columns by the prefix of their quantity and their number."""
@@ -100,7 +114,7 @@ class SpelledColumns:
 
 
 def find_spelled_columns(
-    source: str, names: Sequence[str], robot: Robot, effort: str
+    source: str, names: Sequence[str], robot: Robot, effort: str, topic: str | None = None
 ) -> SpelledColumns | None:
     """Return the columns of a robot by the names that scripts give; None if some are not found.
 
@@ -109,10 +123,54 @@ def find_spelled_columns(
         names: Names of all columns.
         robot: Robot whose joints are recorded.
         effort: Prefix of an effort, "tau" for torque or "i" for current.
+        topic: Topic in front of the names, as `/joint_states`; None: that which has all positions.
 
     Raises:
-        UnusableInput: Two columns hold the same quantity of a joint, or one has another unit.
+        UnusableInput: Two columns hold the same quantity of a joint, two topics all positions, or
+            a column has another unit.
     """
+    columns = _find_columns(source, names, robot, effort)
+    if columns is not None:
+        return columns
+    by_topic: dict[str, SpelledColumns] = {}
+    for prefix in _topics(names, robot):
+        if topic is None or prefix[:-1] == topic:
+            columns = _find_columns(source, _bare(names, prefix), robot, effort)
+            by_topic |= {} if columns is None else {prefix: columns}
+    if len(by_topic) > 1:
+        first, second = (prefix[:-1] for prefix in list(by_topic)[:2])
+        raise UnusableInput(
+            f"{source}: '{first}' and '{second}' both hold the positions; choose one with "
+            f'"topic": "{first}" in the recording\'s .json file'
+        )
+    for prefix, columns in by_topic.items():
+        original = dict(zip(_bare(names, prefix), names, strict=True))
+        return replace(columns, numbered=tuple(original[name] for name in columns.numbered))
+    return None
+
+
+def _topics(names: Sequence[str], robot: Robot) -> list[str]:
+    """Return the beginnings of as many columns as there are joints, up to a slash or a point."""
+    ours = [
+        name
+        for name in names
+        if any(joint in name for joint in robot.joints) or NUMBERED_FIELD.fullmatch(name)
+    ]
+    counts = Counter(name[: mark.end()] for name in ours for mark in re.finditer(r"[/.]", name))
+    return sorted(prefix for prefix, count in counts.items() if count >= robot.n)
+
+
+def _bare(names: Sequence[str], topic: str) -> list[str]:
+    """Return names without a topic; those that are another column's name then keep it."""
+    bare = [name.removeprefix(topic) for name in names]
+    counts = Counter(bare)
+    return [name if counts[short] > 1 else short for name, short in zip(names, bare, strict=True)]
+
+
+def _find_columns(
+    source: str, names: Sequence[str], robot: Robot, effort: str
+) -> SpelledColumns | None:
+    """Return the columns of a robot whose names have no topic; see `find_spelled_columns`."""
     times = time_columns(names)
     positions = [f"q.{joint}" for joint in robot.joints]
     if not times or {"t", *positions} <= set(names):
@@ -163,6 +221,27 @@ def time_columns(names: Sequence[str]) -> list[tuple[str, re.Match[str]]]:
     ]
 
 
+def unread_columns(names: Sequence[str], joints: Sequence[str]) -> list[str]:
+    """Return the columns that hold no known quantity of a joint and no time.
+
+    Args:
+        names: Names of all columns.
+        joints: Names of the joints.
+    """
+    times = {name for name, _ in time_columns(names)}
+    numbered = _of_number(names, joints, "tau")
+    known = (*(f"{prefix}." for prefix in SI_UNITS), "qref.", "qlink.", "base.", "wrench.")
+    return [
+        name
+        for name in names
+        if name
+        and name not in times
+        and name not in numbered
+        and not name.startswith(known)
+        and _of_joint(name, joints, "tau") is None
+    ]
+
+
 def standard_names(names: Sequence[str], robot: Robot) -> set[str]:
     """Return the standard names of all columns that are known by any spelling.
 
@@ -185,17 +264,24 @@ def _of_joint(name: str, joints: Sequence[str], effort: str) -> tuple[str, str] 
     for text, unit in ((complete, ""), (UNIT.sub("", complete), _unit(complete))):
         for joint in sorted(joints, key=len, reverse=True):
             before, middle, behind = text.partition(joint)
-            if middle and not (before and behind.strip("[]()")):
-                word = (before or behind).strip("._/ -[]()").lower()
-                if word in WORDS:
-                    return f"{_prefix(word, effort)}.{joint}", unit
+            if not middle or (before and behind.strip("[]()")):
+                continue
+            word = (before or behind).strip("._/ -[]()").lower()
+            if word in WORDS:
+                return f"{_prefix(word, effort)}.{joint}", unit
+            inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/ -"))
+            if inner is not None and not unit:
+                return f"{_prefix(inner['word'].lower(), effort)}.{joint}", inner["unit"]
     return None
 
 
 def _unit(name: str) -> str:
-    """Return the unit at the end of a name, empty without one."""
+    """Return the unit at the end of a name or behind its quantity, empty without one."""
     match = UNIT.search(name)
-    return (match["bracketed"] or match["appended"]).strip() if match else ""
+    if match is not None:
+        return (match["bracketed"] or match["appended"]).strip()
+    inner = _NUMBERED.fullmatch(name)
+    return inner["unit"] or "" if inner else ""
 
 
 def number_fault(numbers: Sequence[int], robot: Robot) -> str:
@@ -331,6 +417,8 @@ def _read_numbers(
         match = _NUMBERED.fullmatch(text)
         if match is not None:
             word = (match["word"] or match["behind"]).lower()
+            if (match["unit"] or "").lower() == "a" and WORDS[word] not in ("i", "effort"):
+                continue  # the letter of an axis, as in `torque_A_1`
             read[name] = _prefix(word, effort), int(match["number"] or match["first"])
         elif len(joints) == 1 and text.lower() in WORDS and name.strip().lower() != "i":
             read[name] = _prefix(text.lower(), effort), None

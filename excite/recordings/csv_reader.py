@@ -81,6 +81,8 @@ SEPARATOR_LINE = re.compile(rb"sep=.\r?\n", re.IGNORECASE)
 """First line by which spreadsheets state the separator of cells."""
 MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \t]*(?![^,\n])')
 """Cell that says that nothing was measured."""
+BLANK_CELL = re.compile(r"(?:^|,)\s*(?:,|$)")
+"""Cell without a value in a line."""
 WHOLE_CELL = re.compile(r"\s*[+-]?\d+\s*")
 """Cell that holds a whole number, as either part of a number with a decimal comma."""
 GROUPED = re.compile(r"(['\"])[+-]?\d{1,3}(?:[.,' ]\d{3})+(?:[.,]\d*)?\1")
@@ -284,8 +286,7 @@ class _Table:
             return text
         lines = text.split(b"\n")
         kept = [b"" if line.startswith(COMMENTS) else line for line in lines]
-        count = sum(line.startswith(COMMENTS) for line in lines)
-        self._remark(f"{count} lines of comments are left out")
+        self._remark("comments below the names of the columns are left out")
         return b"\n".join(kept)
 
     def _without_empty_rows(self, table: FloatArray) -> FloatArray:
@@ -569,7 +570,7 @@ def _without_empty_cells_behind(text: bytes, width: int) -> bytes:
     if b'"' in text:
         return text  # a comma may be a part of a cell
     count = text.count(b"\n")
-    while text.partition(b"\n")[0].count(b",") >= width and text.count(b",\n") == count:
+    while text.count(b",", 0, text.find(b"\n")) >= width and text.count(b",\n") == count:
         text = text.replace(b",\n", b"\n")
     return text
 
@@ -651,7 +652,7 @@ def _parse_tolerant(
                     "names and cells by semicolons"
                 )
             raise ValueError(f"{fault} at row {numbers[k]}, column 0")
-    if any(",," in line or line.startswith(",") or line.endswith(",") for line in lines):
+    if any(map(BLANK_CELL.search, lines)):
         lines = [",".join(cell.strip() or "nan" for cell in line.split(",")) for line in lines]
     if not lines:
         return np.empty((0, len(columns)))

@@ -427,11 +427,23 @@ def test_comments_and_empty_lines_anywhere(two_link, tmp_path, sign):
     assert_refused(tmp_path / "r.csv", two_link, "row 71", "'off'")
 
 
+def test_signs_of_comments_within_names_belong_to_them(two_link, tmp_path):
+    columns = two_joint_motion()
+    path = write_columns(tmp_path / "r.csv", columns)
+    path.write_text(path.read_text().replace("tau.joint_", "tau.% joint_", 1))
+    assert not np.isfinite(recordings.read(path, two_link).tau[:, 0]).any()
+    path.write_text(path.read_text().replace("tau.% joint_", "#tau.joint_", 1))
+    assert not np.isfinite(recordings.read(path, two_link).tau[:, 0]).any()
+
+
 def test_names_in_a_comment(two_link, tmp_path):
     columns = two_joint_motion()
     path = write_columns(tmp_path / "r.csv", columns)
-    path.write_text("% " + path.read_text())
-    assert (recordings.read(path, two_link).q[:, 0] == columns["q.joint_1"]).all()
+    text = path.read_text()
+    for names in ("% ", "# ", "#"):
+        for end in (",\n", "\n"):
+            path.write_text(names + text.replace("\n", end, 1))
+            assert (recordings.read(path, two_link).q[:, 0] == columns["q.joint_1"]).all()
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ _CLASSES[list(b"+-")] = _SIGN
 
 COMMENTS = (b"#", b"//", b"%")
 """First characters of comments."""
-COMMENTED_HEADER = re.compile(r"(?:#+|%\s)\s*")
+COMMENTED_HEADER = re.compile(r"\A(?:#+|%\s)\s*")
 """Sign of a comment in front of the names of columns; `%time` is a name of rostopic."""
 MIN_EMPTY_SHARE = 0.1
 """Share of rows without any quantity of the robot from which they are those of another topic, in a
@@ -315,7 +315,7 @@ def _skip_comments(stream: BinaryIO) -> tuple[bytes, int]:
         line, row = stream.readline(MAX_LINE), row + 1
     while line.isspace():
         line, row = stream.readline(MAX_LINE), row + 1
-    while line.lstrip().startswith(COMMENTS):
+    while line.lstrip().startswith(COMMENTS) and not line.startswith(b"%time"):  # of rostopic
         place = stream.tell()
         following = stream.readline(MAX_LINE)
         is_data = bool(following.strip()) and not following.lstrip().startswith(COMMENTS)
@@ -332,7 +332,7 @@ def _width(line: bytes) -> int:
     """Number of cells of a line, comment signs left out."""
     text = line.lstrip(b" #/%\t").strip()
     separator = next((s for s in SEPARATORS if s.encode() in text), ",")
-    return len(_cells(separator, text))
+    return len(_without_empty_end(_cells(separator, text)))
 
 
 def _without_empty_end(cells: Sequence[str]) -> list[str]:

@@ -173,6 +173,8 @@ def check_docstrings(path: Path, tree: ast.Module) -> Iterator[Fault]:
     if not ast.get_docstring(tree) and tree.body:
         yield Fault(path, 1, "the module has no docstring")
     for definition in public_definitions(tree):
+        if any(ast.unparse(decorator) == "overload" for decorator in definition.decorator_list):
+            continue  # the implementation below has it
         if not ast.get_docstring(definition):
             yield Fault(path, definition.lineno, f"'{definition.name}' has no docstring")
     for node in ast.walk(tree):

@@ -465,6 +465,42 @@ def test_wrong_use(capsys, tmp_path, arguments, words):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["simulate", "ur10e", "t.json", "-o", "x.csv", "--foo"], ["--foo", "excite simulate"]),
+        (["simulate", "--foo"], ["--foo", "excite simulate"]),
+        (["verify", "t.json", "again.json"], ["again.json", "excite verify"]),
+        (["export", "t.json", "-o", "x", "-z"], ["-z", "excite export"]),
+        (
+            ["diagnose", "ur10e", "a.csv", "--valdate", "b.csv", "-o", "x"],
+            ["--valdate", "did you mean --validate?", "excite diagnose"],
+        ),
+        (
+            ["payload", "ur10e", "--whit=a.csv", "-o", "x"],
+            ["--whit=a.csv", "did you mean --with?", "excite payload"],
+        ),
+        (
+            ["design", "ur10e", "-o", "x", "--criterion", "condd"],
+            ["'condd'", "did you mean cond?", "excite design"],
+        ),
+        (["--json", "robots"], ["--json", "options stand behind the command", "excite"]),
+        (["--foo"], ["--foo", "excite"]),
+    ],
+)
+def test_unknown_options_refer_to_the_help_of_their_command(capsys, arguments, words):
+    line = refused(capsys, *arguments)
+    *words, command = words
+    assert line.endswith(f"(see {command} --help)")
+    assert all(word in line for word in words), line
+
+
+def test_a_list_may_begin_with_a_negative_number_and_a_file_name_with_a_dash(capsys):
+    code, out, _ = run(capsys, "check", "two_link", "--gravity", "-1,0,-9.7", "--json")
+    assert code == 0 and json.loads(out)["robot"]["name"] == "two_link"
+    assert refused(capsys, "check", "--", "--absent.urdf").startswith("excite: --absent.urdf: no ")
+
+
 def test_contradictory_limits_file(capsys, tmp_path):
     file = tmp_path / "limits.toml"
     file.write_text("[joints.joint_1]\nposition = [1.0, -1.0]\n")

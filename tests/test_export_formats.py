@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from recording_fixtures import assert_refused, read_with_warnings, two_joint_mot
 
 from excite import recordings
 from excite.cli import main as cli
-from excite.errors import UnusableInput
+from excite.errors import ExciteWarning, UnusableInput
 from excite.recordings import RemarkKind
 from excite.robot.robot import load, locate
 
@@ -283,15 +284,130 @@ def test_each_quantity_is_numbered_for_itself(two_link, tmp_path, position, effo
     assert_same_motion(read_with_warnings(path, two_link)[0])
 
 
-def test_numbers_of_more_joints_than_the_robot_has_are_refused(two_link, tmp_path):
+@pytest.mark.parametrize("word", ["q", "position"])
+@pytest.mark.parametrize(
+    ("first", "numbers", "surplus"),
+    [
+        (1, (0, 1, 2), ["effort_0"]),
+        (1, (1, 2, 3), ["effort_3"]),
+        (0, (0, 1, 2), ["effort_2"]),
+        (0, (1, 2, 3), ["effort_2", "effort_3"]),
+        (1, (3, 4), ["effort_3", "effort_4"]),
+        (1, (2, 3), ["effort_3"]),
+    ],
+)
+def test_columns_of_more_joints_than_there_are_positions_are_named(
+    two_link, tmp_path, word, first, numbers, surplus
+):
     """With a gripper, or with its base, as the first one: nobody can tell."""
     columns = {"time": COLUMNS["t"]}
-    for k in (1, 2):
-        columns |= {f"q_{k}": COLUMNS[f"q.joint_{k}"]}
-    columns |= {f"effort_{k}": COLUMNS["tau.joint_1"] for k in (0, 1, 2)}
+    columns |= {f"{word}_{k - 1 + first}": COLUMNS[f"q.joint_{k}"] for k in (1, 2)}
+    columns |= {f"effort_{k}": COLUMNS["tau.joint_1"] for k in numbers}
     path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
-    with pytest.raises(UnusableInput):
-        recordings.read(path, two_link)
+    span = f"{len(numbers)} columns 'effort_{numbers[0]}' to 'effort_{numbers[-1]}'"
+    names = ", ".join(map(repr, surplus))
+    remedy = "remove columns that are of no joint of the robot, or name all with --columns t="
+    assert_refused(path, two_link, span, f"no position has the number of {names};", remedy)
+    named = {"t": "time", **{f"q.joint_{k}": f"{word}_{k - 1 + first}" for k in (1, 2)}}
+    named |= {f"tau.joint_{k}": f"effort_{numbers[k - 1]}" for k in (1, 2)}
+    recording = recordings.read(path, two_link, columns=named)
+    np.testing.assert_allclose(recording.tau[:, 1], COLUMNS["tau.joint_1"])
+
+
+def test_more_temperatures_than_joints_and_fewer_torques_are_no_fault(two_link, tmp_path):
+    columns = {"time": COLUMNS["t"], "q_1": COLUMNS["q.joint_1"], "q_2": COLUMNS["q.joint_2"]}
+    columns |= {"tau_2": COLUMNS["tau.joint_2"]}
+    columns |= {f"temp_{k}": np.full(400, 30.0 + k) for k in (1, 2, 3)}
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    recording, _ = read_with_warnings(path, two_link)
+    np.testing.assert_allclose(recording.tau[:, 1], COLUMNS["tau.joint_2"])
+    assert np.isnan(recording.tau[:, 0]).all()
+
+
+@pytest.mark.parametrize(
+    "spelling",
+    [
+        "/joint_states/{joint}/{quantity}",
+        "joint_states.{quantity}.{joint}",
+        "/robot/joint_states.{quantity}[{number}]",
+    ],
+)
+@pytest.mark.parametrize("time", ["time", "/joint_states/header/stamp", "timestamp [ms]"])
+@pytest.mark.parametrize("command", [False, True])
+def test_names_behind_a_topic(two_link, tmp_path, spelling, time, command):
+    """Another topic that lacks the positions is not read."""
+    if time.startswith("/") and not spelling.startswith(time[:13]):
+        pytest.skip("the stamp of another topic")
+    columns = {time: COLUMNS["t"] * (1e3 if "ms" in time else 1.0)}
+    for quantity, prefix in QUANTITIES.items():
+        for k in (1, 2):
+            name = spelling.format(quantity=quantity, joint=f"joint_{k}", number=k - 1)
+            columns[name] = COLUMNS[f"{prefix}.joint_{k}"]
+    if command:
+        columns |= {f"/command/joint_{k}/effort": 7.0 + COLUMNS["t"] for k in (1, 2)}
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    recording, warned = read_with_warnings(path, two_link)
+    assert_same_motion(recording)
+    assert all("have numbers and no names" in text for text in warned)
+
+
+def test_of_two_topics_with_positions_one_is_chosen_in_the_sidecar(two_link, tmp_path):
+    columns = {"time": COLUMNS["t"]}
+    for k in (1, 2):
+        columns[f"/command/joint_{k}/position"] = COLUMNS[f"q.joint_{k}"] + 0.1
+        for quantity, prefix in QUANTITIES.items():
+            columns[f"/joint_states/joint_{k}/{quantity}"] = COLUMNS[f"{prefix}.joint_{k}"]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    assert_refused(path, two_link, "'/command' and '/joint_states' both hold", '"topic"')
+    path.with_suffix(".json").write_text(
+        '{"schema": "excite.recording/1", "topic": "/joint_states"}', encoding="utf-8"
+    )
+    assert_same_motion(read_with_warnings(path, two_link)[0])
+
+
+@pytest.mark.parametrize("name", ["{}", "{number}"])
+def test_units_behind_a_quantity(two_link, tmp_path, name):
+    columns = {"time": COLUMNS["t"]}
+    for word, prefix in (("pos_rad", "q"), ("vel_rad_s", "dq"), ("torque_Nm", "tau")):
+        for k in (1, 2):
+            columns[f"{word}_{name.format(f'joint_{k}', number=k)}"] = COLUMNS[
+                f"{prefix}.joint_{k}"
+            ]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    assert_same_motion(read_with_warnings(path, two_link)[0])
+    degrees = path.read_text(encoding="utf-8").replace("vel_rad_s", "vel_deg_s")
+    path.write_text(degrees, encoding="utf-8")
+    assert_refused(path, two_link, "vel_deg_s_", "is in deg_s", "convert it to SI units")
+
+
+@pytest.mark.parametrize("name", ["current_A_{}", "{}_current_A", "current_A_{number}"])
+def test_currents_with_their_unit_need_a_drive_gain(two_link, tmp_path, name):
+    columns = {"time": COLUMNS["t"]}
+    for k in (1, 2):
+        columns[f"q_{k}" if "number" in name else f"q_joint_{k}"] = COLUMNS[f"q.joint_{k}"]
+        columns[name.format(f"joint_{k}", number=k)] = COLUMNS[f"tau.joint_{k}"]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    recording, _ = read_with_warnings(path, two_link)
+    assert recording.tau is None
+    np.testing.assert_allclose(recording.current[:, 0], COLUMNS["tau.joint_1"])
+    with pytest.raises(UnusableInput, match="has a current but no drive gain"):
+        _ = recording.torque
+
+
+@pytest.mark.parametrize("time", ["t", "time"])
+def test_columns_that_are_not_read_are_named_where_the_torque_is_missing(two_link, tmp_path, time):
+    columns = {time: COLUMNS["t"]}
+    for k in (1, 2):
+        columns[f"q.joint_{k}"] = COLUMNS[f"q.joint_{k}"]
+        columns[f"joint_{k} load"] = COLUMNS[f"tau.joint_{k}"]
+    path = write(tmp_path / "r.csv", list(columns), rows(*columns.values()))
+    recording, _ = read_with_warnings(path, two_link)
+    words = r"--columns tau\.joint_1=COLUMN \(not read: 'joint_1 load', 'joint_2 load'\)"
+    with pytest.raises(UnusableInput, match=words):
+        _ = recording.torque
+    named = {"tau.joint_1": "joint_1 load"}
+    with pytest.raises(UnusableInput, match=r"\(not read: 'joint_2 load'\)"):
+        _ = recordings.read(path, two_link, columns=named).torque
 
 
 def test_words_that_end_like_an_effort_are_none(tmp_path):
@@ -492,17 +608,86 @@ def test_words_for_a_missing_value(two_link, tmp_path, word):
     assert "1 missing value of tau, 1 interpolated" in texts[0] and len(recording) == 400
 
 
-@pytest.mark.parametrize("stamp", ["2024-05-01T10:00:{:09.6f}", "10:00:{:09.6f}"])
-def test_dates_are_refused(two_link, tmp_path, stamp):
+@pytest.mark.parametrize("stamp", ["01.05.2024 10:00:{:09.6f}", "10:00:{:09.6f}"])
+def test_times_of_day_and_dates_in_another_order_are_refused(two_link, tmp_path, stamp):
     cells = rows(*COLUMNS.values())
     cells = [[stamp.format(float(row[0])), *row[1:]] for row in cells]
     path = write(tmp_path / "r.csv", list(COLUMNS), cells)
     assert_refused(path, two_link, "row 2", "a date or a time of day", "in seconds")
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e9, "ns")])
-def test_times_in_other_units_are_refused(two_link, tmp_path, factor, unit):
-    columns = [factor * (EPOCH + COLUMNS["t"]), *list(COLUMNS.values())[1:]]
+def date_cells(zone: str, separator: str = "T") -> list[list[str]]:
+    """Rows of COLUMNS whose times are dates around a midnight in UTC."""
+    start = datetime(2024, 5, 1, 23, 59, 58, tzinfo=UTC)
+    hours = timezone(timedelta(hours=2)) if zone.startswith("+") else UTC
+    cells = rows(*COLUMNS.values())
+    for row, t in zip(cells, COLUMNS["t"], strict=True):
+        date = (start + timedelta(seconds=float(t))).astimezone(hours)
+        row[0] = date.strftime(f"%Y-%m-%d{separator}%H:%M:%S.%f") + zone
+    return cells
+
+
+@pytest.mark.parametrize("zone", ["Z", "+02:00", "+0200", ""])
+@pytest.mark.parametrize("separator", ["T", " "])
+@pytest.mark.parametrize("name", ["t", "timestamp"])
+def test_dates_count_from_the_first(two_link, tmp_path, zone, separator, name):
+    header = [name, *list(COLUMNS)[1:]]
+    path = write(tmp_path / "r.csv", header, date_cells(zone, separator))
+    recording, warned = read_with_warnings(path, two_link)
+    assert_same_motion(recording)
+    assert recording.t[0] == 0.0
+    (text,) = warned
+    moment = "2024-05-01 23:59:58"
+    assert f"seconds from the first, {moment}{' UTC' if zone else ''}" in text
+
+
+def test_dates_in_quotes_behind_other_columns_and_between_semicolons(two_link, tmp_path):
+    cells = [[f'"a;b, {k}"', *row[1:], f'"{row[0]}"'] for k, row in enumerate(date_cells("Z"))]
+    cells = [[cell.replace(".", ",") for cell in row] for row in cells]
+    header = ["note", *list(COLUMNS)[1:], "t"]
+    path = write(tmp_path / "r.csv", header, cells, ";")
+    with pytest.warns(ExciteWarning, match="its times are dates"):
+        assert_same_motion(recordings.read(path, two_link))
+
+
+def test_dates_are_all_written_in_the_same_way(two_link, tmp_path):
+    cells = date_cells("Z")
+    cells[7][0] = cells[7][0].removesuffix("Z")
+    path = write(tmp_path / "r.csv", list(COLUMNS), cells)
+    assert_refused(path, two_link, "row 9", "time zone", "in the same way")
+    cells[7][0] = "2024-13-01T00:00:00Z"
+    path = write(tmp_path / "r.csv", list(COLUMNS), cells)
+    assert_refused(path, two_link, "row 9", "'2024-13-01T00:00:00Z' is no date", "in seconds")
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "µs"), (1e9, "ns")])
+@pytest.mark.parametrize("name", ["t", "time", "header/stamp"])
+@pytest.mark.parametrize("missing", [False, True])
+def test_counts_since_1970_are_known_by_their_size(two_link, tmp_path, factor, unit, name, missing):
+    columns = dict(COLUMNS)
+    cells = rows(*columns.values())
+    for row, t in zip(cells, COLUMNS["t"], strict=True):
+        row[0] = str(round(factor * float(t)) + round(factor) * EPOCH)
+    if missing:
+        cells.insert(0, ["", *cells[0][1:]])
+    header = [name, *list(COLUMNS)[1:]]
+    recording, warned = read_with_warnings(write(tmp_path / "r.csv", header, cells), two_link)
+    assert_same_motion(recording)
+    assert any(f"its times count {unit} since 1970" in text for text in warned)
+
+
+@pytest.mark.parametrize("value", [1e13, 1e16])
+def test_a_single_time_of_another_size_changes_no_unit(two_link, tmp_path, value):
+    columns = dict(COLUMNS) | {"t": COLUMNS["t"].copy()}
+    columns["t"][0] = value
+    path = write(tmp_path / "r.csv", list(COLUMNS), rows(*columns.values()))
+    assert_refused(path, two_link, "time goes back from")
+
+
+@pytest.mark.parametrize("unit", ["ms", "µs", "ns"])
+def test_other_times_in_other_units_are_refused(two_link, tmp_path, unit):
+    factor = {"ms": 1e3, "µs": 1e6, "ns": 1e9}[unit]
+    columns = [factor * COLUMNS["t"], *list(COLUMNS.values())[1:]]
     path = write(tmp_path / "r.csv", list(COLUMNS), rows(*columns))
     assert_refused(path, two_link, f"is time in {unit}? Divide it by")
 

@@ -356,3 +356,11 @@ def test_the_wrench_of_the_human_is_predicted_below_the_baseline(tmp_path):
     rmse = np.sqrt(np.mean(error**2, axis=0))
     assert (rmse < [11.3, 23.4, 21.4, 5.9, 7.6, 2.9]).all()
     assert is_consistent(result.identification.model.parameters, result.identification.psi)
+
+
+def test_a_recording_that_is_too_short_for_the_filter_is_named(folder):
+    rows = (folder / "plate_feet.csv").read_text(encoding="utf-8").splitlines()
+    short = folder / "short.csv"
+    short.write_text("\n".join(rows[:21]) + "\n", encoding="utf-8")
+    with pytest.raises(UnusableInput, match=r"short\.csv: no gap-free stretch is longer than"):
+        identify_floating(folder / "biped.urdf", short, gamma=10.0, band=5.0)

@@ -368,6 +368,107 @@ def test_decimal_commas_between_commas_are_refused(two_link, tmp_path):
     assert_refused(path, two_link, *parts)
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize(("names_end", "rows_end"), [(1, 1), (0, 1), (1, 0), (2, 1), (0, 3)])
+@pytest.mark.parametrize("newline", ["\n", "\r\n", " \n"])
+@pytest.mark.parametrize("missing", [False, True])
+def test_separators_at_the_end_of_lines(
+    two_link, tmp_path, separator, names_end, rows_end, newline, missing
+):
+    """The last cells are empty and have no name: there is no such column."""
+    columns = two_joint_motion()
+    lines = write_columns(tmp_path / "r.csv", columns, separator).read_text().splitlines()
+    if separator != ",":
+        lines = [lines[0], *(line.replace(".", ",") for line in lines[1:])]
+    if missing:  # the value of a column with a name
+        lines[5] = lines[5].rpartition(separator)[0] + separator
+    ends = [names_end, *[rows_end] * (len(lines) - 1)]
+    text = "".join(line + k * separator + newline for line, k in zip(lines, ends, strict=True))
+    (tmp_path / "r.csv").write_bytes(text.encode())
+    recording, warned = read_with_warnings(tmp_path / "r.csv", two_link)
+    assert (recording.q[:, 1] == columns["q.joint_2"]).all()
+    assert (np.delete(recording.tau[:, 1], 4) == np.delete(columns["tau.joint_2"], 4)).all()
+    assert len(warned) == missing
+
+
+def test_a_last_column_without_a_name_may_hold_anything(two_link, tmp_path):
+    columns = two_joint_motion()
+    lines = write_columns(tmp_path / "r.csv", columns).read_text().splitlines()
+    for ends in (["1"] * 401, ["run"] * 401, ["", "1"] * 201):
+        text = [lines[0] + ",", *(f"{a},{b}" for a, b in zip(lines[1:], ends, strict=False))]
+        (tmp_path / "r.csv").write_text("\n".join(text) + "\n")
+        assert (
+            recordings.read(tmp_path / "r.csv", two_link).tau[:, 0] == columns["tau.joint_1"]
+        ).all()
+    (tmp_path / "r.csv").write_text("\n".join([lines[0], *(f"{a},1" for a in lines[1:])]) + "\n")
+    assert_refused(tmp_path / "r.csv", two_link, "row 2", "8 cells instead of 7")
+
+
+@pytest.mark.parametrize("sign", ["#", "%", "//", "% "])
+def test_comments_and_empty_lines_anywhere(two_link, tmp_path, sign):
+    columns = two_joint_motion()
+    lines = write_columns(tmp_path / "r.csv", columns).read_text().splitlines()
+    above = ["", f"{sign} logged on Monday", "", f"{sign} cell 3, arm 2", ""]
+    text = [
+        *above,
+        lines[0],
+        *lines[1:50],
+        f"{sign} here, the tool",
+        "",
+        *lines[50:],
+        f"{sign} end",
+    ]
+    (tmp_path / "r.csv").write_text("\n".join(text))
+    recording, warned = read_with_warnings(tmp_path / "r.csv", two_link)
+    assert (recording.tau[:, 1] == columns["tau.joint_2"]).all()
+    (text_of_warning,) = warned
+    assert text_of_warning.endswith("comments below the names of the columns are left out")
+    (tmp_path / "r.csv").write_text("\n".join([*text[:70], "1,2,off,0,0,0,0", *text[70:]]))
+    assert_refused(tmp_path / "r.csv", two_link, "row 71", "'off'")
+
+
+def test_signs_of_comments_within_names_belong_to_them(two_link, tmp_path):
+    columns = two_joint_motion()
+    path = write_columns(tmp_path / "r.csv", columns)
+    path.write_text(path.read_text().replace("tau.joint_", "tau.% joint_", 1))
+    assert not np.isfinite(recordings.read(path, two_link).tau[:, 0]).any()
+    path.write_text(path.read_text().replace("tau.% joint_", "#tau.joint_", 1))
+    assert not np.isfinite(recordings.read(path, two_link).tau[:, 0]).any()
+
+
+def test_names_in_a_comment(two_link, tmp_path):
+    columns = two_joint_motion()
+    path = write_columns(tmp_path / "r.csv", columns)
+    text = path.read_text()
+    for names in ("% ", "# ", "#"):
+        for end in (",\n", "\n"):
+            path.write_text(names + text.replace("\n", end, 1))
+            assert (recordings.read(path, two_link).q[:, 0] == columns["q.joint_1"]).all()
+
+
+@pytest.mark.parametrize(
+    ("separator", "cell"),
+    [(",", '"1,234.5"'), (";", "1,234.5"), (";", "1.234,5"), (";", "1'234.5"), (",", '"1\'234.5"')],
+)
+def test_separators_of_thousands_are_named(two_link, tmp_path, separator, cell):
+    path = write_columns(tmp_path / "r.csv", two_joint_motion(), separator)
+    names, first, rows = path.read_text().split("\n", 2)
+    first = separator.join([*first.split(separator)[:-1], cell])
+    path.write_text(f"{names}\n{first}\n{rows}")
+    assert_refused(path, two_link, "row 2", "thousands", "remove them")
+
+
+def test_thousands_next_to_decimal_points_are_no_decimals(two_link, tmp_path):
+    path = write_columns(tmp_path / "r.csv", two_joint_motion(), ";")
+    lines = path.read_text().splitlines()
+    lines[3] = ";".join([*lines[3].split(";")[:-1], "-1,234"])
+    path.write_text("\n".join(lines) + "\n")
+    assert_refused(path, two_link, "row 4", "commas stand between thousands")
+    lines[3] = ";".join([*lines[3].split(";")[:-1], "0,234"])  # a decimal comma
+    path.write_text("\n".join(lines) + "\n")
+    assert recordings.read(path, two_link).tau[2, 1] == 0.234
+
+
 def test_inconsistent_archives_are_refused(two_link, tmp_path):
     columns = two_joint_motion()
     t, q = columns["t"], np.column_stack([columns["q.joint_1"], columns["q.joint_2"]])

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from .. import _json, recordings
+from .._system.one_or_several import one_or_several
 from .._system.progress import Progress, logger
-from .._types import FloatArray
+from .._types import FloatArray, Paths
 from ..collision import clearance_builder, scene_file
 from ..collision.scene_file import Scene
 from ..collision.workcell import NOT_CHECKED, Cell
@@ -82,7 +83,7 @@ class CellOptions:
         floor: Height of the floor in the base frame [m]; False: none; None: the mounting plane.
         clearance: Smallest allowed distance [m]; None: that of the scene, or 0.02.
         srdf: SRDF whose disabled pairs of links may touch.
-        packages: Folders of `package://` meshes.
+        packages: Folder or folders of `package://` meshes.
         check: True if distances are checked.
     """
 
@@ -90,7 +91,7 @@ class CellOptions:
     floor: float | bool | None = None
     clearance: float | None = None
     srdf: str | Path | None = None
-    packages: Sequence[str] = ()
+    packages: Paths = ()
     check: bool = True
 
     def __post_init__(self) -> None:
@@ -111,6 +112,11 @@ class CellOptions:
                 f"{given[0]}: has no effect with --no-collision; leave one of them out"
             )
 
+    @property
+    def package_folders(self) -> tuple[str, ...]:
+        """Paths of the folders of `package://` meshes."""
+        return tuple(map(str, one_or_several(self.packages)))
+
     def cell(self, robot: Robot, limits: Limits) -> tuple[Cell | None, str]:
         """Build the cell.
 
@@ -124,7 +130,7 @@ class CellOptions:
         if not self.check:
             return None, f"{NOT_CHECKED} (--no-collision)"
         return scene_file.find_cell(
-            robot, limits, self.read_scene(), self.packages, required=self.is_required
+            robot, limits, self.read_scene(), self.package_folders, required=self.is_required
         )
 
     def read_scene(self) -> Scene:
@@ -341,7 +347,7 @@ def design(
     periods: int | None = None,
     time: float | None = None,
     start: Sequence[float] | None = None,
-    given: Sequence[str | Path] = (),
+    given: Paths = (),
     trajectory: TrajectorySources = (),
     columns: Mapping[str, str] = MappingProxyType({}),
     for_task: str | Path | None = None,
@@ -376,7 +382,7 @@ def design(
         time: Robot time with ramps [s], for which the four options above are chosen; None: 15 of a
             motion for a payload whose period and repeats are not stated.
         start: Pose at which the motion begins and ends at rest. Shape (n,) [rad or m].
-        given: Trajectories or recordings whose information is already available.
+        given: Trajectory or recording, or several, whose information is already available.
         trajectory: The `trajectory.json` that was executed in recordings of `given`, or several:
             each recording takes its period and window from the one that it holds.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in the CSV files
@@ -401,7 +407,7 @@ def design(
         Infeasible: No motion satisfies all limits.
         CheckFailed: The certificate fails and `force` is not set.
     """
-    _require_recordings(given, for_task, trajectory, columns)
+    given = _require_recordings(given, for_task, trajectory, columns)
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits, margin)
     request = time_budget.MotionRequest(period, harmonics, samples, periods)
@@ -532,12 +538,17 @@ def _require_consistent(
 
 
 def _require_recordings(
-    given: Sequence[str | Path],
+    stated: Paths,
     for_task: str | Path | None,
     trajectory: TrajectorySources,
     columns: Mapping[str, str],
-) -> None:
-    """Raise UnusableInput for options of recordings without a recording that they apply to."""
+) -> tuple[str | Path, ...]:
+    """Return the stated motions.
+
+    Raises:
+        UnusableInput: There are options of recordings without a recording that they apply to.
+    """
+    given = one_or_several(stated)
     recorded = any(is_recording(path) for path in given)
     if trajectory and not recorded:
         raise UnusableInput(
@@ -547,6 +558,7 @@ def _require_recordings(
         raise UnusableInput(
             "--columns: is for a recording of --given or --for; add one or leave it out"
         )
+    return given
 
 
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:

@@ -9,9 +9,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from .. import _json
+from .._system.blas_threads import single_blas_thread
+from .._system.one_or_several import one_or_several
 from .._system.progress import Progress, logger
 from ..diagnosis import decisions, diagnosis, fitted_effects
 from ..diagnosis.decisions import Decisions, ExpectedEvidence
@@ -29,7 +29,7 @@ from ..robot.robot import Robot
 from ..schemas.diagnosis import DiagnosisDocument, diagnosis_file, read_diagnosis
 from ..trajectory import trajectory_file
 from .identification_result import (
-    RecordingSource,
+    RecordingSources,
     TrajectorySources,
     read_both,
     recording_doubts,
@@ -119,15 +119,15 @@ class DiagnosisResult(SavedResult):
 
 def diagnose(
     robot: RobotSource,
-    recordings: Sequence[RecordingSource],
-    validate: Sequence[RecordingSource],
+    recordings: RecordingSources,
+    validate: RecordingSources,
     *,
     limits: str | Path | Limits | None = None,
     prior: str | Path | None = None,
     band: float | None = None,
     trajectory: TrajectorySources = (),
     columns: Mapping[str, str] = MappingProxyType({}),
-    discriminating: Sequence[RecordingSource] = (),
+    discriminating: RecordingSources = (),
     before: str | Path | None = None,
     with_report: bool = True,
     progress: Progress | None = None,
@@ -136,7 +136,7 @@ def diagnose(
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
-        recordings: Recordings that models are fitted to.
+        recordings: Recordings that models are fitted to, one or several.
         validate: Held-out recordings.
         limits: Limits file or limits.
         prior: Trusted knowledge: parameters in an `excite.prior/1` document, or parameters and
@@ -155,6 +155,8 @@ def diagnose(
     Raises:
         UnusableInput: An argument or a file cannot be used.
     """
+    recordings, validate = one_or_several(recordings), one_or_several(validate)
+    discriminating = one_or_several(discriminating)
     if before is not None and not discriminating:
         raise UnusableInput(f"--before {before}: goes with --discriminating RECORDING")
     loaded = load_robot(robot)
@@ -177,7 +179,7 @@ def diagnose(
     recording_cost.require_diagnosable([*train, *held_out], report)
     options = diagnosis.DiagnosisOptions(band, known)
     setup = loaded, standard, base
-    with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+    with single_blas_thread():
         result = diagnosis.diagnose(*setup, train, held_out, options, report)
         decided = None
         if discriminating:

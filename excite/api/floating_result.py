@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from .. import recordings
+from .._system.blas_threads import single_blas_thread
+from .._system.one_or_several import one_or_several
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..errors import UnusableInput
@@ -24,7 +25,12 @@ from ..identification.inertia_distance import Distance
 from ..recordings import Recording, require_distinct
 from ..robot import floating_base
 from ..robot.floating_base import FloatingRobot, Rows
-from .identification_result import RecordingSource, read_bounds
+from .identification_result import (
+    RecordingSource,
+    RecordingSources,
+    read_bounds,
+    require_recordings,
+)
 from .input_files import argument_files
 from .predicted_table import PredictedTable, csv_text, warn_of_unsettled_ends
 from .robots import RobotSource
@@ -103,9 +109,9 @@ def read_floating_recording(
 
 def identify_floating(
     robot: RobotSource | FloatingRobot,
-    recordings_of_fit: Sequence[RecordingSource],
+    recordings_of_fit: RecordingSources,
     *,
-    validate: Sequence[RecordingSource] = (),
+    validate: RecordingSources = (),
     limits: str | Path | None = None,
     bounds: str | Path | Bounds | None = None,
     columns: Mapping[str, str] = MappingProxyType({}),
@@ -117,7 +123,7 @@ def identify_floating(
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
-        recordings_of_fit: Recordings that the model is fitted to.
+        recordings_of_fit: Recordings that the model is fitted to, one or several.
         validate: Held-out recordings; the model is not fitted to them.
         limits: Limits file, for the scales of joint parameters.
         bounds: Bounds of masses and centres of mass, or a TOML file with them.
@@ -131,6 +137,8 @@ def identify_floating(
     """
     loaded = load_floating_robot(robot)
     table = floating_base.limits(loaded, None if limits is None else Path(limits))
+    recordings_of_fit, validate = one_or_several(recordings_of_fit), one_or_several(validate)
+    require_recordings(recordings_of_fit)
     train, held_out = (
         [read_floating_recording(path, loaded, columns) for path in paths]
         for paths in (recordings_of_fit, validate)
@@ -145,7 +153,7 @@ def identify_floating(
         standard = floating_base.standard_parameters(loaded)
         inertial = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
         chosen = dataclasses.replace(chosen, bounds=inertial)
-    with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+    with single_blas_thread():
         result = floating_identification.identify(
             loaded, train, held_out, chosen, table, progress or logger.info
         )

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from .. import _json
+from .._system.one_or_several import one_or_several
 from .._system.output_files import output_files
 from .._types import FloatArray
 from ..designer.floating_identifiability import RowNoise, assumed_noise
@@ -100,7 +101,7 @@ def simulate_floating(
     robot: RobotSource | FloatingRobot,
     motion: RecordingSource,
     *,
-    contacts: Sequence[str] = (WORLD,),
+    contacts: str | Sequence[str] = (WORLD,),
     wrench_noise: tuple[float, float] | None = None,
     torque_noise: tuple[float, ...] | None = None,
     offset: Mapping[str, Sequence[float]] = MappingProxyType({}),
@@ -127,7 +128,7 @@ def simulate_floating(
     Raises:
         UnusableInput: An argument or a file cannot be used.
     """
-    loaded = load_floating_robot(robot)
+    loaded, contacts = load_floating_robot(robot), one_or_several(contacts)
     for frame in contacts:
         floating_base.require_frame(loaded, frame, "--contact")
     if WORLD in contacts and len(contacts) > 1:

@@ -12,11 +12,12 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from .. import recordings
+from .._system.blas_threads import single_blas_thread
+from .._system.one_or_several import one_or_several
 from .._system.progress import Progress, logger
-from .._types import FloatArray
+from .._types import FloatArray, Paths
 from ..designer import identifiability
 from ..designer.options import torque_noise_levels
 from ..diagnosis import fitted_effects
@@ -54,7 +55,9 @@ if TYPE_CHECKING:
 
 RecordingSource = str | Path | Recording
 """Path of a recording, or a recording that is already read."""
-TrajectorySources = str | Path | Sequence[str | Path]
+RecordingSources = RecordingSource | Sequence[RecordingSource]
+"""A recording, or several."""
+TrajectorySources = Paths
 """Path of an executed trajectory, or paths of several."""
 
 
@@ -213,7 +216,7 @@ def with_trajectory(
     Raises:
         UnusableInput: A file cannot be used, or the recording holds none of the motions.
     """
-    paths = [trajectory] if isinstance(trajectory, str | Path) else list(trajectory)
+    paths = one_or_several(trajectory)
     for path in paths:
         planned = trajectory_file.read_trajectory(Path(path))
         aligned = executed_motion.apply_trajectory(recording, planned, str(path))
@@ -272,11 +275,11 @@ def _warned(before: Recording, after: Recording) -> Recording:
 
 def identify(
     robot: RobotSource,
-    recordings: Sequence[RecordingSource],
+    recordings: RecordingSources,
     *,
-    validate: Sequence[RecordingSource] = (),
+    validate: RecordingSources = (),
     limits: str | Path | Limits | None = None,
-    drive: tuple[str, ...] = inertial_parameters.DRIVE,
+    drive: str | Sequence[str] = inertial_parameters.DRIVE,
     bounds: str | Path | Bounds | None = None,
     prior: str | Path | None = None,
     period: float | None = None,
@@ -292,7 +295,7 @@ def identify(
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
-        recordings: Recordings that the model is fitted to.
+        recordings: Recordings that the model is fitted to, one or several.
         validate: Held-out recordings; the model is not fitted to them.
         limits: Limits file or limits.
         drive: Joint parameters of the model, in addition to the inertial parameters.
@@ -312,6 +315,7 @@ def identify(
     Raises:
         UnusableInput: An argument or a file cannot be used.
     """
+    recordings, validate = one_or_several(recordings), one_or_several(validate)
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
     report = progress or logger.info
@@ -349,7 +353,7 @@ def identify(
         **choices,
     )
     recording_cost.require_identifiable([*train, *held_out], report)
-    with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+    with single_blas_thread():
         result = identification.identify(loaded, standard, base, train, held_out, chosen, report)
     return IdentificationResult(
         result,
@@ -441,6 +445,16 @@ def recording_name(source: RecordingSource) -> str:
     return source.source if isinstance(source, Recording) else str(source)
 
 
+def require_recordings(recordings: Sequence[RecordingSource]) -> None:
+    """Check that there is a recording that a model can be fitted to.
+
+    Raises:
+        UnusableInput: There is none.
+    """
+    if not recordings:
+        raise UnusableInput("recordings: none is given; give at least one to fit the model to")
+
+
 def read_both(
     robot: Robot,
     limits: Limits,
@@ -458,8 +472,10 @@ def read_both(
     With `require_trajectory` every training recording has to hold the motion of a trajectory.
 
     Raises:
-        UnusableInput: A file cannot be used, or a recording is in both sets.
+        UnusableInput: A file cannot be used, there is no training recording, or a recording is in
+            both sets.
     """
+    require_recordings(train)
     sets = [
         [
             read_recording(

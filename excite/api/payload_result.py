@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .. import _json
+from .._system.one_or_several import one_or_several
 from .._system.progress import logger
 from ..errors import ExciteWarning, UnusableInput
 from ..identification import segments
@@ -31,6 +32,7 @@ from ..robot.robot import Robot
 from ..trajectory.trajectory_file import read_trajectory
 from .identification_result import (
     RecordingSource,
+    RecordingSources,
     TrajectorySources,
     read_recording,
     recording_doubts,
@@ -59,7 +61,7 @@ class PayloadResult(SavedResult):
         estimate: The payload.
         shape: Its stated shape; None: none was stated.
         mass: Its stated mass [kg]; None: none was stated.
-        carrying: Recordings with the payload.
+        carrying: Recordings with the payload, one or several.
         empty: Recordings without.
         hertz: Cutoff frequency of the fit; None: static poses [Hz].
         rests: Number of rests with and without the payload; None: a motion.
@@ -148,9 +150,9 @@ class PayloadResult(SavedResult):
 
 def identify_payload(
     robot: RobotSource,
-    carrying: Sequence[RecordingSource],
+    carrying: RecordingSources,
     *,
-    empty: Sequence[RecordingSource] = (),
+    empty: RecordingSources = (),
     model: str | Path | None = None,
     link: str | None = None,
     mass: float | None = None,
@@ -165,7 +167,7 @@ def identify_payload(
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot, without the payload.
-        carrying: Recordings with the payload.
+        carrying: Recordings with the payload, one or several.
         empty: Recordings without.
         model: `model.json` of the robot without the payload, whose recordings are used.
         link: Link whose frame the values are in; None: the last one.
@@ -183,6 +185,7 @@ def identify_payload(
     Raises:
         UnusableInput: An argument or a file cannot be used.
     """
+    carrying, empty = one_or_several(carrying), one_or_several(empty)
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
     link = loaded.links[-1] if link is None else link
@@ -196,8 +199,9 @@ def identify_payload(
         raise UnusableInput(
             "--without: needs a recording without the payload on the same robot, or a --model of it"
         )
-    files = [trajectory] if isinstance(trajectory, str | Path) else trajectory
-    static = static or any("static" in read_trajectory(Path(file)).design for file in files)
+    static = static or any(
+        "static" in read_trajectory(Path(file)).design for file in one_or_several(trajectory)
+    )
     of_model = [] if model is None or static else _recordings_of(Path(model))
     inputs = argument_files(
         *(loaded.source, model, limits, trajectory),

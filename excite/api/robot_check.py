@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from .._types import FloatArray
+from .._system.one_or_several import one_or_several
+from .._types import FloatArray, Paths
 from ..errors import ExciteWarning, LimitFault, UnusableInput
 from ..robot import base_parameters, dynamics, inertial_parameters, urdf
 from ..robot import limits as robot_limits
@@ -193,12 +194,12 @@ def check_robot(
     source: str | Path,
     *,
     limits: str | Path | None = None,
-    joints: Sequence[str] | None = None,
+    joints: str | Sequence[str] | None = None,
     lock: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
     mass: float | None = None,
-    packages: Sequence[str] = (),
+    packages: Paths = (),
 ) -> RobotCheck:
     """Examine a robot's file.
 
@@ -215,6 +216,7 @@ def check_robot(
     Raises:
         UnusableInput: The file cannot be read, or is no tree of joints.
     """
+    packages = tuple(map(str, one_or_several(packages)))
     with warnings.catch_warnings(record=True) as recorded:
         warnings.simplefilter("always", ExciteWarning)
         inertias = None

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
+from .._system.one_or_several import one_or_several
+from .._types import Paths
 from ..robot.limits import Limits, resolve
 from ..robot.robot import GRAVITY, Payload, Robot, load
 
@@ -16,12 +18,12 @@ RobotSource: TypeAlias = str | Path | Robot
 def load_robot(
     source: RobotSource,
     *,
-    joints: Sequence[str] | None = None,
+    joints: str | Sequence[str] | None = None,
     lock: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
     mass: float | None = None,
-    packages: Sequence[str] = (),
+    packages: Paths = (),
 ) -> Robot:
     """Load a robot.
 
@@ -33,7 +35,7 @@ def load_robot(
         gravity: Gravity in the base frame. Shape (3,) [m/s²].
         mass: Mass of the complete robot [kg], for a robot with links that state no inertia; see
             `collision.nominal_inertia`.
-        packages: Folders in which `package://` meshes of these links are searched.
+        packages: Folder or folders in which `package://` meshes of these links are searched.
 
     Raises:
         UnusableInput: The file cannot be used, or a joint or link is unknown.
@@ -44,7 +46,7 @@ def load_robot(
     if mass is not None:
         from ..collision.nominal_inertia import nominal_inertias  # slow to import
 
-        inertias = nominal_inertias(str(source), mass, packages)
+        inertias = nominal_inertias(str(source), mass, tuple(map(str, one_or_several(packages))))
     return load(
         str(source),
         joints=joints,

@@ -11,8 +11,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from .._system.blas_threads import single_blas_thread
+from .._system.one_or_several import one_or_several
 from .._system.progress import Progress, logger
 from .._types import FloatArray
 from ..errors import UnusableInput
@@ -25,11 +26,12 @@ from ..robot import base_parameters, inertial_parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from .identification_result import (
-    RecordingSource,
+    RecordingSources,
     TrajectorySources,
     read_bounds,
     read_recording,
     recording_name,
+    require_recordings,
 )
 from .input_files import argument_files
 from .robots import RobotSource, load_robot, resolve_limits
@@ -98,11 +100,11 @@ def lacks_torque(recording: Recording) -> bool:
 
 def identify_servo(
     robot: RobotSource,
-    recordings: Sequence[RecordingSource],
+    recordings: RecordingSources,
     *,
-    validate: Sequence[RecordingSource] = (),
+    validate: RecordingSources = (),
     limits: str | Path | Limits | None = None,
-    drive: tuple[str, ...] = inertial_parameters.DRIVE,
+    drive: str | Sequence[str] = inertial_parameters.DRIVE,
     bounds: str | Path | Bounds | None = None,
     gains: Sequence[float] | None = None,
     trajectory: TrajectorySources = (),
@@ -132,6 +134,8 @@ def identify_servo(
     Raises:
         UnusableInput: An argument or a file cannot be used.
     """
+    recordings, validate = one_or_several(recordings), one_or_several(validate)
+    require_recordings(recordings)
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
     report = progress or logger.info
@@ -156,7 +160,7 @@ def identify_servo(
         else read_bounds(bounds, standard),
         **choices,
     )
-    with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+    with single_blas_thread():
         result = servo_identification.identify_servo(
             loaded, standard, base, train, held_out, chosen, report
         )

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from .._system.one_or_several import one_or_several
 from .._system.output_files import OutputFiles, output_files
 from ..errors import UnusableInput
 from ..robot import source_text, urdf, xml_file
@@ -136,7 +137,7 @@ def recording_files(path: Path, inputs: Sequence[Path] = ()) -> OutputFiles:
 def simulate(
     robot: str | Path,
     trajectory: str | Path,
-    effects: Sequence[str] = (),
+    effects: str | Sequence[str] = (),
     *,
     dense: float | None = None,
     severity: float | None = None,
@@ -150,7 +151,7 @@ def simulate(
     Args:
         robot: Path of a URDF or name of a built-in model.
         trajectory: Path of a `trajectory.json`.
-        effects: Hidden effects, each as `NAME:JOINT[:k=v,…]`.
+        effects: Hidden effect or effects, each as `NAME:JOINT[:k=v,…]`.
         dense: Probability of each friction at each joint of a robot that has several of them at
             once, a delay and torque ripple; None: `effects` only.
         severity: Scale each effect to this RMS torque after a refit of the base model, over the
@@ -165,6 +166,7 @@ def simulate(
         UnusableInput: MuJoCo is not installed, or an argument or a file cannot be used.
     """
     require_mujoco()
+    effects = one_or_several(effects)
     from ..simulator import (
         dense_robot,
         effect_instance,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from .._system.one_or_several import one_or_several
 from .._system.progress import logger
 from .._types import FloatArray, IntArray
 from ..designer.floating_identifiability import RowNoise, assumed_noise
@@ -48,7 +49,7 @@ def simulate_standing(
     robot: str | Path | FloatingRobot,
     trajectory: str | Path,
     *,
-    contacts: Sequence[str] = (),
+    contacts: str | Sequence[str] = (),
     wrench_noise: tuple[float, float] | None = None,
     torque_noise: tuple[float, ...] | None = None,
     model_error: float = 0.05,
@@ -80,7 +81,7 @@ def simulate_standing(
     path = Path(trajectory)
     design, loaded = _read_design(path, robot)
     feet = tuple(str(foot.frame) for foot in design.support)
-    contacts = tuple(contacts) or feet
+    contacts = one_or_several(contacts) or feet
     if contacts != (WORLD,) and sorted(contacts) != sorted(feet):
         raise UnusableInput(
             f"--contact {', '.join(contacts)}: the robot stands on {', '.join(feet)}; name all of "

@@ -218,12 +218,11 @@ def design_support(
     table = limits if isinstance(limits, Limits) else resolve_limits(loaded.joint_robot, limits)
     if not options.soles:
         soles = (
-            find_sole(loaded.joint_robot, frame, tuple(map(str, cell.packages)))
-            for frame in options.frames
+            find_sole(loaded.joint_robot, frame, cell.package_folders) for frame in options.frames
         )
         options = replace(options, soles=tuple(soles))
     surroundings = (
-        Surroundings(cell.read_scene(), tuple(map(str, cell.packages)), cell.is_required)
+        Surroundings(cell.read_scene(), cell.package_folders, cell.is_required)
         if cell.check
         else None
     )

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from .. import _json, exporters
+from .._system.one_or_several import one_or_several
 from .._system.output_files import output_files, output_folder
+from .._types import Paths
 from ..collision.scene_file import files_of_cell
 from ..designer import certificate as certificates
 from ..designer import support_trajectory
@@ -105,7 +107,7 @@ def verify(
     *,
     robot: str | Path | None = None,
     limits: str | Path | None = None,
-    packages: Sequence[str] = (),
+    packages: Paths = (),
 ) -> VerificationResult:
     """Recompute limits, clearance and criteria of a trajectory file, as `excite verify` does.
 
@@ -116,11 +118,12 @@ def verify(
         trajectory: Path of a `trajectory.json`.
         robot: Present path of the URDF; None: that of the file.
         limits: Present path of the limits file; None: that of the file.
-        packages: Further folders of `package://` meshes.
+        packages: Further folder or folders of `package://` meshes.
 
     Raises:
         UnusableInput: A file is missing or malformed.
     """
+    packages = tuple(map(str, one_or_several(packages)))
     path = Path(trajectory)
     content = read_document(path)
     if stated_schema(content) != SUPPORT_SCHEMA:
@@ -191,7 +194,7 @@ def export(
     force: bool = False,
     robot: str | Path | None = None,
     limits: str | Path | None = None,
-    packages: Sequence[str] = (),
+    packages: Paths = (),
     goal: GoalOptions = GoalOptions(),  # noqa: B008  # immutable
 ) -> ExportedFile:
     """Verify a trajectory and export it for a controller, as `excite export` does.
@@ -205,7 +208,7 @@ def export(
         force: Write the file even if a check fails; it states the failure.
         robot: Present path of the URDF.
         limits: Present path of the limits file.
-        packages: Further folders of `package://` meshes.
+        packages: Further folder or folders of `package://` meshes.
         goal: Lead and tolerances of a ROS 2 goal.
 
     Raises:
@@ -229,7 +232,7 @@ def export(
             "trajectory.csv of its folder, which has positions, torques and wrenches of the feet"
         )
     certificate, motion, loaded, truth = _verify_arm(
-        document, path_of_motion, robot, limits, packages
+        document, path_of_motion, robot, limits, tuple(map(str, one_or_several(packages)))
     )
     cell = motion.design.get(CELL_KEY)
     files = [*limits_files(loaded, truth), *([] if cell is None else files_of_cell(cell))]

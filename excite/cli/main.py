@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from .._system import process
+from .._system.blas_threads import single_blas_thread
 from .._system.console import emit
 from .parser import parser
 
@@ -33,11 +34,9 @@ def _execute(argv: Sequence[str]) -> int:
     from .console import Console  # here, so that help does not wait for the import of logging
 
     with Console(arguments.quiet, arguments.verbose).attached():
-        from threadpoolctl import threadpool_limits
-
         module = importlib.import_module(f"{__package__}.{arguments.command}")
         run: Callable[[argparse.Namespace], tuple[int, object, str]] = module.run
-        with threadpool_limits(1):  # small matrices: threads of BLAS slow them down
+        with single_blas_thread():
             code, document, text = run(arguments)
     if arguments.json:
         from .._json import plain

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import Any, NoReturn, TypeAlias
 
@@ -47,11 +48,11 @@ RECORDINGS = """recordings:
   A CSV has the columns t [s], q.<joint> [rad or m] and tau.<joint> [N m or N], or i.<joint> [A]
   and a drive_gain per joint; dq, qref, qlink and temp are read too. CSV files of PlotJuggler, of
   'ros2 topic echo --csv' and of ur_rtde are read as they are, and names such as time, q_<joint>,
-  <joint>_pos, or q1, tau1, … in the order of the robot; --columns names other columns. A file
-  run.json next to run.csv holds the metadata: {"schema": "excite.recording/1", "period": 6.2,
-  "periodic": [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. --trajectory takes period and window from
-  the motion that was executed. The noise floor is estimated from two or more whole periods in that
-  window.
+  <joint>_pos, /joint_states/<joint>/position, or q1, tau1, … in the order of the robot; --columns
+  names other columns. Times may be dates such as 2025-03-30T01:59:55.008+02:00. A file run.json
+  next to run.csv holds the metadata: {"schema": "excite.recording/1", "period": 6.2, "periodic":
+  [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. --trajectory takes period and window from the motion
+  that was executed. The noise floor is estimated from two or more whole periods in that window.
 
 examples:
   excite identify ur10e monday.csv --validate tuesday.csv -o out/model
@@ -73,23 +74,42 @@ class _Parser(argparse.ArgumentParser):
         )
 
     def _suggestion(self, message: str) -> str:
-        """Return the known command or option that is most similar to an unknown one."""
+        """Return the known command, option or value that is most similar to an unknown one."""
         unknown = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: (\S+)", message)
         if unknown is None:
             return ""
+        if unknown[2]:
+            option = unknown[2].partition("=")[0]
+            commands = [
+                sub
+                for action in self._actions
+                if isinstance(action.choices, dict)
+                for sub in action.choices.values()
+            ]
+            if any(option in sub.options() for sub in commands):
+                return "; options stand behind the command"
+            return _similar(option, self.options())
+        place = re.match(r"argument ([^:]+): invalid choice", message)
         known = [
-            word
+            str(choice)
             for action in self._actions
-            for word in (*action.option_strings, *(action.choices or ()))
+            if place is None or place[1] in (action.metavar, "/".join(action.option_strings))
+            for choice in action.choices or ()
         ]
-        near = get_close_matches(unknown[1] or unknown[2], map(str, known), 1)
-        return f"; did you mean {near[0]}?" if near else ""
+        return _similar(unknown[1], known)
+
+    def options(self) -> list[str]:
+        """Return the names of all options."""
+        return [option for action in self._actions for option in action.option_strings]
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse a command line.
 
         `--option=--` is refused: argparse turns it into an empty list, whatever the option's type.
-        So are empty words: an empty path is the current folder.
+        So are empty words: an empty path is the current folder. Unknown options are reported before
+        missing arguments, which they may have been meant to be, and by the parser of the command:
+        argparse reports them by that of the program. A list that begins with a negative number is
+        the value of the option in front of it.
         """
         words = sys.argv[1:] if args is None else list(args)
         for before, word in zip(["", *words], words, strict=False):
@@ -99,7 +119,36 @@ class _Parser(argparse.ArgumentParser):
             if not word:
                 place = f"argument {before}: " if before.startswith("-") else ""
                 self.error(f"{place}'' is no value; state one or leave it out")
-        return super().parse_known_args(words, namespace)
+        for k in reversed(range(1, len(words))):
+            if re.match(r"-[\d.]+,", words[k]) and words[k - 1] in self.options():
+                words[k - 1 : k + 1] = [f"{words[k - 1]}={words[k]}"]
+        options = words[: words.index("--")] if "--" in words else words
+        if self._subparsers is not None:  # the command is the first word that is no option
+            options = options[:1]
+        unknown = [word for word in options if self._is_unknown(word)]
+        if unknown and not {"-h", "--help"} & set(options):
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        parsed, unknown = super().parse_known_args(words, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return parsed, unknown
+
+    def _is_unknown(self, word: str) -> bool:
+        """Return True for an option that abbreviates no known one: `--option`, `-o`.
+
+        Words with blanks are values, as argparse has it, and negative numbers may be some.
+        """
+        option = word.partition("=")[0]
+        if not re.match(r"--\w|-[a-zA-Z]$", option) or " " in word:
+            return False
+        return not any(known.startswith(option) for known in self.options())
+
+
+def _similar(word: str, known: Sequence[str]) -> str:
+    """Return a question for the known word that is most similar to a word, if there is any."""
+    names = {name.lstrip("-"): name for name in known}
+    near = get_close_matches(word.lstrip("-"), names, 1)
+    return f"; did you mean {names[near[0]]}?" if near else ""
 
 
 def parser() -> argparse.ArgumentParser:

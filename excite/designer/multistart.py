@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import joblib
 import numpy as np
-import threadpoolctl
 
+from .._system.blas_threads import single_blas_thread
 from .._types import FloatArray
 from ..errors import ExciteError
 from ..trajectory.fourier import FourierSeries
@@ -201,8 +201,7 @@ def _run_group(
     problem: DesignProblem, until: int, starts: Sequence[int | Attempt]
 ) -> list[Attempt | ExciteError]:
     """Run the round of a few starts in this process."""
-    # one thread: sums in the same order, whatever the number of processes
-    with threadpoolctl.threadpool_limits(1):
+    with single_blas_thread():
         evaluator = Evaluator(problem)
         return [
             _begin(evaluator, until, start)

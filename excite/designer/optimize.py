@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import threadpoolctl
 
+from .._system.blas_threads import single_blas_thread
 from .._types import FloatArray
 from ..collision.clearance_constraint import ClearanceConstraint
 from ..errors import ExciteError, UnusableInput
@@ -264,7 +264,7 @@ def improve(
         earlier: State of the search that found the motion, whose curvature is used again; None:
             begin a new search.
     """
-    with threadpoolctl.threadpool_limits(1):
+    with single_blas_thread():
         evaluator = Evaluator(setup.problem)
         x = setup.problem.variables(motion)
         stationary = initial_guess.stationary_variables(setup.problem, motion.offset)

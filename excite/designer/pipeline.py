@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import threadpoolctl
 
+from .._system.blas_threads import single_blas_thread
 from .._types import FloatArray
 from ..collision import clearance_builder
 from ..collision.clearance_constraint import ClearanceConstraint
@@ -84,8 +84,7 @@ class CertifiedDesign:
     timing: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
-# on small matrices threads cost more than they gain
-@threadpoolctl.threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
+@single_blas_thread()
 def design_trajectory(
     robot: Robot,
     limits: Limits,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._system.one_or_several import one_or_several
 from .._system.progress import Progress
 from .._types import FloatArray
 from ..collision import clearance_builder, continuous_check
@@ -131,6 +132,10 @@ class SupportOptions:
     starts: int = 8
     iterations: int = 120
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Accept the name of a single foot."""
+        object.__setattr__(self, "frames", one_or_several(self.frames))
 
     def design_options(self) -> DesignOptions:
         """Return the options of the search for one motion."""

@@ -305,12 +305,15 @@ def build_equations(
     Raises:
         UnusableInput: All segments are shorter than the margins that the filter discards.
     """
-    parts, offsets, starts, sources, count, margin = [], [], list[int](), list[str](), 0, 0.0
+    parts, offsets, starts, sources, count = [], [], list[int](), list[str](), 0
+    longest, source, margin = 0.0, "", 0.0
     for recording in recordings:
         for segment in recording.segments():
             begin = count
             band = RowFilter.of(segment, hertz)
-            margin = 2.0 * band.margin / segment.rate
+            if len(segment) / segment.rate > longest:
+                longest, source = len(segment) / segment.rate, recording.source
+                margin = 2.0 * band.margin / segment.rate
             for equations, columns in _segment_equations(model, segment, band):
                 parts.append(equations)
                 offsets.append(columns)
@@ -319,7 +322,7 @@ def build_equations(
                 starts.append(begin)
                 sources.append(recording.source)
     if not parts:
-        raise too_short("recordings", margin, float(hertz.min()))
+        raise too_short(source, margin, float(hertz.min()))
     motion = Samples(
         *(np.concatenate([getattr(p.motion, name) for p in parts]) for name in ("q", "dq", "ddq"))
     )

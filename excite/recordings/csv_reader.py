@@ -33,6 +33,7 @@ from .block import Block
 from .column_names import ColumnLayout, find_columns
 from .export_formats import Header, recognise
 from .remark import Remark, RemarkKind
+from .time_cells import DATE, DateColumn, epoch_unit
 
 CHUNK_SIZE = 1 << 23
 """Part of a file that is parsed at once [bytes]."""
@@ -51,8 +52,10 @@ _CLASSES[list(b"eE")] = _EXPONENT
 _CLASSES[list(b"+-")] = _SIGN
 
 
-COMMENTS = (b"#", b"//")
-"""First characters of comments in front of the header."""
+COMMENTS = (b"#", b"//", b"%")
+"""First characters of comments."""
+COMMENTED_HEADER = re.compile(r"\A(?:#+|%\s)\s*")
+"""Sign of a comment in front of the names of columns; `%time` is a name of rostopic."""
 MIN_EMPTY_SHARE = 0.1
 """Share of rows without any quantity of the robot from which they are those of another topic, in a
 table that merges several [1]; fewer are missing values."""
@@ -78,9 +81,21 @@ SEPARATOR_LINE = re.compile(rb"sep=.\r?\n", re.IGNORECASE)
 """First line by which spreadsheets state the separator of cells."""
 MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \t]*(?![^,\n])')
 """Cell that says that nothing was measured."""
+BLANK_CELL = re.compile(r"(?:^|,)\s*(?:,|$)")
+"""Cell without a value in a line."""
 WHOLE_CELL = re.compile(r"\s*[+-]?\d+\s*")
 """Cell that holds a whole number, as either part of a number with a decimal comma."""
-DATE = re.compile(r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}:\d{2}:)")
+GROUPED = re.compile(r"(['\"])[+-]?\d{1,3}(?:[.,' ]\d{3})+(?:[.,]\d*)?\1")
+"""Number in the message of a parser that may have separators of thousands."""
+THOUSANDS = re.compile(
+    rb"(?m)(?:^|[;\t])[ \"]*[+-]?[1-9]\d{0,2}((?:,\d{3})+)(?:\.\d*)?[ \"]*(?=$|[;\t\r])"
+)
+"""Cell with commas between thousands."""
+POINT_CELL = re.compile(rb"(?m)(?:^|[;\t])[ \"]*[+-]?\d+\.\d+(?:[eE][+-]?\d+)?[ \"]*(?=$|[;\t\r])")
+"""Cell that is a number with a decimal point."""
+DATE_CELL = re.compile(
+    r"'\s*(?:\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}[./]\d{1,2}[./]\d{4}|\d{1,2}:\d{2}:)"
+)
 """Date or time of day in the message of a parser."""
 
 
@@ -122,16 +137,18 @@ def read_blocks(
     """
     with path.open("rb") as stream:
         line, row = _skip_comments(stream)
-        separator, cells = _read_header(path, line)
+        separator, with_unnamed = _read_header(path, line)
+        cells = _without_empty_end(with_unnamed)
         behind = stream.tell()
         first_line = stream.readline(MAX_LINE)
-        first_row = _cells(separator, first_line)
+        first_row = _without_empty_end(_cells(separator, first_line))
         if _is_row_of_units(path, row + 1, cells, first_row):
             behind, row = stream.tell(), row + 1
             first_line = stream.readline(MAX_LINE)
-            first_row = _cells(separator, first_line)
+            first_row = _without_empty_end(_cells(separator, first_line))
         header = recognise(str(path), cells, first_row, robot, columns, separator, topic, effort)
-        _require_names(path, header.names, robot, separator)
+        unnamed = len(with_unnamed) - len(cells)
+        _require_names(path, header.names, robot, separator, unnamed)
         if header.has_line:
             _require_separator(path, row + 1, separator, cells, first_line)
         stream.seek(behind if header.has_line else 0)
@@ -143,7 +160,8 @@ def read_blocks(
             from_first=header.from_first,
             floating=floating,
         )
-        table = _Table(path, separator, header, layout, line if header.has_line else None)
+        table = _Table(path, separator, header, layout, unnamed)
+        table.header_line = line.rstrip(b"\r\n") if header.has_line else None
         table.remarks += (*_planned(cells, robot), *_numbered(header.numbered, robot))
         table.row = row + 1 if header.has_line else 1
         remainder = b""
@@ -164,17 +182,22 @@ class _Table:
     """The rows of a file, chunk by chunk.
 
     Attributes:
+        unnamed: Number of columns without a name behind the others.
+        header_line: The line with the names; None: there is none.
         row: Number of the next row in the file, as users count.
         remarks: Remarks that the next block carries.
     """
 
     def __init__(
-        self, path: Path, separator: str, header: Header, layout: ColumnLayout, line: bytes | None
+        self, path: Path, separator: str, header: Header, layout: ColumnLayout, unnamed: int
     ) -> None:
         self.path, self.separator, self.header, self.layout = path, separator, header, layout
+        self.unnamed = unnamed
         self.places = [header.names.index(name) for name in layout.names]
-        self.header_line = None if line is None else line.rstrip(b"\r\n")
+        self.header_line: bytes | None = None
         self.origin: FloatArray | None = None
+        self.dates: DateColumn | None = None
+        self.has_times = False
         self.row = 1
         self.remarks: tuple[Remark, ...] = ()
         self.remarked: set[str] = set()
@@ -182,19 +205,29 @@ class _Table:
     def block(self, text: bytes) -> Block:
         """Parse complete lines."""
         count, first = text.count(b"\n"), self.row
-        text = self._without_repeated_headers(text)
+        text = self._without_comments(self._without_repeated_headers(text))
         if self.header.rewrite is not None:
             text, left_out = self.header.rewrite(text)
             if left_out:
                 self._remark(f"{left_out} rows that lack some of the robot's joints are left out")
+        text = self._without_dates(text)
         table = _parse_rows(
-            self.path, text, self.separator, self.header.names, self.places, self.row
+            self.path,
+            text,
+            self.separator,
+            len(self.header.names),
+            self.places,
+            self.row,
+            self.unnamed,
         )
         self.row += count
         table = self._without_empty_rows(table)
         times = len(self.layout.time_factors)
-        if self.layout.from_first and self.origin is None and len(table):
-            self.origin = table[0, :times].copy()
+        clock = table[np.isfinite(table[:, :times]).all(axis=1), :times]
+        if len(clock) and not self.has_times:
+            self.has_times = True
+            self._find_epoch(clock)
+            self.origin = clock[0].copy() if self.layout.from_first else None
         block = self.layout.block(table, self.origin)
         out = dataclasses.replace(block, remarks=self.remarks, row=first)
         self.remarks = ()
@@ -203,6 +236,8 @@ class _Table:
     def last_block(self, line: bytes) -> Block:
         """Parse a last line that does not end in a newline; it may be cut short."""
         missing = len(_cells(self.separator, line)) < len(self.header.names)
+        if line.startswith(COMMENTS):
+            return self.block(line + b"\n")
         if missing and self.header.rewrite is None:
             self._remark(f"row {self.row}, the last one, is cut short and left out")
             return self.block(b"")
@@ -216,6 +251,42 @@ class _Table:
         kept = [line for line in lines if line.rstrip(b"\r") != self.header_line]
         if len(kept) < len(lines):
             self._remark(f"{len(lines) - len(kept)} rows that repeat the header are left out")
+        return b"\n".join(kept)
+
+    def _without_dates(self, text: bytes) -> bytes:
+        """Text with seconds in place of dates, if the time in the first row is one."""
+        dates, place = self.dates, self.places[0]
+        if dates is None and not self.has_times and len(self.layout.time_factors) == 1:
+            first = next((line for line in text.split(b"\n") if line.strip()), b"")
+            cells = _cells(self.separator, first)
+            if place < len(cells) and DATE.fullmatch(cells[place].strip()):
+                self.dates = dates = DateColumn(self.path, self.separator, place)
+        if dates is None:
+            return text
+        is_first = dates.first is None
+        text = dates.rewrite(text, self.row)
+        if is_first and dates.first is not None:
+            self.remarks += (Remark(RemarkKind.CLOCK, dates.remark(), repaired=True),)
+        return text
+
+    def _find_epoch(self, clock: FloatArray) -> None:
+        """Find out from the first times whether they count another unit than seconds since 1970."""
+        epoch = epoch_unit(float(np.median(clock[:, 0])))
+        if epoch is None or self.layout.time_factors != (1.0,):
+            return
+        unit, length = epoch
+        self.layout = dataclasses.replace(self.layout, time_factors=(length,), from_first=True)
+        text = f"its times count {unit} since 1970, by their size; they are converted to s from "
+        text += "the first row"
+        self.remarks += (Remark(RemarkKind.CLOCK, text, repaired=True),)
+
+    def _without_comments(self, text: bytes) -> bytes:
+        """Text in which lines of comments are empty, so that rows keep their numbers."""
+        if not any(text.startswith(sign) or b"\n" + sign in text for sign in COMMENTS):
+            return text
+        lines = text.split(b"\n")
+        kept = [b"" if line.startswith(COMMENTS) else line for line in lines]
+        self._remark("comments below the names of the columns are left out")
         return b"\n".join(kept)
 
     def _without_empty_rows(self, table: FloatArray) -> FloatArray:
@@ -235,14 +306,16 @@ class _Table:
 
 
 def _skip_comments(stream: BinaryIO) -> tuple[bytes, int]:
-    """Return the header's line and its number.
+    """Return the header's line and its number, below comments and empty lines.
 
     A header may be a comment itself: then the line below has as many cells and is none.
     """
     line, row = stream.readline(MAX_LINE).removeprefix(codecs.BOM_UTF8), 1
     if SEPARATOR_LINE.fullmatch(line):
         line, row = stream.readline(MAX_LINE), row + 1
-    while line.lstrip().startswith(COMMENTS):
+    while line.isspace():
+        line, row = stream.readline(MAX_LINE), row + 1
+    while line.lstrip().startswith(COMMENTS) and not line.startswith(b"%time"):  # of rostopic
         place = stream.tell()
         following = stream.readline(MAX_LINE)
         is_data = bool(following.strip()) and not following.lstrip().startswith(COMMENTS)
@@ -250,14 +323,22 @@ def _skip_comments(stream: BinaryIO) -> tuple[bytes, int]:
             stream.seek(place)
             break
         line, row = following, row + 1
+        while line.isspace():
+            line, row = stream.readline(MAX_LINE), row + 1
     return line, row
 
 
 def _width(line: bytes) -> int:
     """Number of cells of a line, comment signs left out."""
-    text = line.lstrip(b" #/\t").strip()
+    text = line.lstrip(b" #/%\t").strip()
     separator = next((s for s in SEPARATORS if s.encode() in text), ",")
-    return len(_cells(separator, text))
+    return len(_without_empty_end(_cells(separator, text)))
+
+
+def _without_empty_end(cells: Sequence[str]) -> list[str]:
+    """Cells without the empty ones at the end, as behind a separator at the end of a line."""
+    count = max((k + 1 for k, cell in enumerate(cells) if cell.strip()), default=0)
+    return list(cells[:count])
 
 
 def _is_row_of_units(path: Path, row: int, header: Sequence[str], cells: Sequence[str]) -> bool:
@@ -330,7 +411,7 @@ def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
             f"{path}: row 1 is longer than {MAX_LINE} bytes; give a CSV with a header t,q.<joint>,…"
         )
     try:
-        text = line.decode("utf-8-sig").strip().lstrip("#").strip()
+        text = COMMENTED_HEADER.sub("", line.decode("utf-8-sig").strip(), count=1)
     except UnicodeDecodeError as error:
         raise UnusableInput(
             f"{path}: is no UTF-8 text; give a CSV in UTF-8 with a header t,q.<joint>,…, an .npz, "
@@ -348,7 +429,9 @@ def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
     return separator, [cell.strip() for cell in cells]
 
 
-def _require_names(path: Path, names: Sequence[str], robot: Robot, separator: str) -> None:
+def _require_names(
+    path: Path, names: Sequence[str], robot: Robot, separator: str, unnamed: int
+) -> None:
     """Check that the first row holds names: not only numbers, next to empty and missing cells."""
     cells = [name for name in names if name and not MISSING_CELL.fullmatch(name)]
     if not cells or not all(map(_is_number, cells)):
@@ -356,9 +439,9 @@ def _require_names(path: Path, names: Sequence[str], robot: Robot, separator: st
     joint = robot.joints[0]
     example = separator.join(["t", f"q.{joint}", "…", f"tau.{joint}", "…"])
     raise UnusableInput(
-        f"{path}: its first row holds numbers, no names; put the names of its {len(names)} columns "
-        f"above it, or in its place if it numbers the columns: {example} (separated by "
-        f"{SEPARATORS[separator]})"
+        f"{path}: its first row holds numbers, no names; put the names of its "
+        f"{len(names) + unnamed} columns above it, or in its place if it numbers the columns: "
+        f"{example} (separated by {SEPARATORS[separator]})"
     )
 
 
@@ -369,13 +452,13 @@ def _require_separator(
 
     Commas in it may be decimal points: `0,1;0,2` below `t,q.elbow`.
     """
-    by_names = _cells(separator, line)
+    by_names = _without_empty_end(_cells(separator, line))
     if len(by_names) == len(names) or len(names) < 2:
         return
     for other, word in SEPARATORS.items():
         if other == separator:
             continue
-        cells = _cells(other, line)
+        cells = _without_empty_end(_cells(other, line))
         are_numbers = all(
             not cell or (cell[-1] != "," and _is_number(cell.replace(",", "."))) for cell in cells
         )
@@ -402,36 +485,42 @@ def _parse_rows(
     path: Path,
     text: bytes,
     separator: str,
-    header: Sequence[str],
+    width: int,
     columns: Sequence[int],
     first_row: int,
+    unnamed: int,
 ) -> FloatArray:
     """Parse lines; raise UnusableInput that names the row of a faulty cell."""
     try:
-        return parse_numbers(text, separator, len(header), columns)
+        return parse_numbers(text, separator, width, columns, unnamed)
     except ValueError as error:
         match = re.search(r"^(.*?)[ ;]*at row (\d+), column (\d+)", str(error))
         place = f"row {first_row + int(match[2])}" if match else f"after row {first_row - 1}"
         reason = match[1] if match else str(error)
-        if DATE.search(reason):
+        if GROUPED.search(reason):
+            reason += " (if it has separators of thousands, remove them)"
+        if DATE_CELL.search(reason):
             raise UnusableInput(
                 f"{path}: {place}: {reason.split(' to float')[0]}, a date or a time of day; write "
-                f"it in seconds, each row should hold {len(header)} numbers"
+                f"it in seconds or as 2025-03-30T01:59:55.008, each row should hold {width} numbers"
             ) from error
         raise UnusableInput(
-            f"{path}: {place}: {reason}; each row should hold {len(header)} numbers, empty where "
+            f"{path}: {place}: {reason}; each row should hold {width} numbers, empty where "
             "none was measured"
         ) from error
 
 
-def parse_numbers(text: bytes, separator: str, width: int, columns: Sequence[int]) -> FloatArray:
+def parse_numbers(
+    text: bytes, separator: str, width: int, columns: Sequence[int], unnamed: int = 0
+) -> FloatArray:
     """Parse columns of complete lines.
 
     Args:
         text: The lines.
         separator: ",", ";" or a tab (commas are then decimal points), or " " for any blanks.
-        width: Number of cells in a line.
+        width: Number of cells in a line; further ones are allowed where they are empty.
         columns: Indices of the columns to return.
+        unnamed: Number of further cells that a line may have, with anything in them.
 
     Returns:
         Numbers, NaN for empty cells. Shape (lines, len(columns)).
@@ -441,17 +530,49 @@ def parse_numbers(text: bytes, separator: str, width: int, columns: Sequence[int
             "at row R, column C", counted from 0.
     """
     if separator in (";", "\t"):
+        _require_no_thousands(text)
         text = text.replace(b",", b".").replace(separator.encode(), b",")
     elif separator == " ":
         text = re.sub(rb"[ \t]+", b",", re.sub(rb"(?m)^[ \t]+|[ \t]+\r?$", b"", text))
     if b"\r" in text:
         text = text.replace(b"\r\n", b"\n")
     text = text if text.endswith(b"\n") else text + b"\n"
-    if is_plain(text, width):
-        # a cell such as "-" or "." fails here; the tolerant parser reports its place
-        with contextlib.suppress(ValueError):
-            return _parse_plain(text, width)[:, list(columns)]
-    return _parse_tolerant(text, width, columns)
+    text = _without_empty_cells_behind(text, width)
+    for cells in sorted({width, width + unnamed}):
+        if is_plain(text, cells):
+            # a cell such as "-" or "." fails here; the tolerant parser reports its place
+            with contextlib.suppress(ValueError):
+                return _parse_plain(text, cells)[:, list(columns)]
+    return _parse_tolerant(text, width, columns, unnamed)
+
+
+def _require_no_thousands(text: bytes) -> None:
+    """Raise ValueError for commas that separate thousands, next to decimal points.
+
+    They are taken for that where each stands in front of three digits and behind one to three that
+    do not begin with 0.
+    """
+    if b"," not in text or b"." not in text or not POINT_CELL.search(text):
+        return
+    grouped = 0
+    for match in THOUSANDS.finditer(text):
+        grouped += match[1].count(b",")
+    if grouped == text.count(b","):
+        line = text[: text.index(b",")].count(b"\n")
+        raise ValueError(
+            "commas stand between thousands, next to decimal points; remove them at row "
+            f"{line}, column 0"
+        )
+
+
+def _without_empty_cells_behind(text: bytes, width: int) -> bytes:
+    """Return lines without the cells behind a width, if these are empty in every line."""
+    if b'"' in text:
+        return text  # a comma may be a part of a cell
+    count = text.count(b"\n")
+    while text.count(b",", 0, text.find(b"\n")) >= width and text.count(b",\n") == count:
+        text = text.replace(b",\n", b"\n")
+    return text
 
 
 def is_plain(text: bytes, width: int) -> bool:
@@ -511,25 +632,34 @@ def _parse_plain(text: bytes, width: int) -> FloatArray:
     return table.T
 
 
-def _parse_tolerant(text: bytes, width: int, columns: Sequence[int]) -> FloatArray:
+def _parse_tolerant(
+    text: bytes, width: int, columns: Sequence[int], unnamed: int = 0
+) -> FloatArray:
     """Parse any text that `np.loadtxt` can read. Shape (lines, len(columns))."""
-    lines = [
-        line for line in MISSING_CELL.sub("nan", text.decode("utf-8")).split("\n") if line.strip()
-    ]
-    for number, line in enumerate(lines):
+    texts = MISSING_CELL.sub("nan", text.decode("utf-8")).split("\n")
+    numbers = [number for number, line in enumerate(texts) if line.strip()]
+    lines = [texts[number] for number in numbers]
+    for k, line in enumerate(lines):
         if '"' not in line and line.count(",") != width - 1:
             cells = line.split(",")
+            if len(cells) > width and not any(map(str.strip, cells[width + unnamed :])):
+                lines[k] = ",".join(cells[:width])
+                continue
             fault = f"{len(cells)} cells instead of {width}"
             if len(cells) > width and all(WHOLE_CELL.fullmatch(cell) for cell in cells):
                 fault += (
                     ", all whole numbers: if commas are decimal points, write points, or separate "
                     "names and cells by semicolons"
                 )
-            raise ValueError(f"{fault} at row {number}, column 0")
-    if any(",," in line or line.startswith(",") or line.endswith(",") for line in lines):
+            raise ValueError(f"{fault} at row {numbers[k]}, column 0")
+    if any(map(BLANK_CELL.search, lines)):
         lines = [",".join(cell.strip() or "nan" for cell in line.split(",")) for line in lines]
     if not lines:
         return np.empty((0, len(columns)))
-    return np.loadtxt(
-        lines, delimiter=",", comments=None, quotechar='"', usecols=list(columns), ndmin=2
-    )
+    try:
+        return np.loadtxt(
+            lines, delimiter=",", comments=None, quotechar='"', usecols=list(columns), ndmin=2
+        )
+    except ValueError as error:  # whose row does not count empty lines
+        fault = re.sub(r"at row (\d+)", lambda m: f"at row {numbers[int(m[1])]}", str(error))
+        raise ValueError(fault) from error

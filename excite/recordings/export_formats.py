@@ -21,7 +21,14 @@ from dataclasses import dataclass
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .joint_state_cells import ElementColumns, ListCells, Rewrite, is_list
-from .spelled_columns import find_spelled_columns, holds_name, number_fault
+from .spelled_columns import (
+    find_spelled_columns,
+    first_numbers,
+    holds_name,
+    number_fault,
+    surplus_fault,
+    surplus_remedy,
+)
 
 PLOTJUGGLER_TIME = "__time"
 """Column of time of PlotJuggler [s since 1970]."""
@@ -120,7 +127,7 @@ def recognise(
         )
         if time_columns is not None:
             return _indexed(source, names, first_row, robot, separator, time_columns, prefixes)
-    spelled = find_spelled_columns(source, names, robot, effort)
+    spelled = find_spelled_columns(source, names, robot, effort, topic)
     if spelled is not None:
         return Header(spelled.names, (spelled.time,), numbered=spelled.numbered)
     return Header(tuple(names))
@@ -216,28 +223,31 @@ def _indexed(
 ) -> Header:
     """Header with `field.position0` renamed to `q.<joint>` by the joint in `field.name0`."""
     fields = [INDEXED.fullmatch(name) for name in names]
-    joints = {
+    elements = {
         match[2]: cell.strip().strip("\"'")
         for match, cell in zip(fields, first_row, strict=False)
         if match is not None and match[1] == "name"
     }
     rewrite, numbered = None, tuple[str, ...]()
-    if joints:
+    if elements:
         place = {(m[1], m[2]): k for k, m in enumerate(fields) if m is not None}
-        elements = [
-            [place[field, element] for element in joints]
+        columns = [
+            [place[field, element] for element in elements]
             for field in prefixes
-            if all((field, element) in place for element in joints)
+            if all((field, element) in place for element in elements)
         ]
-        columns = [place["name", element] for element in joints]
+        columns_of_names = [place["name", element] for element in elements]
         rewrite = ElementColumns(
-            source, separator, columns, elements, list(joints.values()), robot.joints
+            source, separator, columns_of_names, columns, list(elements.values()), robot.joints
         ).rewrite
+        joints = {
+            (field, element): joint for field in prefixes for element, joint in elements.items()
+        }
     else:
         joints, numbered = _joints_by_number(source, names, fields, robot)
     renamed = tuple(
-        f"{prefixes[match[1]]}.{joints[match[2]]}"
-        if match is not None and match[1] in prefixes and match[2] in joints
+        f"{prefixes[match[1]]}.{joints[match[1], match[2]]}"
+        if match is not None and (match[1], match[2]) in joints
         else name
         for name, match in zip(names, fields, strict=True)
     )
@@ -246,7 +256,7 @@ def _indexed(
 
 def _joints_by_number(
     source: str, names: Sequence[str], fields: Sequence[re.Match[str] | None], robot: Robot
-) -> tuple[dict[str, str], tuple[str, ...]]:
+) -> tuple[dict[tuple[str, str], str], tuple[str, ...]]:
     """Return the joint of each number in the order of the robot, from 0 or 1.
 
     Args:
@@ -256,31 +266,40 @@ def _joints_by_number(
         robot: Robot whose joints are recorded.
 
     Returns:
-        Joints by their numbers as they stand in the file, and the names of the columns of positions
-        if the numbers alone tell the joints apart, else none.
+        Joints by field and number as they stand in the file, and the names of the columns of
+        positions if the numbers alone tell the joints apart, else none.
 
     Raises:
-        UnusableInput: The positions are not numbered 0 … n − 1 or 1 … n.
+        UnusableInput: The positions are not numbered 0 … n − 1 or 1 … n, or another field has
+            numbers that are those of no joint.
     """
-    elements = {int(match[2]): match[2] for match in fields if match is not None}
-    positions = {
-        int(match[2]): name
-        for name, match in zip(names, fields, strict=True)
-        if match is not None and match[1] == "position"
-    }
-    is_named = all(f"q.{joint}" in names for joint in robot.joints)
-    first = min(elements if is_named else positions, default=0)
-    expected = list(range(first, first + robot.n))
-    if is_named:  # by --columns
-        is_clear = not positions and first in (0, 1) and sorted(elements) == expected
-        order = dict(zip(expected, robot.joints, strict=True)) if is_clear else {}
-        return {elements[number]: joint for number, joint in order.items()}, ()
-    remedy = f"name the columns with --columns q.{robot.joints[0]}=COLUMN,…"
-    fault = number_fault(sorted(positions), robot)
+    columns: dict[str, dict[int, str]] = {}
+    written: dict[tuple[str, int], str] = {}
+    for name, match in zip(names, fields, strict=True):
+        if match is not None and match[1] != "name":
+            prefix = "q" if match[1] == "position" else match[1]
+            columns.setdefault(prefix, {})[int(match[2])] = name
+            written[prefix, int(match[2])] = match[2]
+    positions = columns.get("q", {})
+    if all(f"q.{joint}" in names for joint in robot.joints):  # by --columns
+        numbers = sorted({number for used in columns.values() for number in used})
+        if positions or numbers not in (list(range(robot.n)), list(range(1, robot.n + 1))):
+            return {}, ()
+        columns["q"] = dict.fromkeys(numbers, "")
+    else:
+        remedy = f"name the columns with --columns q.{robot.joints[0]}=COLUMN,…"
+        fault = number_fault(sorted(positions), robot)
+        if fault:
+            raise UnusableInput(f"{source}: {fault}; {remedy}")
+    fault = surplus_fault(columns, robot.n)
     if fault:
-        raise UnusableInput(f"{source}: {fault}; {remedy}")
-    ordered = tuple(positions[number] for number in expected)
-    joints = {elements[number]: joint for number, joint in zip(expected, robot.joints, strict=True)}
+        raise UnusableInput(f"{source}: {fault}; {surplus_remedy(robot)}")
+    firsts = first_numbers(columns, robot.n)
+    joints = {
+        ("position" if prefix == "q" else prefix, text): robot.joints[number - firsts[prefix]]
+        for (prefix, number), text in written.items()
+    }
+    ordered = tuple(positions[number] for number in sorted(positions))
     is_numbered = robot.n > 1 and not all(map(holds_name, ordered, robot.joints))
     return joints, ordered if is_numbered else ()
 

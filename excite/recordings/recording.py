@@ -181,9 +181,28 @@ class Recording:
             else:
                 raise UnusableInput(
                     f"{self.source}: joint '{joint}' has no torque; record tau.{joint}, or "
-                    f"i.{joint} with a drive_gain"
+                    f"i.{joint} with a drive_gain{self._unread(joint)}"
                 )
         return out
+
+    def _unread(self, joint: str) -> str:
+        """State the columns of the file that are not read, for a message; empty without any."""
+        from .column_names import listed
+        from .csv_reader import read_column_names
+        from .spelled_columns import unread_columns
+
+        try:
+            header = read_column_names(Path(self.source))
+        except (UnusableInput, OSError):  # no CSV, or no longer there
+            return ""
+        names = [
+            name
+            for name in unread_columns(header, self.joints)
+            if name not in self.columns.values()
+        ]
+        if not names:
+            return ""
+        return f", or name its column with --columns tau.{joint}=COLUMN (not read: {listed(names)})"
 
     def _drive_gain(self, joint: str) -> float:
         """Drive gain of a joint [N m/A]."""

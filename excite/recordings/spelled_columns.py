@@ -6,16 +6,20 @@
 | quantity and joint | `q_elbow`, `elbow_pos`, `elbow/velocity`, `tau[elbow]`, `eff_elbow` |
 | quantity and number, by the order of the robot | `q1`, `dq_1`, `tau[0]`, `joint1_torque` |
 | quantity alone, of a robot with a single joint | `position`, `torque` |
+| the same behind a topic | `/joint_states/elbow/position`, `joint_states.effort.elbow` |
 
-They are renamed only if all positions and the time are found so. A unit may follow (`q1 [rad]`,
-`torque_Nm`); any but SI units is refused, as the names of columns convert no values.
+They are renamed only if all positions and the time are found so, all behind the same topic. A unit
+may follow (`q1 [rad]`, `torque_Nm`) or stand behind the quantity (`current_A_elbow`); any but SI
+units is refused, as the names of columns convert no values.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 from ..errors import UnusableInput
 from ..robot.parameter_names import plural
@@ -43,7 +47,10 @@ WORDS = {
 _TIME_UNIT = r"(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?"
 TIMES = tuple(
     re.compile(names + _TIME_UNIT, re.I)
-    for names in ("(?:t|time|timestamp|seconds)", "(?:stamp|time[ _]stamp|elapsed(?:[ _]?time)?)")
+    for names in (
+        "(?:t|time|timestamp|seconds)",
+        "(?:(?:header[./])?stamp|time[ _]stamp|elapsed(?:[ _]?time)?)",
+    )
 )
 """A column of time, with its unit, and names that are taken where there is none of the first: the
 stamp of a message, or the duration of a loop, may stand next to the time."""
@@ -72,11 +79,22 @@ UNIT = re.compile(
 )
 """A unit at the end of a name; a number in brackets is that of a joint."""
 _WORD = "|".join(sorted(WORDS, key=len, reverse=True))
+_INNER_UNIT = "a|amps?|nm|rad|rad_s|rad/s|deg|deg_s|deg/s|degrees|rpm|ma|mnm"
+"""Units between a quantity and a joint. Those of a single letter may be a part of another name, as
+the motor position `q_m`; `A` is one behind a current alone."""
+WORD_AND_UNIT = re.compile(rf"(?P<word>{_WORD})[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?", re.I)
+"""A quantity with its unit, in front of or behind a joint."""
 _NUMBERED = re.compile(
-    rf"(?P<word>{_WORD})[._ /-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
+    rf"(?P<word>{_WORD})(?:[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?(?=[._ /-]))?"
+    r"[._ /-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
     rf"|(?:joint|axis|j)[._ -]*(?P<first>\d+)[._ /-]+(?P<behind>{_WORD})",
     re.I,
 )
+NUMBERED_FIELD = re.compile(rf".*[./](?:{_WORD})[._]?[\[(]?\d+[\])]?", re.I)
+"""Column of a quantity with a number, behind a topic."""
+
+Numbers: TypeAlias = Mapping[str, Mapping[int, str]]
+"""Names of columns by the prefix of their quantity and their number."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +114,7 @@ class SpelledColumns:
 
 
 def find_spelled_columns(
-    source: str, names: Sequence[str], robot: Robot, effort: str
+    source: str, names: Sequence[str], robot: Robot, effort: str, topic: str | None = None
 ) -> SpelledColumns | None:
     """Return the columns of a robot by the names that scripts give; None if some are not found.
 
@@ -105,10 +123,54 @@ def find_spelled_columns(
         names: Names of all columns.
         robot: Robot whose joints are recorded.
         effort: Prefix of an effort, "tau" for torque or "i" for current.
+        topic: Topic in front of the names, as `/joint_states`; None: that which has all positions.
 
     Raises:
-        UnusableInput: Two columns hold the same quantity of a joint, or one has another unit.
+        UnusableInput: Two columns hold the same quantity of a joint, two topics all positions, or
+            a column has another unit.
     """
+    columns = _find_columns(source, names, robot, effort)
+    if columns is not None:
+        return columns
+    by_topic: dict[str, SpelledColumns] = {}
+    for prefix in _topics(names, robot):
+        if topic is None or prefix[:-1] == topic:
+            columns = _find_columns(source, _bare(names, prefix), robot, effort)
+            by_topic |= {} if columns is None else {prefix: columns}
+    if len(by_topic) > 1:
+        first, second = (prefix[:-1] for prefix in list(by_topic)[:2])
+        raise UnusableInput(
+            f"{source}: '{first}' and '{second}' both hold the positions; choose one with "
+            f'"topic": "{first}" in the recording\'s .json file'
+        )
+    for prefix, columns in by_topic.items():
+        original = dict(zip(_bare(names, prefix), names, strict=True))
+        return replace(columns, numbered=tuple(original[name] for name in columns.numbered))
+    return None
+
+
+def _topics(names: Sequence[str], robot: Robot) -> list[str]:
+    """Return the beginnings of as many columns as there are joints, up to a slash or a point."""
+    ours = [
+        name
+        for name in names
+        if any(joint in name for joint in robot.joints) or NUMBERED_FIELD.fullmatch(name)
+    ]
+    counts = Counter(name[: mark.end()] for name in ours for mark in re.finditer(r"[/.]", name))
+    return sorted(prefix for prefix, count in counts.items() if count >= robot.n)
+
+
+def _bare(names: Sequence[str], topic: str) -> list[str]:
+    """Return names without a topic; those that are another column's name then keep it."""
+    bare = [name.removeprefix(topic) for name in names]
+    counts = Counter(bare)
+    return [name if counts[short] > 1 else short for name, short in zip(names, bare, strict=True)]
+
+
+def _find_columns(
+    source: str, names: Sequence[str], robot: Robot, effort: str
+) -> SpelledColumns | None:
+    """Return the columns of a robot whose names have no topic; see `find_spelled_columns`."""
     times = time_columns(names)
     positions = [f"q.{joint}" for joint in robot.joints]
     if not times or {"t", *positions} <= set(names):
@@ -122,6 +184,9 @@ def find_spelled_columns(
         if set(positions) & columns:
             return None  # the name of another joint is misspelled
         places = _of_number(names, robot.joints, effort)
+        fault = surplus_fault(_numbers(names, robot.joints, effort), robot.n) if places else ""
+        if fault:
+            raise UnusableInput(f"{source}: {fault}; {surplus_remedy(robot)}")
         names_of = {column: name for name, (column, _) in places.items()}
         if not set(positions) <= set(names_of):
             return None
@@ -156,6 +221,27 @@ def time_columns(names: Sequence[str]) -> list[tuple[str, re.Match[str]]]:
     ]
 
 
+def unread_columns(names: Sequence[str], joints: Sequence[str]) -> list[str]:
+    """Return the columns that hold no known quantity of a joint and no time.
+
+    Args:
+        names: Names of all columns.
+        joints: Names of the joints.
+    """
+    times = {name for name, _ in time_columns(names)}
+    numbered = _of_number(names, joints, "tau")
+    known = (*(f"{prefix}." for prefix in SI_UNITS), "qref.", "qlink.", "base.", "wrench.")
+    return [
+        name
+        for name in names
+        if name
+        and name not in times
+        and name not in numbered
+        and not name.startswith(known)
+        and _of_joint(name, joints, "tau") is None
+    ]
+
+
 def standard_names(names: Sequence[str], robot: Robot) -> set[str]:
     """Return the standard names of all columns that are known by any spelling.
 
@@ -178,17 +264,24 @@ def _of_joint(name: str, joints: Sequence[str], effort: str) -> tuple[str, str] 
     for text, unit in ((complete, ""), (UNIT.sub("", complete), _unit(complete))):
         for joint in sorted(joints, key=len, reverse=True):
             before, middle, behind = text.partition(joint)
-            if middle and not (before and behind.strip("[]()")):
-                word = (before or behind).strip("._/ -[]()").lower()
-                if word in WORDS:
-                    return f"{_prefix(word, effort)}.{joint}", unit
+            if not middle or (before and behind.strip("[]()")):
+                continue
+            word = (before or behind).strip("._/ -[]()").lower()
+            if word in WORDS:
+                return f"{_prefix(word, effort)}.{joint}", unit
+            inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/ -"))
+            if inner is not None and not unit:
+                return f"{_prefix(inner['word'].lower(), effort)}.{joint}", inner["unit"]
     return None
 
 
 def _unit(name: str) -> str:
-    """Return the unit at the end of a name, empty without one."""
+    """Return the unit at the end of a name or behind its quantity, empty without one."""
     match = UNIT.search(name)
-    return (match["bracketed"] or match["appended"]).strip() if match else ""
+    if match is not None:
+        return (match["bracketed"] or match["appended"]).strip()
+    inner = _NUMBERED.fullmatch(name)
+    return inner["unit"] or "" if inner else ""
 
 
 def number_fault(numbers: Sequence[int], robot: Robot) -> str:
@@ -238,14 +331,7 @@ def _of_number(
     first = numbers[0] if numbers else 0
     if first not in (0, 1) or (numbers and numbers != list(range(first, first + len(joints)))):
         return {}
-    counted: dict[str, set[int]] = {}
-    for prefix, number in read.values():
-        if number is not None:
-            counted.setdefault(prefix, set()).add(number)
-    starts = {frozenset(range(start, start + len(joints))): start for start in (0, 1)}
-    firsts = {prefix: starts.get(frozenset(used), first) for prefix, used in counted.items()}
-    if any(min(used) < firsts[prefix] for prefix, used in counted.items()):
-        return {}  # of more joints than the robot has, or numbered in an unknown way
+    firsts = first_numbers(_numbers(names, joints, effort), len(joints))
     return {
         name: (
             f"{prefix}.{joints[0 if number is None else number - firsts[prefix]]}",
@@ -254,6 +340,68 @@ def _of_number(
         for name, (prefix, number) in read.items()
         if number is None or 0 <= number - firsts[prefix] < len(joints)
     }
+
+
+def first_numbers(columns: Numbers, n: int) -> dict[str, int]:
+    """Return the number of the first joint in the columns of each quantity.
+
+    Numbers start from 0 or 1, those of each quantity for itself; those of fewer columns than there
+    are joints start like those of the positions.
+
+    Args:
+        columns: Columns by quantity and number, those of positions complete.
+        n: Number of joints.
+    """
+    first = min(columns.get("q", {0: ""}))
+    starts = {frozenset(range(start, start + n)): start for start in (0, 1)}
+    return {prefix: starts.get(frozenset(used), first) for prefix, used in columns.items()}
+
+
+def surplus_fault(columns: Numbers, n: int) -> str:
+    """State which columns have numbers that are those of no joint; empty if there are none.
+
+    Columns of temperatures are no fault: more than those of the joints may be recorded.
+
+    Args:
+        columns: Columns by quantity and number, those of positions complete.
+        n: Number of joints.
+    """
+    positions = columns.get("q", {})
+    for prefix, first in first_numbers(columns, n).items():
+        used = columns[prefix]
+        surplus = [used[k] for k in sorted(used) if not first <= k < first + n]
+        if not surplus or not positions or prefix == "temp":
+            continue
+        return (
+            f"has {_span(used)} but {_span(positions)}; no position has the number of "
+            f"{', '.join(map(repr, surplus))}"
+        )
+    return ""
+
+
+def surplus_remedy(robot: Robot) -> str:
+    """Return the remedy of `surplus_fault`."""
+    joint = robot.joints[0]
+    return (
+        "remove columns that are of no joint of the robot, or name all with --columns "
+        f"t=COLUMN,q.{joint}=COLUMN,…,tau.{joint}=COLUMN,…"
+    )
+
+
+def _span(columns: Mapping[int, str]) -> str:
+    """Return the number of columns with their first and last name."""
+    if len(columns) == 1:
+        return f"the column '{columns[min(columns)]}'"
+    return f"{len(columns)} columns '{columns[min(columns)]}' to '{columns[max(columns)]}'"
+
+
+def _numbers(names: Sequence[str], joints: Sequence[str], effort: str) -> Numbers:
+    """Return the columns with numbers by quantity and number."""
+    columns: dict[str, dict[int, str]] = {}
+    for name, (prefix, number) in _read_numbers(names, joints, effort).items():
+        if number is not None:
+            columns.setdefault(prefix, {})[number] = name
+    return columns
 
 
 def _read_numbers(
@@ -269,6 +417,8 @@ def _read_numbers(
         match = _NUMBERED.fullmatch(text)
         if match is not None:
             word = (match["word"] or match["behind"]).lower()
+            if (match["unit"] or "").lower() == "a" and WORDS[word] not in ("i", "effort"):
+                continue  # the letter of an axis, as in `torque_A_1`
             read[name] = _prefix(word, effort), int(match["number"] or match["first"])
         elif len(joints) == 1 and text.lower() in WORDS and name.strip().lower() != "i":
             read[name] = _prefix(text.lower(), effort), None

@@ -169,7 +169,7 @@ class FloatingRobot:
 def load(
     source: str | Path | Robot,
     *,
-    joints: Sequence[str] | None = None,
+    joints: str | Sequence[str] | None = None,
     lock: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
@@ -302,7 +302,7 @@ def limits(robot: FloatingRobot, file: Path | None = None) -> Limits:
 
 
 def standard_parameters(
-    robot: FloatingRobot, limits_of_joints: Limits | None = None, drive: Iterable[str] = ()
+    robot: FloatingRobot, limits_of_joints: Limits | None = None, drive: str | Iterable[str] = ()
 ) -> Parameters:
     """Return the standard parameters of all bodies with mass, and of joints.
 

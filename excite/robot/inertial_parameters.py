@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from .._system.one_or_several import one_or_several
 from .._types import FloatArray
 from ..errors import ExciteWarning, UnusableInput
 from .limits import Limits
@@ -251,20 +252,22 @@ def proper_body(phi: FloatArray, robot_mass: float) -> tuple[FloatArray, bool]:
     return np.array([mass, *(mass * centre), *moments]), True
 
 
-def drive_kinds(drive: Iterable[str]) -> tuple[str, ...]:
+def drive_kinds(drive: str | Iterable[str]) -> tuple[str, ...]:
     """Return kinds of joint parameters in the order of DRIVE.
 
     Raises:
         UnusableInput: One of them is unknown.
     """
-    wanted = set(drive)
+    wanted = set(one_or_several(drive))
     unknown = wanted - set(DRIVE)
     if unknown:
         raise UnusableInput(f"no joint parameter '{min(unknown)}'; there are: {', '.join(DRIVE)}")
     return tuple(kind for kind in DRIVE if kind in wanted)
 
 
-def standard_parameters(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Parameters:
+def standard_parameters(
+    robot: Robot, limits: Limits, drive: str | Iterable[str] = DRIVE
+) -> Parameters:
     """Return the standard parameters of a robot, with nominal values and metric.
 
     The scale of a joint parameter is its nominal value, or where that is 0: Coulomb and offset 0.02

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from .. import physical_ranges as ranges
+from .._system.one_or_several import one_or_several
 from .._types import FloatArray
 from ..errors import ExciteWarning, UnusableInput, UnusableRobot
 from . import exact_placement, urdf
@@ -242,7 +243,7 @@ def locate(source: str) -> Path:
 def load(
     source: str,
     *,
-    joints: Sequence[str] | None = None,
+    joints: str | Sequence[str] | None = None,
     lock: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
@@ -449,7 +450,7 @@ def _parse(document: urdf.Urdf, text: str, *, free_flyer: bool = False) -> pin.M
 
 
 def _moving(
-    document: urdf.Urdf, full: pin.Model, joints: Sequence[str] | None, lock: dict[str, float]
+    document: urdf.Urdf, full: pin.Model, joints: str | Sequence[str] | None, lock: dict[str, float]
 ) -> set[str]:
     free = [name for name in full.names[1:] if document.joints[name].mimic is None]
     if not free:
@@ -457,7 +458,11 @@ def _moving(
             f"{document.source}: has no movable joint; excite needs at least one revolute or "
             "prismatic joint"
         )
-    wanted = list(joints) if joints is not None else [name for name in free if name not in lock]
+    wanted = (
+        list(one_or_several(joints))
+        if joints is not None
+        else [name for name in free if name not in lock]
+    )
     for name in [*wanted, *lock]:
         if name not in document.joints:
             raise UnusableInput(

@@ -102,6 +102,14 @@ def test_robot_without_mismatch() -> None:
     assert "--prior" in section(text, "considered")
 
 
+def test_a_robot_that_no_model_predicts_is_not_without_mismatch() -> None:
+    result = diagnosis_of(0.0)
+    assert result.verdict == "no-mismatch"
+    size = 2.0 * result.held_out.torque_rms
+    held_out = dataclasses.replace(result.held_out, rmse_before=size, rmse_after=size)
+    assert dataclasses.replace(result, held_out=held_out).verdict == "unexplained"
+
+
 def test_doubt_withholds_findings_everywhere() -> None:
     result = diagnosis_of(2.0)
     withheld = withhold_findings(document(result), [DOUBT])
@@ -163,7 +171,8 @@ def test_small_contributions_are_summed() -> None:
     assert (
         "→" in worse.error
         and worse.causes
-        == "the saved model, with Stribeck friction, predicts this joint worse than the base model"
+        == "the saved model predicts this joint worse than the base model because "
+        "of Stribeck friction"
     )
     poor = dataclasses.replace(half, after=0.9)
     assert poor.causes.endswith("; the error is 45 % of the torque")

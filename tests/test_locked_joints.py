@@ -44,6 +44,18 @@ def test_locked_joint_that_stands_elsewhere_is_refused_with_its_position(form, t
     assert not recordings.read(path, machine).doubts
 
 
+def test_numbered_columns_of_all_joints_keep_their_numbers_where_joints_are_locked(tmp_path):
+    columns = two_joint_motion()
+    names = {f"{kind}.joint_{k}": f"{kind}{k}" for kind in ("q", "tau") for k in (1, 2)}
+    columns["q.joint_1"] = np.full(len(columns["t"]), 1.0)
+    path = write_columns(tmp_path / "r.csv", {names.get(n, n): x for n, x in columns.items()})
+    robot = load("two_link", joints=("joint_2",), lock={"joint_1": 1.0})
+    with pytest.warns(match="numbered"):
+        recording = recordings.read(path, robot)
+    np.testing.assert_allclose(recording.q[:, 0], columns["q.joint_2"], atol=1e-6)
+    np.testing.assert_allclose(recording.torque[:, 0], columns["tau.joint_2"], atol=1e-6)
+
+
 def test_whole_turns_of_a_locked_joint_are_no_difference(tmp_path):
     robot = load("two_link", joints=("joint_2",), lock={"joint_1": 1.0})
     path = with_locked_joint(tmp_path / "r.csv", 1.0 - 2.0 * np.pi)

@@ -229,8 +229,8 @@ def _advice(result: api.IdentificationResult, predictions: Sequence[Prediction])
         return f"{equations} equations are few for {excited} parameters: record for longer"
     if any(_percent_of_torque(p, p.fitted) > 100.0 for p in predictions):
         return (
-            "the error of all joints exceeds their torque: check the units of all recordings "
-            "(positions in rad, not in turns or degrees)"
+            "over all joints the error exceeds the torque: check signs, gravity and units of all "
+            "recordings (positions in rad, not in turns or degrees)"
         )
     return "try a lower --band or record a motion that excites more"
 

@@ -132,12 +132,11 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """Verdict: "no-mismatch", "explained", "partly-explained" or "unexplained"."""
+        above_noise = self.held_out.rmse_after > EXPLAINED_RMSE_RATIO * self.noise.floor
         if not self.findings:
-            return "unexplained" if self.unmodelled else "no-mismatch"
-        allowed = EXPLAINED_RMSE_RATIO * self.noise.floor
-        if self.unmodelled or bool((self.held_out.rmse_after > allowed).any()):
-            return "partly-explained"
-        return "explained"
+            is_left = self.unmodelled or bool((above_noise & self.held_out.is_useless).any())
+            return "unexplained" if is_left else "no-mismatch"
+        return "partly-explained" if self.unmodelled or bool(above_noise.any()) else "explained"
 
 
 def diagnose(

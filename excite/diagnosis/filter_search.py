@@ -157,8 +157,12 @@ def _gain(model: JointModel, plain: JointModel) -> FloatArray:
 
 
 def _independent_rows(model: JointModel) -> FloatArray:
-    """Number of independent rows of each joint, shape (n,)."""
-    return model.regression.independent_share * model.regression.moving.sum(axis=0)
+    """Number of independent rows of each joint beyond those that its coefficients fit, (n,).
+
+    A recording of hardly more rows than coefficients is fitted well by any recording chain.
+    """
+    free = model.regression.moving.sum(axis=0) - model.regression.fitted_per_joint()
+    return np.asarray(model.regression.independent_share * np.maximum(free, 0.0))
 
 
 def _evidence(model: JointModel, plain: JointModel) -> float:

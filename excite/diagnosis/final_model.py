@@ -120,6 +120,16 @@ class HeldOutErrors:
     rmse_after: FloatArray
     rmse_refit: FloatArray | None = None
 
+    @property
+    def torque_rms(self) -> FloatArray:
+        """RMS of the measured torque, shape (n,) [N m]."""
+        return rms(self.torque, self.moving)
+
+    @property
+    def is_useless(self) -> BoolArray:
+        """Joints of which neither model predicts more than no torque would, shape (n,)."""
+        return np.asarray(np.minimum(self.rmse_before, self.rmse_after) > self.torque_rms)
+
 
 def fit(
     identified: Identification,

@@ -39,6 +39,7 @@ WORDS = {
     "effort": "effort",
     "eff": "effort",
     "i": "i",
+    "cur": "i",
     "current": "i",
     "temp": "temp",
     "temperature": "temp",
@@ -183,15 +184,19 @@ def _find_columns(
     if not set(positions) <= columns:
         if set(positions) & columns:
             return None  # the name of another joint is misspelled
-        places = _of_number(names, robot.joints, effort)
-        fault = surplus_fault(_numbers(names, robot.joints, effort), robot.n) if places else ""
+        # a log of all joints has numbers of those that are locked as well
+        joints = [*robot.joints]
+        if not (places := _of_number(names, joints, effort)):
+            joints = [*robot.all_joints] or joints
+            places = _of_number(names, joints, effort)
+        fault = surplus_fault(_numbers(names, joints, effort), len(joints)) if places else ""
         if fault:
             raise UnusableInput(f"{source}: {fault}; {surplus_remedy(robot)}")
         names_of = {column: name for name, (column, _) in places.items()}
         if not set(positions) <= set(names_of):
             return None
         ordered = tuple(names_of[column] for column in positions)
-        if len(robot.joints) > 1 and not all(map(holds_name, ordered, robot.joints)):
+        if len(joints) > 1 and not all(map(holds_name, ordered, robot.joints)):
             numbered = ordered
     # a column with the standard name, as of --columns, precedes
     places = {

@@ -297,9 +297,9 @@ class JointBudget:
     def _removed(self) -> list[str]:
         """Effects that remove the error: 'load friction −30 %, delay −5 %'."""
         if self.is_spoiled:
-            saved = [effect_words(p.effect) for p in self.parts if p.effect != BASE_PARAMETERS]
-            model = f"the saved model, with {listed(saved)}," if saved else "the saved model"
-            return [f"{model} predicts this joint worse than the base model"]
+            causes = [effect_words(p.effect) for p in self.parts if p.share * self.removed < 0.0]
+            because = f" because of {listed(causes)}" if causes else ""
+            return [f"the saved model predicts this joint worse than the base model{because}"]
         if not self.is_improved:
             if self.is_explained:
                 hidden = "noise hides what may be missing"

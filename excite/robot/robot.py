@@ -96,6 +96,7 @@ class Robot:
         followers: The mimic joints that move with the moving joints.
         mimics: Names of all mimic joints, moving or not.
         locked: The joints that do not move, without mimic joints.
+        all_joints: Names of the moving and the locked joints, in the order of the file's model.
         options: How it was loaded (locked joints, payload, gravity, inertias), enough to load it
             again.
         is_mjcf: True if its file is an MJCF.
@@ -117,6 +118,7 @@ class Robot:
     followers: tuple[Follower, ...] = ()
     mimics: tuple[str, ...] = ()
     locked: tuple[LockedJoint, ...] = ()
+    all_joints: tuple[str, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
     is_mjcf: bool = False
 
@@ -327,6 +329,9 @@ def load(
         ),
         links=tuple(document.joints[name].child for name in model.names[1:]),
         locked=locked,
+        all_joints=tuple(
+            str(name) for name in full.names[1:] if document.joints[name].mimic is None
+        ),
         options={
             "locked": {joint.name: joint.position for joint in locked},
             "payload": None if payload is None else vars(payload) | {},

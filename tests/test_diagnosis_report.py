@@ -372,9 +372,9 @@ def test_exponent_that_may_be_one_has_no_value() -> None:
 
 def test_delay_is_said_in_words() -> None:
     early = {"seconds": {"value": -0.000808, "std": 2e-5, "unit": "s"}}
-    assert parameter_words(early) == "torque early by 0.808 ± 0.020 ms"
+    assert parameter_words(early) == "torque 0.808 ± 0.020 ms before position"
     late = {"seconds": {"value": 0.004, "std": 0.001, "unit": "s"}}
-    assert parameter_words(late) == "torque late by 4.0 ± 1.0 ms"
+    assert parameter_words(late) == "torque 4.0 ± 1.0 ms after position"
 
 
 def test_torque_that_repeats_has_no_probability_which_is_not_calibrated():

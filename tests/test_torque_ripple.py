@@ -68,7 +68,7 @@ def test_all_waves_are_reported(result, tmp_path):
     assert weaker["amplitude"] == pytest.approx(amplitude, rel=0.2)
     result.save(tmp_path)
     report = (tmp_path / "report.html").read_text(encoding="utf-8").replace("\u00a0", " ")
-    assert "weaker waves of order 22." in report
+    assert "weaker waves of order (amplitude in N m) 22." in report
 
 
 def test_order_is_as_exact_as_the_recording_tells(diagnosis):

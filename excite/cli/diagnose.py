@@ -25,6 +25,7 @@ from ..report.torque_budget import (
     parameter_words,
     prior_words,
     probability_words,
+    regime_words,
     sorted_findings,
     undecided_words,
 )
@@ -104,7 +105,7 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
                 (
                     u["joint"],
                     f"{100 * u['share']:.0f} % of the remaining squared error, by "
-                    f"{u['where']['regime']}",
+                    f"{regime_words(u)}",
                     certainty_words(u),
                 )
                 for u in document["unknown"]

@@ -423,6 +423,17 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         if entry.frequency is None
         else f"{entry.regime}, as a resonance of {entry.frequency:.2g} Hz,"
     )
+    experiment = (
+        SINGLE_JOINT_REPETITION
+        if len(diagnosis.identified.model.robot.joints) == 1
+        and entry.regime == unmodelled.REPETITION
+        else entry.experiment
+    )
+    other = None if entry.other is None else _joint(diagnosis, entry.other)
+    if other is not None:
+        pair = f"{name} and {other}"
+        by = by.replace("two joints", pair)
+        experiment = experiment.replace("each of the two joints", f"{pair}, each")
     over = (
         response.over
         if response.other is None
@@ -437,6 +448,7 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
     ]
     return {
         "joint": name,
+        **({} if other is None else {"other": other}),
         "too_small": small,
         "where": {
             "statement": f"joint '{name}': torque that no effect of the catalogue explains; "
@@ -453,8 +465,5 @@ def _unknown(diagnosis: Diagnosis, entry: UnmodelledTorque) -> dict[str, Any]:
         "share": entry.share,
         "probability": entry.probability,
         "z_score": entry.z_score,
-        "experiment": SINGLE_JOINT_REPETITION
-        if len(diagnosis.identified.model.robot.joints) == 1
-        and entry.regime == unmodelled.REPETITION
-        else entry.experiment,
+        "experiment": experiment,
     }

@@ -67,6 +67,7 @@ class UnmodelledTorque:
         probability: That it is physics and neither noise nor an effect of the catalogue.
         response: The torque over the quantity on which it depends.
         frequency: Frequency of a resonance [Hz]; None of anything else.
+        other: Index of a second joint on whose motion it depends.
         z_score: Power that repeats over its standard error [1], None of a flexible model. Its
             probability is not calibrated.
     """
@@ -78,6 +79,7 @@ class UnmodelledTorque:
     probability: float
     response: ResidualResponse
     frequency: float | None = None
+    other: int | None = None
     z_score: float | None = None
 
     @property
@@ -128,6 +130,7 @@ def find(
                 present[entry.key].value,
                 _response(rows, regression.moving[:, entry.joint], torque, entry.joint, shape),
                 shape.values.get("frequency"),
+                shape.other,
             )
         )
     named = {entry.joint for entry in out}

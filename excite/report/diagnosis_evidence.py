@@ -27,6 +27,7 @@ from .torque_budget import (
     change_words,
     filter_words,
     joint_words,
+    regime_words,
     small_words,
     undecided_words,
 )
@@ -180,7 +181,7 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
         return
     lines = [
         f"{entry['joint']}: {percent(entry['share'])} of the remaining squared error "
-        f"{_dependence(entry['where'])} ({certainty_words(entry)})."
+        f"{_dependence(entry)} ({certainty_words(entry)})."
         + (f" {capitalized(small_words(entry['too_small']))}." if entry["too_small"] else "")
         for entry in unknown
     ]
@@ -197,12 +198,14 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
     yield Section("unknown", "What remains unknown?", answer, data, "warn")
 
 
-def _dependence(where: Mapping[str, Any]) -> str:
+def _dependence(entry: Mapping[str, Any]) -> str:
     """Say what torque depends on that no effect explains."""
+    where = entry["where"]
     if where["regime"] == "repetition":
         return "repeats from period to period"
     if where.get("frequency_hz") is not None:
         drive = where["regime"].removeprefix("past ")
         return f"is a resonance of {number(where['frequency_hz'], 2)} Hz that the {drive} drives"
-    regime = where["regime"].replace("place", "position")
-    return f"follows from {regime}, predicted in recordings that this was not fitted to"
+    return (
+        f"follows from {regime_words(entry)}, predicted in recordings that this was not fitted to"
+    )

@@ -338,9 +338,14 @@ class JointBudget:
                 f"{significant(self.refit)} {self.unit}"
             )
         if self.is_extrapolated:
+            accelerations = (
+                f" and accelerations {self.acceleration_ratio:.1f}"
+                if self.acceleration_ratio > 1.0
+                else ""
+            )
             texts.append(
-                f"the model is extrapolated to speeds {self.speed_ratio:.1f} and accelerations "
-                f"{self.acceleration_ratio:.1f} times those of the fitted recordings"
+                f"the model is extrapolated to speeds {self.speed_ratio:.1f}{accelerations} times "
+                "those of the fitted recordings"
                 if isfinite(self.speed_ratio)
                 else "its friction is not known, as it stands still in the fitted recordings"
             )
@@ -420,8 +425,14 @@ def parameter_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
 def finding_parameter_words(finding: Mapping[str, Any]) -> str:
     """Return the parameters of a finding, and the orders of all waves of a ripple."""
     text = parameter_words(finding["parameters"])
-    weaker = [significant(wave["order"], 3) for wave in finding.get("weaker_waves", ())]
-    return f"{text}; weaker waves of order {listed(weaker)}" if weaker else text
+    weaker = [
+        f"{significant(wave['order'], 3)} ({significant(wave['amplitude'])})"
+        for wave in finding.get("weaker_waves", ())
+    ]
+    if not weaker:
+        return text
+    unit = finding["parameters"].get("amplitude", {"unit": "N m"})["unit"]
+    return f"{text}; weaker waves of order (amplitude in {unit}) {listed(weaker)}"
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> str:
@@ -429,11 +440,11 @@ def _parameter(name: str, entry: Mapping[str, Any]) -> str:
     if name != "seconds":
         return f"{_PARAMETER_WORDS.get(name, name.replace('_', ' '))} {value_with_error(**entry)}"
     value, std = entry["value"], entry["std"]
-    direction = "late" if value > 0.0 else "early"
+    order = "after" if value > 0.0 else "before"
     size = value_with_error(
         _MILLISECONDS * abs(value), None if std is None else _MILLISECONDS * std, "ms"
     )
-    return f"torque {direction} by {size}"
+    return f"torque {size} {order} position"
 
 
 def origin_words(finding: Mapping[str, Any]) -> str:
@@ -451,6 +462,14 @@ def certainty_words(entry: Mapping[str, Any]) -> str:
     if entry["z_score"] is not None:
         return f"{significant(entry['z_score'])} × its standard error"
     return f"probability {probability_words(entry['probability'])}"
+
+
+def regime_words(entry: Mapping[str, Any]) -> str:
+    """Return the quantities on which torque depends that no effect explains, with their joints."""
+    regime = str(entry["where"]["regime"]).replace("place", "position")
+    if "other" in entry:
+        regime = regime.replace("two joints", f"{entry['joint']} and {entry['other']}")
+    return regime
 
 
 def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -12,9 +12,11 @@ from identified_models import write_model
 from synthetic_recordings import sum_of_sines, write_joint_recording
 
 import excite
+from excite import recordings
 from excite._types import FloatArray
 from excite.cli.main import main
 from excite.diagnosis.diagnosis import Diagnosis
+from excite.errors import UnusableInput
 
 URDF = """<robot name="slide"><link name="base"/>
 <joint name="carriage" type="prismatic"><parent link="base"/><child link="load"/>
@@ -199,3 +201,16 @@ def test_a_sliding_joint_may_stand_still_in_the_fitted_recordings(tmp_path):
     assert "it stands still in the fitted recordings" in (tmp_path / "report.html").read_text(
         encoding="utf-8"
     )
+
+
+def test_millimetres_are_named_before_glitches(tmp_path):
+    """All motion in mm is above the velocity limit, as glitches are."""
+    robot = tmp_path / "quill.urdf"
+    robot.write_text(QUILL.replace('velocity="1"', 'velocity="0.2"'), encoding="utf-8")
+    path = record_quill(tmp_path / "mm.csv", 1)
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    table[:, 1] *= 1e3
+    header = path.read_text(encoding="utf-8").splitlines()[0]
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+    with pytest.raises(UnusableInput, match="if its positions are in mm"):
+        recordings.read(path, excite.load_robot(robot))

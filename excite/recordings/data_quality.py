@@ -105,7 +105,13 @@ def check_and_repair(
         if held:
             irregular = any(remark.kind is RemarkKind.REPEATED for remark in held)
             grid = find_grid(source, block.t, freezes, complete=irregular)
-        block, repairs = glitches.mask_glitches(source, block, robot, context.limits)
+        try:
+            block, repairs = glitches.mask_glitches(source, block, robot, context.limits)
+        except UnusableInput:
+            # in another unit, all motion is too fast
+            glitch_share = glitches.MAX_GLITCH_SHARE
+            units.check_positions(source, block, robot, context.limits, glitch_share)
+            raise
         block, wraps = position_wraps.unwrap_positions(block, robot, context.limits)
         repairs += wraps
     block, missing = missing_values.fill_missing(source, robot.joints, block)

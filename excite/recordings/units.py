@@ -62,7 +62,9 @@ def reach(robot: Robot, limits: Limits | None) -> FloatArray:
     return out
 
 
-def check_positions(source: str, block: Block, robot: Robot, limits: Limits | None) -> None:
+def check_positions(
+    source: str, block: Block, robot: Robot, limits: Limits | None, glitch_share: float = 0.0
+) -> None:
     """Check that positions are in rad or m.
 
     A revolute joint beyond twice its reach is in degrees if degrees put all joints within 1.1 times
@@ -74,11 +76,15 @@ def check_positions(source: str, block: Block, robot: Robot, limits: Limits | No
         block: Rows of it.
         robot: The robot.
         limits: Its limits, None: those of the URDF.
+        glitch_share: Share of the largest positions that may be glitches [1].
 
     Raises:
         UnusableInput: Positions are in another unit.
     """
-    largest = np.nanmax(np.abs(block.values["q"]), axis=0)
+    size = np.abs(block.values["q"])
+    largest = np.nanmax(size, axis=0)
+    if glitch_share:
+        largest = np.nanquantile(size, 1.0 - glitch_share, axis=0)
     bounds = reach(robot, limits)
     is_angle = np.array([entry.kind != "prismatic" for entry in robot.entries])
     beyond = largest > np.where(is_angle, MAX_ANGLE_RATIO, MAX_LENGTH_RATIO) * bounds

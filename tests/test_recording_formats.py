@@ -700,3 +700,57 @@ def test_real_recordings(folder, urdf, rate, expected):
         assert (recording.qlink is not None) == (folder == "kuka_kr300")
         if recording.qlink is not None:
             assert not recording.has("qlink", "axis_6") and recording.has("qlink", "axis_1")
+
+
+def renamed_motion(path: Path, names: dict[str, str], **further: FloatArray) -> Path:
+    """Write the motion of both joints under other names, with further columns."""
+    columns = {names.get(name, name): values for name, values in two_joint_motion().items()}
+    return write_columns(path, {**further, **columns})
+
+
+def spelled(pattern: str, quantity: str) -> dict[str, str]:
+    """Return names of a quantity of both joints by a pattern of the joint."""
+    return {f"{quantity}.joint_{k}": pattern.format(f"joint_{k}") for k in (1, 2)}
+
+
+def test_commanded_positions_behind_a_topic_are_not_those_of_the_joints(two_link, tmp_path):
+    names = {"t": "time"} | spelled("command.{}.position", "q") | spelled("tau_{}", "tau")
+    path = renamed_motion(tmp_path / "r.csv", names)
+    assert_refused(path, two_link, "commanded", "--columns q.joint_1=COLUMN")
+
+
+@pytest.mark.parametrize("name", ["q_a_{}", "pos_deg_{}"])
+def test_a_column_in_another_unit_next_to_the_same_in_si_units_is_left_out(
+    two_link, tmp_path, name
+):
+    names = {"t": "time"} | spelled("q_{}", "q") | spelled("tau_{}", "tau")
+    degrees = {name.format(f"joint_{k}"): np.full(400, 45.0) for k in (1, 2)}
+    path = renamed_motion(tmp_path / "r.csv", names, **degrees)
+    expected = two_joint_motion()["q.joint_1"]
+    np.testing.assert_allclose(recordings.read(path, two_link).q[:, 0], expected, atol=1e-6)
+
+
+def test_dates_have_no_unit_of_time(two_link, tmp_path):
+    path = renamed_motion(tmp_path / "r.csv", {})
+    lines = path.read_text().splitlines()
+    for k in range(1, len(lines)):
+        values = lines[k].partition(",")[2]
+        lines[k] = f"2025-03-30T01:{(k - 1) // 6000:02d}:{(k - 1) / 100.0 % 60.0:05.2f},{values}"
+    lines[0] = ",".join(spelled_header(lines[0]))
+    path.write_text("\n".join(lines))
+    with pytest.warns(match="dates"):
+        recording = recordings.read(path, two_link)
+    assert recording.t[-1] - recording.t[0] == pytest.approx(3.99)
+
+
+def spelled_header(line: str) -> list[str]:
+    """Return the standard names of a header as scripts write them, with time in ms."""
+    return ["time [ms]" if name == "t" else name.replace(".", "_") for name in line.split(",")]
+
+
+def test_a_text_that_begins_like_a_comment_is_a_cell(two_link, tmp_path):
+    path = renamed_motion(tmp_path / "r.csv", {})
+    lines = path.read_text().splitlines()
+    numbered = [f"#{k},{line}" for k, line in enumerate(lines[1:])]
+    path.write_text("\n".join([f"id,{lines[0]}", *numbered]))
+    assert len(recordings.read(path, two_link)) == 400

@@ -204,9 +204,7 @@ def test_saved_effects_are_read_back_with_the_same_torque(name):
         for part in saved
     ]
     for motion in result.final.motions:
-        np.testing.assert_allclose(
-            *(fitted_effects.torque(x, motion, is_filtered=True) for x in (restored, saved))
-        )
+        np.testing.assert_allclose(*(fitted_effects.torque(x, motion) for x in (restored, saved)))
     assert (noise_ratios(result)[1] < 1.4).all()
 
 

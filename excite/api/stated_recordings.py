@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os.path
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -95,8 +96,15 @@ def stated_recording(
 
 
 def remarks_by_recording(recordings: Sequence[Recording]) -> dict[str, list[Remark]]:
-    """Return the remarks of the data-quality checks by the name of their recording."""
+    """Return the remarks of the data-quality checks by the name of their recording.
+
+    Recordings in several folders with the same name are stated with their paths.
+    """
+    sources = list(dict.fromkeys(recording.source for recording in recordings))
+    names = Counter(Path(source).name for source in sources)
     out: dict[str, list[Remark]] = {}
     for recording in recordings:
-        out.setdefault(Path(recording.source).name, []).extend(recording.remarks)
+        name = Path(recording.source).name
+        key = recording.source if names[name] > 1 else name
+        out.setdefault(key, []).extend(recording.remarks)
     return out

@@ -120,7 +120,7 @@ class _Parser(argparse.ArgumentParser):
                 place = f"argument {before}: " if before.startswith("-") else ""
                 self.error(f"{place}'' is no value; state one or leave it out")
         for k in reversed(range(1, len(words))):
-            if re.match(r"-[\d.]+,", words[k]) and words[k - 1] in self.options():
+            if re.match(r"-[\d.]+(e[+-]?\d+)?,", words[k], re.I) and words[k - 1] in self.options():
                 words[k - 1 : k + 1] = [f"{words[k - 1]}={words[k]}"]
         options = words[: words.index("--")] if "--" in words else words
         if self._subparsers is not None:  # the command is the first word that is no option

@@ -255,7 +255,7 @@ def _cleaned(
             first = int(np.argmin(np.abs(recording.t - motion.segment.start)))
             rows = slice(first, first + len(motion.segment))
             torque = model.chain.without_filter(motion, motion.segment.torque)
-            tau[rows] = torque - fitted_effects.torque(effects, motion, is_filtered=False)
+            tau[rows] = torque - fitted_effects.torque(effects, motion)
     return dataclasses.replace(recording, tau=tau)
 
 

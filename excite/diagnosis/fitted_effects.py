@@ -37,22 +37,20 @@ class FittedEffect:
     coefficients: FloatArray
 
 
-def torque(
-    effects: Sequence[FittedEffect], motion: RecordedMotion, *, is_filtered: bool
-) -> FloatArray:
+def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArray:
     """Return the torque of effects at every sample of a segment [N m], (M, n).
+
+    It is complete below the cutoff frequency, to pass a filter with the torque of all else.
 
     Args:
         effects: The effects.
         motion: The motion of the segment.
-        is_filtered: Whether the torque is low-passed, to be compared with low-passed torque. If
-            not, it is complete below the cutoff frequency, to be subtracted before a filter.
     """
     segment = motion.segment
     at_samples = dataclasses.replace(
         motion,
         grid=Grid.RECORDED,
-        bandwidth_ratio=1.0 if is_filtered else FLAT_BANDWIDTH_RATIO,
+        bandwidth_ratio=FLAT_BANDWIDTH_RATIO,
         kept=slice(0, len(segment)),
         time=segment.start + np.arange(len(segment)) / segment.rate,
     )
@@ -132,7 +130,7 @@ def _effect_torque(
 ) -> Callable[[Recording], FloatArray]:
     """Function that predicts the torque of all effects along a gap-free stretch of a recording.
 
-    `is_filtered` as of `torque`.
+    `is_filtered`: whether it is low-passed, to be compared with low-passed torque.
     """
     effects = [restored(stated, fitted.robot) for stated in fitted.effects]
     robot = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
@@ -170,7 +168,7 @@ def _effect_torque(
             moving=no_rows.astype(bool),
             far_from_rest=no_rows.astype(bool),
         )
-        out = torque(of_motion, motion, is_filtered=False)
+        out = torque(of_motion, motion)
         for part in of_measured_torque:
             produced = motion.motor_torque + out
             change = part.shape.definition.predicted_torque(

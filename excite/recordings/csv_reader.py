@@ -59,6 +59,10 @@ COMMENTED_HEADER = re.compile(r"\A(?:#+|%\s)\s*")
 MIN_EMPTY_SHARE = 0.1
 """Share of rows without any quantity of the robot from which they are those of another topic, in a
 table that merges several [1]; fewer are missing values."""
+MAX_EPOCH_STEP = 0.1
+"""Usual time step from which a time of the size of one since 1970 is none [s]: microseconds of a
+controller that has run for 12 days have that of milliseconds since 1970, with steps 1000 times as
+long. No motion is recorded with ten rows a second."""
 SI_UNITS = frozenset(
     (
         *("s", "sec", "rad", "rad/s", "nm", "n m", "n*m", "n·m", "n.m", "n-m", "n", "m", "m/s"),
@@ -164,6 +168,8 @@ def read_blocks(
         table.header_line = line.rstrip(b"\r\n") if header.has_line else None
         table.remarks += (*_planned(cells, robot), *_numbered(header.numbered, robot))
         table.row = row + 1 if header.has_line else 1
+        if b'"' not in first_line and not first_line.startswith(COMMENTS):
+            table.separators = first_line.count(separator.encode())
         remainder = b""
         while chunk := stream.read(CHUNK_SIZE):
             text, newline, remainder = (remainder + chunk).rpartition(b"\n")
@@ -184,6 +190,7 @@ class _Table:
     Attributes:
         unnamed: Number of columns without a name behind the others.
         header_line: The line with the names; None: there is none.
+        separators: Number of separators in the first row, if it has no quotes.
         row: Number of the next row in the file, as users count.
         remarks: Remarks that the next block carries.
     """
@@ -198,6 +205,7 @@ class _Table:
         self.origin: FloatArray | None = None
         self.dates: DateColumn | None = None
         self.has_times = False
+        self.separators = 0
         self.row = 1
         self.remarks: tuple[Remark, ...] = ()
         self.remarked: set[str] = set()
@@ -236,7 +244,9 @@ class _Table:
     def last_block(self, line: bytes) -> Block:
         """Parse a last line that does not end in a newline; it may be cut short."""
         missing = len(_cells(self.separator, line)) < len(self.header.names)
-        if line.startswith(COMMENTS):
+        if self.separator != " " and b'"' not in line:  # the separator at the end of lines as well
+            missing |= line.count(self.separator.encode()) < self.separators
+        if self._is_comment(line):
             return self.block(line + b"\n")
         if missing and self.header.rewrite is None:
             self._remark(f"row {self.row}, the last one, is cut short and left out")
@@ -261,6 +271,8 @@ class _Table:
             cells = _cells(self.separator, first)
             if place < len(cells) and DATE.fullmatch(cells[place].strip()):
                 self.dates = dates = DateColumn(self.path, self.separator, place)
+                # whatever unit the name of the column states, dates are rewritten in seconds
+                self.layout = dataclasses.replace(self.layout, time_factors=(1.0,))
         if dates is None:
             return text
         is_first = dates.first is None
@@ -275,6 +287,9 @@ class _Table:
         if epoch is None or self.layout.time_factors != (1.0,):
             return
         unit, length = epoch
+        steps = np.diff(clock[:, 0])
+        if len(steps) and float(np.median(steps)) * length >= MAX_EPOCH_STEP:
+            return  # a shorter unit since the start of a controller
         self.layout = dataclasses.replace(self.layout, time_factors=(length,), from_first=True)
         text = f"its times count {unit} since 1970, by their size; they are converted to s from "
         text += "the first row"
@@ -285,9 +300,18 @@ class _Table:
         if not any(text.startswith(sign) or b"\n" + sign in text for sign in COMMENTS):
             return text
         lines = text.split(b"\n")
-        kept = [b"" if line.startswith(COMMENTS) else line for line in lines]
+        kept = [b"" if self._is_comment(line) else line for line in lines]
+        if kept == lines:
+            return text
         self._remark("comments below the names of the columns are left out")
         return b"\n".join(kept)
+
+    def _is_comment(self, line: bytes) -> bool:
+        """Return True for a comment, and no row whose first cell is a text that is not read."""
+        if not line.startswith(COMMENTS):
+            return False
+        widths = len(self.header.names), len(self.header.names) + self.unnamed
+        return 0 in self.places or len(_cells(self.separator, line)) not in widths
 
     def _without_empty_rows(self, table: FloatArray) -> FloatArray:
         """Rows without those of other topics, which hold a time and no quantity of the robot."""

@@ -280,7 +280,7 @@ def _joints_by_number(
             prefix = "q" if match[1] == "position" else match[1]
             columns.setdefault(prefix, {})[int(match[2])] = name
             written[prefix, int(match[2])] = match[2]
-    positions = columns.get("q", {})
+    positions, joints_in_file = columns.get("q", {}), robot.joints
     if all(f"q.{joint}" in names for joint in robot.joints):  # by --columns
         numbers = sorted({number for used in columns.values() for number in used})
         if positions or numbers not in (list(range(robot.n)), list(range(1, robot.n + 1))):
@@ -288,18 +288,25 @@ def _joints_by_number(
         columns["q"] = dict.fromkeys(numbers, "")
     else:
         remedy = f"name the columns with --columns q.{robot.joints[0]}=COLUMN,…"
-        fault = number_fault(sorted(positions), robot)
-        if fault:
+        count = len(robot.all_joints)
+        if robot.locked and sorted(positions) in (list(range(count)), list(range(1, count + 1))):
+            joints_in_file = robot.all_joints  # a log of all joints, some of which are locked
+        elif fault := number_fault(sorted(positions), robot):
             raise UnusableInput(f"{source}: {fault}; {remedy}")
-    fault = surplus_fault(columns, robot.n)
+    n = len(joints_in_file)
+    fault = surplus_fault(columns, n)
     if fault:
         raise UnusableInput(f"{source}: {fault}; {surplus_remedy(robot)}")
-    firsts = first_numbers(columns, robot.n)
+    firsts = first_numbers(columns, n)
     joints = {
-        ("position" if prefix == "q" else prefix, text): robot.joints[number - firsts[prefix]]
+        ("position" if prefix == "q" else prefix, text): joints_in_file[number - firsts[prefix]]
         for (prefix, number), text in written.items()
     }
-    ordered = tuple(positions[number] for number in sorted(positions))
+    ordered = tuple(
+        positions[number]
+        for number in sorted(positions)
+        if joints_in_file[number - firsts["q"]] in robot.joints
+    )
     is_numbered = robot.n > 1 and not all(map(holds_name, ordered, robot.joints))
     return joints, ordered if is_numbered else ()
 

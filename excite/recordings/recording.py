@@ -200,7 +200,7 @@ class Recording:
             for name in unread_columns(header, self.joints)
             if name not in self.columns.values()
         ]
-        if not names:
+        if not names or header[0].isdigit():  # of `ros2 topic echo --csv`, which has no names
             return ""
         return f", or name its column with --columns tau.{joint}=COLUMN (not read: {listed(names)})"
 

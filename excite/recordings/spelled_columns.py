@@ -91,8 +91,18 @@ _NUMBERED = re.compile(
     rf"|(?:joint|axis|j)[._ -]*(?P<first>\d+)[._ /-]+(?P<behind>{_WORD})",
     re.I,
 )
+KNOWN_ELSEWHERE = re.compile(
+    r"__time|%time|field\..*|(?:.*[./])?(?:name|position|velocity)s?|actual_\w+|header[./].*"
+)
+"""Columns of other programs, see `export_formats`, and of Universal Robots' RTDE."""
 NUMBERED_FIELD = re.compile(rf".*[./](?:{_WORD})[._]?[\[(]?\d+[\])]?", re.I)
 """Column of a quantity with a number, behind a topic."""
+
+COMMANDED = re.compile(
+    r"(?:^|[._/ -])(?:command(?:ed|s)?|cmd|target|desired|des|qd|reference|ref|setpoint|goal)[._/]",
+    re.I,
+)
+"""Topic whose name says that its positions are commanded and not measured."""
 
 Numbers: TypeAlias = Mapping[str, Mapping[int, str]]
 """Names of columns by the prefix of their quantity and their number."""
@@ -145,6 +155,12 @@ def find_spelled_columns(
             f'"topic": "{first}" in the recording\'s .json file'
         )
     for prefix, columns in by_topic.items():
+        if topic is None and COMMANDED.search(prefix):
+            raise UnusableInput(
+                f"{source}: '{prefix[:-1]}' alone holds all positions, and by its name they are "
+                f"commanded; name measured ones with --columns q.{robot.joints[0]}=COLUMN,…, or "
+                f'choose it with "topic": "{prefix[:-1]}" in the recording\'s .json file'
+            )
         original = dict(zip(_bare(names, prefix), names, strict=True))
         return replace(columns, numbered=tuple(original[name] for name in columns.numbered))
     return None
@@ -202,6 +218,7 @@ def _find_columns(
     places = {
         name: place for name, place in places.items() if name == place[0] or place[0] not in names
     }
+    places = _in_si_units(places)
     first: dict[str, str] = {}
     for name, (column, unit) in places.items():
         if first.setdefault(column, name) != name:
@@ -209,8 +226,8 @@ def _find_columns(
                 f"{source}: columns '{first[column]}' and '{name}' are both {column}; choose one "
                 f"with --columns {column}=COLUMN"
             )
-        expected = SI_UNITS[column.partition(".")[0]]
-        if unit and SPELLINGS.get(unit.lower()) not in expected:
+        if not _is_si(column, unit):
+            expected = SI_UNITS[column.partition(".")[0]]
             raise UnusableInput(
                 f"{source}: column '{name}' is in {unit}; convert it to SI units, "
                 f"{' or '.join(sorted(expected, reverse=True))}, and name it {column}"
@@ -226,6 +243,21 @@ def time_columns(names: Sequence[str]) -> list[tuple[str, re.Match[str]]]:
     ]
 
 
+def _is_si(column: str, unit: str) -> bool:
+    """Return True if the unit of a standard column is that of SI, or not stated."""
+    return not unit or SPELLINGS.get(unit.lower()) in SI_UNITS[column.partition(".")[0]]
+
+
+def _in_si_units(places: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
+    """Return columns without those in another unit next to the same in SI units."""
+    stated = {column for column, unit in places.values() if _is_si(column, unit)}
+    return {
+        name: (column, unit)
+        for name, (column, unit) in places.items()
+        if _is_si(column, unit) or column not in stated
+    }
+
+
 def unread_columns(names: Sequence[str], joints: Sequence[str]) -> list[str]:
     """Return the columns that hold no known quantity of a joint and no time.
 
@@ -233,18 +265,26 @@ def unread_columns(names: Sequence[str], joints: Sequence[str]) -> list[str]:
         names: Names of all columns.
         joints: Names of the joints.
     """
-    times = {name for name, _ in time_columns(names)}
-    numbered = _of_number(names, joints, "tau")
     known = (*(f"{prefix}." for prefix in SI_UNITS), "qref.", "qlink.", "base.", "wrench.")
     return [
-        name
-        for name in names
-        if name
-        and name not in times
-        and name not in numbered
-        and not name.startswith(known)
-        and _of_joint(name, joints, "tau") is None
+        name for name in names if name and not name.startswith(known) and not _is_read(name, joints)
     ]
+
+
+def _is_read(name: str, joints: Sequence[str]) -> bool:
+    """Return True for a time, a column of a joint, and a position or velocity behind a topic."""
+    if time_columns([name]) or KNOWN_ELSEWHERE.fullmatch(name) or _of_joint(name, joints, "tau"):
+        return True
+    if name in _read_numbers([name], joints, "tau"):
+        return True
+    for mark in re.finditer(r"[/.]", name):
+        bare = name[mark.end() :]
+        place = _of_joint(bare, joints, "tau")
+        prefix = place[0].partition(".")[0] if place else None
+        prefix = prefix or _read_numbers([bare], joints, "tau").get(bare, (None,))[0]
+        if time_columns([bare]) or prefix in ("q", "dq"):
+            return True
+    return False
 
 
 def standard_names(names: Sequence[str], robot: Robot) -> set[str]:
@@ -276,8 +316,15 @@ def _of_joint(name: str, joints: Sequence[str], effort: str) -> tuple[str, str] 
                 return f"{_prefix(word, effort)}.{joint}", unit
             inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/ -"))
             if inner is not None and not unit:
+                if inner["unit"].lower() == "a" and not _has_current(inner["word"]):
+                    continue  # a part of the name, as in `q_a_elbow`
                 return f"{_prefix(inner['word'].lower(), effort)}.{joint}", inner["unit"]
     return None
+
+
+def _has_current(word: str) -> bool:
+    """Return True if a word is that of a quantity that may be a current."""
+    return WORDS[word.lower()] in ("i", "effort")
 
 
 def _unit(name: str) -> str:
@@ -422,7 +469,7 @@ def _read_numbers(
         match = _NUMBERED.fullmatch(text)
         if match is not None:
             word = (match["word"] or match["behind"]).lower()
-            if (match["unit"] or "").lower() == "a" and WORDS[word] not in ("i", "effort"):
+            if (match["unit"] or "").lower() == "a" and not _has_current(word):
                 continue  # the letter of an axis, as in `torque_A_1`
             read[name] = _prefix(word, effort), int(match["number"] or match["first"])
         elif len(joints) == 1 and text.lower() in WORDS and name.strip().lower() != "i":

@@ -10,7 +10,7 @@ from pathlib import Path
 from ..errors import UnusableInput
 
 DATE = re.compile(
-    r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?(Z|[+-]\d{2}:?\d{2}(:?\d{2})?)?", re.I
+    r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?(Z|[+-]\d{2}(:?\d{2}(:?\d{2})?)?)?", re.I
 )
 """Date with the time of day as in ISO 8601, as `2025-03-30T00:59:55.008+02:00`."""
 EPOCH_UNITS = (("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9))
@@ -64,6 +64,8 @@ class DateColumn:
 
     def _split(self, line: str) -> list[str]:
         """Return the cells up to that of the date, and the remainder of the line."""
+        if self.separator == " ":
+            return line.split(None, self.place + 1)
         if '"' not in line:
             return line.split(self.separator, self.place + 1)
         cells = next(csv.reader([line.rstrip("\r")], delimiter=self.separator), [])
@@ -72,7 +74,7 @@ class DateColumn:
     def _seconds(self, stamp: str, row: int) -> float:
         """Return the time since the first date [s]."""
         try:
-            date = datetime.fromisoformat(stamp)
+            date = datetime.fromisoformat(stamp.upper())
             if self.first is None:
                 self.first = date
             return (date - self.first).total_seconds()

@@ -267,7 +267,9 @@ def _next_section(
         return [f"{capitalized(action)}: {cause} at {joint_words(joints, count)}."]
 
     # in the order of `verdict.next_words`, whose actions are the first ones
+    urgent = verdict.urgent_words(budgets)
     lines = [
+        *([f"{capitalized(urgent)}."] if urgent else []),
         *at(verdict.ONE_SESSION, "friction or offset changed", changed),
         *at(verdict.AS_FAST, "the model is extrapolated", fast),
     ]

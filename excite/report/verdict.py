@@ -160,10 +160,8 @@ def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
         document: The diagnosis.
         budgets: The torque budget of each joint.
     """
-    if any(b.is_misled for b in budgets):
-        return _WITHOUT_PRIOR  # what else there is shows without it
-    if any(b.is_useless for b in budgets):
-        return _CHECK_ROBOT
+    if urgent := urgent_words(budgets):
+        return urgent
     actions = [ONE_SESSION] if any(b.is_changed for b in budgets) else []
     if any(b.is_extrapolated for b in budgets):
         actions.append(AS_FAST)
@@ -181,6 +179,17 @@ def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     if not actions and document["undecided_between_recordings"]:
         actions = [LONGER]
     return "; ".join(actions) or "nothing is needed"
+
+
+def urgent_words(budgets: Sequence[JointBudget]) -> str:
+    """Return the action without which all others are in vain; empty if there is none.
+
+    Args:
+        budgets: The torque budget of each joint.
+    """
+    if any(b.is_misled for b in budgets):
+        return _WITHOUT_PRIOR  # what else there is shows without it
+    return _CHECK_ROBOT if any(b.is_useless for b in budgets) else ""
 
 
 def alone_words(count: int) -> str:

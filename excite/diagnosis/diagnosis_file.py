@@ -37,6 +37,7 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     """Return the content of `diagnosis.json`, after the decisions of discriminating recordings."""
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
+    torque_rms = held_out.torque_rms
     speed_ratio = _motion_ratio(diagnosis.model.motions, held_out.motions, "dq")
     acceleration_ratio = _motion_ratio(diagnosis.model.motions, held_out.motions, "ddq")
     rows = {
@@ -47,7 +48,7 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
             float(held_out.rmse_after[i]),
         )
         | {
-            "torque_rms": float(held_out.torque_rms[i]),
+            "torque_rms": float(torque_rms[i]),
             "speed_ratio": speed_ratio[i],
             "acceleration_ratio": acceleration_ratio[i],
         }

@@ -22,6 +22,7 @@ from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .joint_state_cells import ElementColumns, ListCells, Rewrite, is_list
 from .spelled_columns import (
+    are_joint_numbers,
     find_spelled_columns,
     first_numbers,
     holds_name,
@@ -282,14 +283,13 @@ def _joints_by_number(
             written[prefix, int(match[2])] = match[2]
     positions, joints_in_file = columns.get("q", {}), robot.joints
     if all(f"q.{joint}" in names for joint in robot.joints):  # by --columns
-        numbers = sorted({number for used in columns.values() for number in used})
-        if positions or numbers not in (list(range(robot.n)), list(range(1, robot.n + 1))):
+        numbers = {number for used in columns.values() for number in used}
+        if positions or not are_joint_numbers(numbers, robot.n):
             return {}, ()
         columns["q"] = dict.fromkeys(numbers, "")
     else:
         remedy = f"name the columns with --columns q.{robot.joints[0]}=COLUMN,…"
-        count = len(robot.all_joints)
-        if robot.locked and sorted(positions) in (list(range(count)), list(range(1, count + 1))):
+        if robot.locked and are_joint_numbers(positions, len(robot.all_joints)):
             joints_in_file = robot.all_joints  # a log of all joints, some of which are locked
         elif fault := number_fault(sorted(positions), robot):
             raise UnusableInput(f"{source}: {fault}; {remedy}")

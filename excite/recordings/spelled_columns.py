@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -205,8 +205,8 @@ def _find_columns(
         if not (places := _of_number(names, joints, effort)):
             joints = [*robot.all_joints] or joints
             places = _of_number(names, joints, effort)
-        fault = surplus_fault(_numbers(names, joints, effort), len(joints)) if places else ""
-        if fault:
+        numbers = _numbers(_read_numbers(names, joints, effort))
+        if places and (fault := surplus_fault(numbers, len(joints))):
             raise UnusableInput(f"{source}: {fault}; {surplus_remedy(robot)}")
         names_of = {column: name for name, (column, _) in places.items()}
         if not set(positions) <= set(names_of):
@@ -336,6 +336,11 @@ def _unit(name: str) -> str:
     return inner["unit"] or "" if inner else ""
 
 
+def are_joint_numbers(numbers: Iterable[int], n: int) -> bool:
+    """Return True if numbers are those of n joints, from 0 or 1."""
+    return sorted(numbers) in (list(range(n)), list(range(1, n + 1)))
+
+
 def number_fault(numbers: Sequence[int], robot: Robot) -> str:
     """State why the numbers of positions are not those of the joints; empty where they are.
 
@@ -349,7 +354,7 @@ def number_fault(numbers: Sequence[int], robot: Robot) -> str:
         moving = f"{plural(robot.n, 'joint')} of the robot"
         verb = "moves" if robot.n == 1 else "move"
         return f"has the positions of {named}, but {moving} {verb}"
-    if list(numbers) in (list(range(robot.n)), list(range(1, robot.n + 1))):
+    if are_joint_numbers(numbers, robot.n):
         return ""
     return (
         f"its positions have the numbers {', '.join(map(str, numbers))}, neither 0 to "
@@ -379,11 +384,10 @@ def _of_number(
     except for a current `i`, which may be the number of a row.
     """
     read = _read_numbers(names, joints, effort)
-    numbers = sorted({k for prefix, k in read.values() if prefix == "q" and k is not None})
-    first = numbers[0] if numbers else 0
-    if first not in (0, 1) or (numbers and numbers != list(range(first, first + len(joints)))):
+    columns = _numbers(read)
+    if "q" in columns and not are_joint_numbers(columns["q"], len(joints)):
         return {}
-    firsts = first_numbers(_numbers(names, joints, effort), len(joints))
+    firsts = first_numbers(columns, len(joints))
     return {
         name: (
             f"{prefix}.{joints[0 if number is None else number - firsts[prefix]]}",
@@ -405,8 +409,10 @@ def first_numbers(columns: Numbers, n: int) -> dict[str, int]:
         n: Number of joints.
     """
     first = min(columns.get("q", {0: ""}))
-    starts = {frozenset(range(start, start + n)): start for start in (0, 1)}
-    return {prefix: starts.get(frozenset(used), first) for prefix, used in columns.items()}
+    return {
+        prefix: min(used) if are_joint_numbers(used, n) else first
+        for prefix, used in columns.items()
+    }
 
 
 def surplus_fault(columns: Numbers, n: int) -> str:
@@ -447,10 +453,10 @@ def _span(columns: Mapping[int, str]) -> str:
     return f"{len(columns)} columns '{columns[min(columns)]}' to '{columns[max(columns)]}'"
 
 
-def _numbers(names: Sequence[str], joints: Sequence[str], effort: str) -> Numbers:
-    """Return the columns with numbers by quantity and number."""
+def _numbers(read: Mapping[str, tuple[str, int | None]]) -> Numbers:
+    """Return the columns of `_read_numbers` that have numbers, by quantity and number."""
     columns: dict[str, dict[int, str]] = {}
-    for name, (prefix, number) in _read_numbers(names, joints, effort).items():
+    for name, (prefix, number) in read.items():
         if number is not None:
             columns.setdefault(prefix, {})[number] = name
     return columns

@@ -188,7 +188,8 @@ def test_candidate_gains_by_the_variance_that_remains():
     columns = columns_on_all_joints(
         np.random.default_rng(8).normal(size=(60, 2, 2)), np.zeros(2, bool), np.full(2, 5.0)
     )
-    fit, before = regression.candidate(columns), regression.residual_rms(regression.solution)
+    (fit,) = regression.candidates(CandidateBatch.of([columns], regression.moving), log_gains=True)
+    before = regression.residual_rms(regression.solution)
     regression.add(columns)
     after = regression.residual_rms(regression.solution)
     prior = 0.5 * np.sum(fit.coefficients**2 / 5.0**2)

@@ -56,6 +56,7 @@ class Candidate:
     @property
     def log_evidence(self) -> float:
         """Log Bayes factor with the variance that remains next to it at each joint."""
+        assert self.fit.log_gain is not None
         return self.fit.log_gain - self._occam
 
     @property
@@ -95,12 +96,16 @@ class CandidateShapes:
 
     def fitted(self, joint: JointModel) -> list[Candidate]:
         """Return the candidates, each fitted alone on top of a joint model of the same motions."""
-        regression = joint.regression
-        fits = itertools.chain(*(regression.candidates(batch) for batch in self.batches))
-        return [
-            Candidate(shape, fit, regression.independent_share)
-            for shape, fit in zip(self.models, fits, strict=True)
-        ]
+        regression, models = joint.regression, iter(self.models)
+        out: list[Candidate] = []
+        for batch in self.batches:
+            of_batch = list(itertools.islice(models, len(batch.parts)))
+            fits = regression.candidates(batch, any(_changes_link(m.effect) for m in of_batch))
+            out += (
+                Candidate(shape, fit, regression.independent_share)
+                for shape, fit in zip(of_batch, fits, strict=True)
+            )
+        return out
 
 
 @dataclass(frozen=True)
@@ -163,6 +168,7 @@ class CandidateColumns:
         self._shapes = CandidateShapes.of(model, shapes)
         self._absorbed = CandidateShapes.of(model, absorbed)
         self._contacts = CandidateShapes.of(model, ())
+        self._latest: tuple[JointModel, dict[Key, float], dict[Key, Ranking]] | None = None
 
     def seek_contacts(self, model: JointModel) -> None:
         """Renew the candidates for contacts: the times at which most remains."""
@@ -185,13 +191,23 @@ class CandidateColumns:
     def scored(self, model: JointModel) -> tuple[dict[Key, float], dict[Key, Ranking]]:
         """Return the evidence of every effect at every joint, and the ranking of its shapes.
 
+        Those of contacts alone are computed again for the model of the call before.
+        """
+        if self._latest is None or self._latest[0] is not model:
+            self._latest = model, *self._scored(model)
+        contacts = self._rankings(model, (self._contacts,))
+        _, scores, rankings = self._latest
+        return scores | _scores(contacts), rankings | contacts
+
+    def _scored(self, model: JointModel) -> tuple[dict[Key, float], dict[Key, Ranking]]:
+        """Scores and rankings of all effects but contacts.
+
         Where the base model is trusted, frictions fit a part of what is wrong with it: load
         friction of several joints, or all frictions of one joint. An effect that a refit would
         absorb therefore competes for the place of all load friction, and for that of all frictions
         of its joint, as well; one with evidence there that is like theirs is tried.
         """
-        groups = self._shapes, self._absorbed, self._contacts
-        rankings = self._rankings(model, groups)
+        rankings = self._rankings(model, (self._shapes, self._absorbed))
         scores = _scores(rankings)
         is_seen = {key for key, score in scores.items() if score > MIN_CANDIDATE_EVIDENCE}
         for joint in (None, *range(model.n)) if self._absorbed.models else ():
@@ -224,6 +240,11 @@ def is_of_link(effect: str) -> bool:
     return effect in EFFECTS_BY_NAME and EFFECTS_BY_NAME[effect].of_link
 
 
+def _changes_link(effect: str) -> bool:
+    """Tell whether an effect is a change of a link, which a refit of the base model absorbs."""
+    return is_of_link(effect) and EFFECTS_BY_NAME[effect].prior_only
+
+
 def _scores(rankings: Mapping[Key, Ranking]) -> dict[Key, float]:
     """Return the evidence of every effect at every joint.
 
@@ -232,7 +253,7 @@ def _scores(rankings: Mapping[Key, Ranking]) -> dict[Key, float]:
     weights without it, that is hardly worse than all of it.
     """
     scores = {key: ranking.evidence for key, ranking in rankings.items()}
-    changes = [key for key in scores if is_of_link(key[0]) and EFFECTS_BY_NAME[key[0]].prior_only]
+    changes = [key for key in scores if _changes_link(key[0])]
     highest = max((scores[key] for key in changes), default=0.0)
     most = max((rankings[key].log_evidence for key in changes), default=0.0)
     return scores | {key: highest - (most - rankings[key].log_evidence) for key in changes}

@@ -66,38 +66,42 @@ class CandidateFit:
         gain: Decrease of the objective, a log-likelihood by the weights of the regression.
         log_occam_factor: Logarithm of the prior volume over what the data leave of it.
         log_gain: Gain of log-likelihood with the variance that remains at each joint, less the cost
-            of the prior.
+            of the prior; None if it was not computed.
     """
 
     coefficients: FloatArray
     gain: float
     log_occam_factor: float
-    log_gain: float = 0.0
+    log_gain: float | None = None
 
     @classmethod
-    def of(cls, score: FloatArray, information: FloatArray, prior: FloatArray) -> CandidateFit:
-        """Return the minimum of ½ cᵀ A c − sᵀ c.
+    def of_all(
+        cls, score: FloatArray, information: FloatArray, prior: FloatArray
+    ) -> list[CandidateFit]:
+        """Return the minima of ½ cᵀ A c − sᵀ c of C candidates with k coefficients each.
 
         With coefficients in units of their prior standard deviations the information has no
         eigenvalue below 1, whatever the units of the columns; one that is lower has rounding errors
         of the elimination.
 
         Args:
-            score: Score s, shape (k,).
+            score: Scores s, shape (C, k).
             information: Information A after elimination of all other coefficients, that of the
-                prior included, shape (k, k).
-            prior: Prior precision of each, shape (k,).
+                prior included, shape (C, k, k).
+            prior: Prior precision of each, shape (C, k).
         """
         std = prior**-0.5
-        scaled = std[:, None] * information * std
-        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        scaled = std[:, :, None] * information * std[:, None, :]
+        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.swapaxes(1, 2)))
         values = np.maximum(values, 1.0)
-        along = np.einsum("kv,k->v", vectors, std * score)
-        return cls(
-            coefficients=std * np.einsum("kv,v->k", vectors, along / values),
-            gain=0.5 * float(np.sum(along**2 / values)),
-            log_occam_factor=0.5 * float(np.sum(np.log(values))),
-        )
+        along = np.einsum("ckv,ck->cv", vectors, std * score)
+        coefficients = std * np.einsum("ckv,cv->ck", vectors, along / values)
+        gains = 0.5 * np.sum(along**2 / values, axis=1)
+        factors = 0.5 * np.sum(np.log(values), axis=1)
+        return [
+            cls(c, gain, factor)
+            for c, gain, factor in zip(coefficients, gains.tolist(), factors.tolist(), strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,14 @@ class CandidateBatch:
     values: tuple[FloatArray, ...]
     places: tuple[IntArray, ...]
     squares: tuple[FloatArray, ...]
+
+    @property
+    def of_same_size(self) -> list[list[int]]:
+        """Numbers of the candidates that have equally many columns."""
+        members: dict[int, list[int]] = {}
+        for i, part in enumerate(self.parts):
+            members.setdefault(part.stop - part.start, []).append(i)
+        return list(members.values())
 
     @classmethod
     def of(cls, candidates: Sequence[Columns], moving: BoolArray) -> CandidateBatch:
@@ -616,7 +628,7 @@ class JointRegression:
         """Fit further columns jointly with the active coefficients, without sign constraints."""
         return self.candidates(CandidateBatch.of([columns], self.moving))[0]
 
-    def candidates(self, batch: CandidateBatch) -> list[CandidateFit]:
+    def candidates(self, batch: CandidateBatch, log_gains: bool = False) -> list[CandidateFit]:
         """Fit each of many candidates jointly with the active coefficients.
 
         They have no sign constraints. All products with the columns of the model are formed at
@@ -626,19 +638,24 @@ class JointRegression:
 
         Args:
             batch: Columns of the candidates.
+            log_gains: Whether to compute these gains as well.
         """
         solution = self.solution
         cross, score, shared = self._coupling(batch, solution)
         change = solution.solve(cross)
-        fits = []
-        for part, squares in zip(batch.parts, batch.squares, strict=True):
-            square = np.einsum("j,jkl->kl", self.weights, squares) + np.diag(batch.prior[part])
-            schur = square - cross[:, part].T @ change[:, part]
-            fits.append(CandidateFit.of(score[part], schur, batch.prior[part]))
-        log_gains = self._log_gains(batch, shared, change, [fit.coefficients for fit in fits])
-        return [
-            replace(fit, log_gain=gain) for fit, gain in zip(fits, log_gains.tolist(), strict=True)
-        ]
+        fits: dict[int, CandidateFit] = {}
+        for members in batch.of_same_size:
+            places = np.array([np.r_[batch.parts[i]] for i in members])
+            squares = np.tensordot(self.weights, np.stack([batch.squares[i] for i in members], 1), 1)
+            prior = batch.prior[places]
+            explained = cross[:, places].transpose(1, 2, 0) @ change[:, places].transpose(1, 0, 2)
+            schur = squares + prior[:, :, None] * np.eye(places.shape[1]) - explained
+            fits.update(zip(members, CandidateFit.of_all(score[places], schur, prior), strict=True))
+        out = [fits[i] for i in range(len(batch.parts))]
+        if not log_gains:
+            return out
+        gains = self._log_gains(batch, shared, change, [fit.coefficients for fit in out])
+        return [replace(fit, log_gain=gain) for fit, gain in zip(out, gains.tolist(), strict=True)]
 
     def _log_gains(
         self,

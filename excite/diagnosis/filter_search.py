@@ -7,9 +7,9 @@ all joints, are therefore compared first, each with the frictions of every joint
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -23,8 +23,9 @@ from .joint_model import MIN_ENTRY_EVIDENCE, JointModel, renewed_chain
 from .recording_chain import MIN_CORNER, RecordingChain
 from .regression import log_error_ratio
 
-CORNERS = MIN_CORNER * 2.0 ** np.arange(4)
-"""Corner frequencies that are compared; a step of Gauss-Newton leads to those between [Hz]."""
+CORNERS = MIN_CORNER * 2.0 ** np.arange(3, -1, -1)
+"""Corner frequencies that are compared, down from the highest while the next is better; a step of
+Gauss-Newton leads to those between [Hz]."""
 FILTERS = tuple(
     tuple(LowPass(poles, passes, hertz) for hertz in CORNERS.tolist())
     for passes in (1, 2)
@@ -49,6 +50,7 @@ class FilterFits:
     identified: Identification
     motions: Sequence[RecordedMotion]
     kinds: Sequence[Sequence[LowPass]] = FILTERS
+    _columns: dict[Hashable, FloatArray] = field(default_factory=dict)
 
     @cached_property
     def start(self) -> JointModel:
@@ -64,20 +66,26 @@ class FilterFits:
     def filtered(self) -> JointModel:
         """The same with the filter of most evidence."""
         plain = self.plain
-        frictions = [_computed_once(model) for model in plain.models]
 
-        def with_filter(low_pass: LowPass) -> JointModel:
+        def with_filter(low_pass: LowPass | None) -> tuple[float, JointModel]:
             chain = replace(plain.chain, filter=low_pass)
             model = joint_model.base_model(self.identified, plain.motions, plain.psi, chain)
-            return model.with_effects(frictions)
+            model = model.with_effects(plain.models)
+            return _evidence(model, plain), model
 
-        def best(of_kind: Sequence[LowPass]) -> JointModel:
-            return max(map(with_filter, of_kind), key=lambda model: _evidence(model, plain))
+        def best(of_kind: Sequence[LowPass]) -> tuple[float, JointModel]:
+            highest = with_filter(of_kind[0])
+            for low_pass in of_kind[1:]:
+                lower = with_filter(low_pass)
+                if lower[0] < highest[0]:
+                    break
+                highest = lower
+            return highest
 
-        models = [best(of_kind) for of_kind in self.kinds]
-        stepped = [renewed_chain(model).filter for model in models]
-        models.append(best([low_pass for low_pass in stepped if low_pass]))
-        return self._refined(max(models, key=lambda model: _evidence(model, plain)))
+        fits = [best(of_kind) for of_kind in self.kinds]
+        fits += [with_filter(renewed_chain(model).filter) for _, model in fits]
+        _, model = max(fits, key=lambda fit: fit[0])
+        return self._refined(model)
 
     def chosen(self, by_errors: Callable[[JointModel], float] = lambda _: 0.0) -> JointModel:
         """Return the frictions that start every fit, with a filter if the motions show one.
@@ -118,7 +126,18 @@ class FilterFits:
         moved = [chain.without_delay(motion) for motion in self.motions]
         present = joint_model.renewed(self.identified, moved, psi, widths)
         model = joint_model.base_model(self.identified, present, psi, chain)
-        return model.with_effects(joint_model.dense_models(present))
+        frictions = joint_model.dense_models(present)
+        return model.with_effects(
+            [replace(m, own_columns=partial(self._columns_of, m)) for m in frictions]
+        )
+
+    def _columns_of(self, friction: CandidateModel, motion: RecordedMotion) -> FloatArray:
+        """Columns of a friction, which one width and the identified parameters determine."""
+        width = float(motion.widths[friction.joint_index])
+        key = friction.form, motion.segment.source, motion.segment.start, width
+        if key not in self._columns:
+            self._columns[key] = friction.columns(motion)
+        return self._columns[key]
 
     def _refined(self, model: JointModel) -> JointModel:
         """Return a model after a choice of its widths and steps of its recording chain."""
@@ -143,11 +162,6 @@ def evidence_for_chain(model: JointModel, simpler: JointModel) -> FloatArray:
     further = model.regression.fitted_per_joint() - simpler.regression.fitted_per_joint()
     cost = 0.5 * further * np.log(np.maximum(_independent_rows(simpler), 1.0))
     return _gain(model, simpler) - cost
-
-
-def _computed_once(model: CandidateModel) -> CandidateModel:
-    """Return a model that remembers its columns along each motion."""
-    return replace(model, own_columns=cache(model.columns))
 
 
 def _gain(model: JointModel, plain: JointModel) -> FloatArray:

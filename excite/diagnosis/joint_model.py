@@ -604,18 +604,19 @@ def _base_columns(
     """Columns of the base model, shape (N, n, p + n + 2 + s).
 
     Γ, the change of Coulomb friction by its width (in units of `of_width`, 0 of a known one), the
-    recording chain, and the changes between recordings.
+    recording chain, and the changes between recordings. In memory the rows of each joint are
+    adjacent.
     """
-    parts = []
-    for motion, torque, changed in zip(motions, modelled, changes, strict=True):
-        slopes = np.zeros((len(motion), motion.n, motion.n))
-        slopes[:, range(motion.n), range(motion.n)] = motion.slopes * of_width
-        of_chain = recording_chain.columns(motion, torque, chain)
-        *base, change = (
-            chain.passed(motion, x) for x in (motion.gamma[:, :, free], slopes, changed)
-        )
-        parts.append(np.concatenate([*base, of_chain, change], axis=2))
-    return np.concatenate(parts)
+    n, p = len(of_width), len(free)
+    first, end = p + n, p + n + len(recording_chain.PRIOR_STD)
+    out = np.zeros((n, sum(map(len, motions)), end + changes[0].shape[2])).swapaxes(0, 1)
+    parts = recorded_motion.split_by_motion(out, motions)
+    for part, motion, torque, changed in zip(parts, motions, modelled, changes, strict=True):
+        part[:, :, :p] = chain.passed(motion, motion.gamma[:, :, free])
+        part[:, range(n), range(p, first)] = chain.passed(motion, motion.slopes * of_width)
+        part[:, :, first:end] = recording_chain.columns(motion, torque, chain)
+        part[:, :, end:] = chain.passed(motion, changed)
+    return out
 
 
 def _base_prior(

@@ -255,7 +255,7 @@ class JointRegression:
         out.nonnegative = np.zeros(p, bool) if nonnegative is None else nonnegative
         out._likely = np.ones(p, bool)
         for j in range(torque.shape[1]):
-            of_joint = base[:, j].copy()  # adjacent in memory
+            of_joint = np.ascontiguousarray(base[:, j])
             used = np.flatnonzero(of_joint.any(axis=0))
             x = of_joint[:, used] * moving[:, j, None]
             power = float(np.sum(torque[moving[:, j], j] ** 2))

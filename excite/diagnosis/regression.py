@@ -646,7 +646,9 @@ class JointRegression:
         fits: dict[int, CandidateFit] = {}
         for members in batch.of_same_size:
             places = np.array([np.r_[batch.parts[i]] for i in members])
-            squares = np.tensordot(self.weights, np.stack([batch.squares[i] for i in members], 1), 1)
+            squares = np.tensordot(
+                self.weights, np.stack([batch.squares[i] for i in members], 1), 1
+            )
             prior = batch.prior[places]
             explained = cross[:, places].transpose(1, 2, 0) @ change[:, places].transpose(1, 0, 2)
             schur = squares + prior[:, :, None] * np.eye(places.shape[1]) - explained

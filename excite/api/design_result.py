@@ -58,7 +58,7 @@ from .robots import RobotSource, load_robot, resolve_limits
 from .saved_result import SavedResult
 from .task_design import TaskDesign, is_recording, read_task, trajectory_samples
 
-MOTION_FILES = ("trajectory.json", "trajectory.csv")
+MOTION_FILES: tuple[str, ...] = ("trajectory.json", "trajectory.csv")
 """Files of a motion."""
 DESIGN_FILES = (
     *MOTION_FILES,

@@ -21,7 +21,7 @@ from ..effects.friction_runtime import JointMotion, MaxwellSlipBank, Term
 from .python_friction import friction_table, is_term
 from .simulator_model import Held, SimulatorModel
 
-HOLDS = frozenset(Held) - {Held.ACTUATOR_DELAY}
+HOLDS: frozenset[Held] = frozenset(Held) - {Held.ACTUATOR_DELAY}
 """Quantities that the file computes."""
 FUNCTIONS = {
     "inverse_dynamics": ("q", "dq", "ddq"),

@@ -16,7 +16,7 @@ from .._system.comments import python_docstring
 from .._types import FloatArray
 from .simulator_model import Held, SimulatorModel
 
-HOLDS = frozenset(
+HOLDS: frozenset[Held] = frozenset(
     {
         Held.ROTOR_INERTIA,
         Held.VISCOUS,

@@ -23,7 +23,7 @@ from .._types import FloatArray
 from ..robot.mjcf import OFFSET_STIFFNESS
 from .simulator_model import Held, SimulatorModel
 
-HOLDS = frozenset(Held) - {Held.STATIC_FRICTION}
+HOLDS: frozenset[Held] = frozenset(Held) - {Held.STATIC_FRICTION}
 """Quantities that MuJoCo holds."""
 TIMESTEP = 5e-4
 """Time step of a new file [s]: friction is that of the speed at the end of a step, and acceleration

@@ -16,7 +16,7 @@ from ..schemas.effects import EffectDocument
 from . import isaaclab_file, mjcf_file
 from .simulator_model import Held, SimulatorModel
 
-HOLDS = frozenset(Held)
+HOLDS: frozenset[Held] = frozenset(Held)
 """All quantities of simulators: the module computes them, or the exported robot holds them."""
 SIMULATORS = {"mjcf": mjcf_file.HOLDS, "isaaclab": isaaclab_file.HOLDS}
 """Simulators whose files hold a part of the terms."""

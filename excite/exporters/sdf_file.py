@@ -15,7 +15,7 @@ from ..robot.inertial_parameters import TENSOR_ELEMENTS
 from .mjcf_file import with_comment, words
 from .simulator_model import Held, SimulatorModel
 
-HOLDS = frozenset({Held.INERTIA, Held.VISCOUS, Held.COULOMB, Held.SPRING})
+HOLDS: frozenset[Held] = frozenset({Held.INERTIA, Held.VISCOUS, Held.COULOMB, Held.SPRING})
 """Quantities that SDFormat holds. Its <friction> has no width, and no simulator that reads it has
 rotor inertia."""
 VERSION, VERSION_OF_MIMICS = "1.9", "1.11"

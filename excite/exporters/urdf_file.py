@@ -10,7 +10,7 @@ from ..identification.urdf_export import identified_urdf
 from ..robot.robot import load
 from .simulator_model import Held, SimulatorModel
 
-HOLDS = frozenset({Held.INERTIA, Held.VISCOUS, Held.COULOMB})
+HOLDS: frozenset[Held] = frozenset({Held.INERTIA, Held.VISCOUS, Held.COULOMB})
 """Quantities that URDF holds. Rotor inertia, offset and width of friction go into <excite>
 elements, which excite reads and other programs ignore."""
 

@@ -38,23 +38,14 @@ class FittedEffect:
 
 
 def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArray:
-    """Return the torque of effects at every sample of a segment [N m], (M, n).
+    """Return the torque of effects at every sample of a motion [N m], (M, n).
 
     It is complete below the cutoff frequency, to pass a filter with the torque of all else.
-
-    Args:
-        effects: The effects.
-        motion: The motion of the segment.
     """
-    segment = motion.segment
     at_samples = dataclasses.replace(
-        motion,
-        grid=Grid.RECORDED,
-        bandwidth_ratio=FLAT_BANDWIDTH_RATIO,
-        kept=slice(0, len(segment)),
-        time=segment.start + np.arange(len(segment)) / segment.rate,
+        motion, grid=Grid.RECORDED, bandwidth_ratio=FLAT_BANDWIDTH_RATIO
     )
-    out = np.zeros(segment.q.shape)
+    out = np.zeros(motion.segment.q.shape)
     for part in effects:
         out += part.shape.columns(at_samples) @ part.coefficients
     return out
@@ -140,7 +131,6 @@ def _effect_torque(
     )
     # an actuator's loss before a clock's delay, as in the catalogue
     of_measured_torque.sort(key=lambda part: list(EFFECTS_BY_NAME).index(part.shape.effect))
-    no_rows = np.zeros((0, fitted.robot.n))
 
     def effect_torque(stretch: Recording) -> FloatArray:
         segment = RecordingSegment(
@@ -154,20 +144,7 @@ def _effect_torque(
             recording_start=float(recording.t[0]),
         )
         band = segment.band(min(fitted.hertz, MAX_BAND_SHARE * segment.rate))
-        motion = RecordedMotion(
-            segment=segment,
-            band=band,
-            fitted_robot=robot,
-            widths=fitted.widths,
-            theta=np.zeros(0),
-            torque=no_rows,
-            gamma=no_rows[:, :, None],
-            slopes=no_rows,
-            kept=slice(0),
-            time=np.zeros(0),
-            moving=no_rows.astype(bool),
-            far_from_rest=no_rows.astype(bool),
-        )
+        motion = RecordedMotion(segment, band, robot, fitted.widths)
         out = torque(of_motion, motion)
         for part in of_measured_torque:
             produced = motion.motor_torque + out

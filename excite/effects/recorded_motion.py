@@ -27,6 +27,7 @@ from ..robot.samples import MIN_TRAVEL, Samples
 from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetric
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Rows = TypeVar("Rows", FloatArray, BoolArray)
 MIN_MOVING_SHARE = 0.3
 """Share of the time of all motions that a joint must move. A joint that moves less is judged near
 its stops as well, as little would remain."""
@@ -91,16 +92,13 @@ class RecordedMotion:
         segment: The segment as it was recorded.
         fitted_robot: Robot with the parameters of the base model.
         widths: Widths of the smooth Coulomb friction [rad/s], shape (n,).
-        theta: Base parameters θ̂ of the fit.
-        torque: Measured torque, low-passed [N m], shape (N, n).
+        theta: Base parameters θ̂ of the fit. Without a fit this is empty, as the next four are.
         gamma: Base regressor Γ, low-passed, shape (N, n, p).
         slopes: Derivative of the torque by the logarithm of the friction width, shape (N, n).
-        kept: Rows of the regression's grid that are far enough from the segment's ends.
-        time: Times of the kept rows [s], shape (N,).
         moving: Rows at which a joint moves; static friction is not modelled. Shape (N, n).
         far_from_rest: Rows that no friction at rest reaches through the low-pass filter, shape
             (N, n).
-        grid: Grid to which `lowpass` reduces.
+        grid: Grid of the rows, to which `lowpass` reduces: of the regression or the recording.
         bandwidth_ratio: Cutoff of `lowpass` over that of the band.
         modelled_torque: Torque of a fitted joint model, which takes the place of the measured
             torque; None without one, shape (M, n) [N m].
@@ -112,14 +110,11 @@ class RecordedMotion:
     band: LowPassFilter
     fitted_robot: FittedRobot
     widths: FloatArray
-    theta: FloatArray
-    torque: FloatArray
-    gamma: FloatArray
-    slopes: FloatArray
-    kept: slice
-    time: FloatArray
-    moving: BoolArray
-    far_from_rest: BoolArray
+    theta: FloatArray = field(default_factory=lambda: np.zeros(0))
+    gamma: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    slopes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    moving: BoolArray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    far_from_rest: BoolArray = field(default_factory=lambda: np.zeros((0, 0), bool))
     grid: Grid = Grid.KEPT
     bandwidth_ratio: float = 1.0
     modelled_torque: FloatArray | None = None
@@ -134,7 +129,30 @@ class RecordedMotion:
     @property
     def n(self) -> int:
         """Number of joints."""
-        return int(self.torque.shape[1])
+        return int(self.segment.q.shape[1])
+
+    @property
+    def kept(self) -> slice:
+        """Rows of the grid that count: on that of the regression those far from both ends."""
+        if self.grid is Grid.RECORDED:
+            return slice(0, len(self.segment))
+        step, margin = self.band.steps(Grid.KEPT), self.band.margin
+        return slice(margin // step, -(-(len(self.segment) - margin) // step))
+
+    @cached_property
+    def row_samples(self) -> IntArray:
+        """Sample of each row, shape (N,)."""
+        return (np.arange(self.band.samples(self.grid)) * self.band.steps(self.grid))[self.kept]
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """Time of each row [s], shape (N,)."""
+        return self.times[self.row_samples]
+
+    @cached_property
+    def torque(self) -> FloatArray:
+        """Measured torque, low-passed [N m], shape (N, n)."""
+        return self.band.filter(self.segment.torque, Grid.KEPT)[self.kept]
 
     def _of_same_motion(self, **changes: Any) -> RecordedMotion:
         """Return another fit to the same motion, which shares all that depends on it alone."""
@@ -167,10 +185,7 @@ class RecordedMotion:
 
     def with_torque(self, torque: FloatArray) -> RecordedMotion:
         """Return the motion with another measured torque, shape (M, n) [N m]."""
-        return self._of_same_motion(
-            segment=replace(self.segment, torque=torque),
-            torque=self.band.filter(torque, Grid.KEPT)[self.kept],
-        )
+        return self._of_same_motion(segment=replace(self.segment, torque=torque))
 
     def with_modelled_torque(
         self, torque: FloatArray, motor_torque: FloatArray | None = None
@@ -207,8 +222,17 @@ class RecordedMotion:
     @property
     @for_all_fits
     def samples(self) -> Samples:
-        """Low-passed motion at every sample of the recording, see `low_passed_samples`."""
-        return low_passed_samples(self.segment, self.band)
+        """Low-passed motion at every sample of the recording, shapes (M, n).
+
+        q and q̈ pass a filter of twice the bandwidth, q̇ that of `friction_speed`: it is not the
+        derivative of q.
+        """
+        position = self.band.transform(self.segment.q)
+        return Samples(
+            position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
+            friction_speed(self.segment.q, self.band, position),
+            position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO),
+        )
 
     @property
     def temperature(self) -> FloatArray:
@@ -433,7 +457,7 @@ def interpolated(at: FloatArray, times: FloatArray, x: FloatArray) -> FloatArray
     return np.asarray(CubicSpline(times, x)(np.clip(at, times[0], times[-1])))
 
 
-def split_by_motion(rows: FloatArray, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
+def split_by_motion(rows: Rows, motions: Sequence[RecordedMotion]) -> list[Rows]:
     """Split rows of several motions, one after the other, by motion."""
     return np.split(rows, np.cumsum([len(motion) for motion in motions])[:-1])
 
@@ -460,88 +484,44 @@ def recorded_motions(
     a joint may stand still throughout one of them.
     """
     bands = [(segment, segment.band(hertz)) for segment in segments]
-    usable = [(segment, band) for segment, band in bands if len(segment) > needed_samples(band)]
-    if not usable:
+    motions = [
+        RecordedMotion(segment, band, fitted, model.widths, theta)
+        for segment, band in bands
+        if len(segment) > needed_samples(band)
+    ]
+    if not motions:
         return []
-    samples = [low_passed_samples(segment, band) for segment, band in usable]
-    places = [_row_samples(segment, band) for segment, band in usable]
-    largest = LargestMotion.of((s.q, s.dq) for s in samples)
-    moving = _moving_rows([segment for segment, _ in usable], samples, places, largest, hertz)
+    largest = LargestMotion.of((motion.samples.q, motion.samples.dq) for motion in motions)
     out = []
-    for (segment, band), motion, rows, counted in zip(usable, samples, places, moving, strict=True):
-        kept = _kept_rows(segment, band)
-        gamma, slopes, _ = filtered_regressor(model, segment.q, band)
-        reach = int(FILTER_REACH / hertz * segment.rate)
+    for motion, moving in zip(motions, _moving_rows(motions, largest, hertz), strict=True):
+        gamma, slopes, _ = filtered_regressor(model, motion.segment.q, motion.band)
+        reach = int(FILTER_REACH / hertz * motion.segment.rate)
+        s = motion.samples
         out.append(
-            RecordedMotion(
-                segment=segment,
-                band=band,
-                fitted_robot=fitted,
-                widths=model.widths,
-                theta=theta,
-                torque=band.filter(segment.torque, Grid.KEPT)[kept],
-                gamma=gamma[kept],
-                slopes=slopes[kept],
-                kept=kept,
-                time=segment.start + rows / segment.rate,
-                moving=counted,
-                far_from_rest=far_from_rest(motion.q, motion.dq, rows, largest, reach),
+            motion._of_same_motion(
+                gamma=gamma[motion.kept],
+                slopes=slopes[motion.kept],
+                moving=moving,
+                far_from_rest=far_from_rest(s.q, s.dq, motion.row_samples, largest, reach),
             )
         )
     return out
 
 
-def low_passed_samples(segment: RecordingSegment, band: LowPassFilter) -> Samples:
-    """Return the low-passed motion at every sample of a segment, shapes (M, n).
-
-    q and q̈ pass a filter of twice the bandwidth, q̇ that of `friction_speed`: it is not the
-    derivative of q.
-    """
-    position = band.transform(segment.q)
-    return Samples(
-        position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
-        friction_speed(segment.q, band, position),
-        position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO),
-    )
-
-
-def _kept_rows(segment: RecordingSegment, band: LowPassFilter) -> slice:
-    """Rows of the regression's grid that are far enough from the segment's ends."""
-    step = band.steps(Grid.KEPT)
-    return slice(band.margin // step, -(-(len(segment) - band.margin) // step))
-
-
-def _row_samples(segment: RecordingSegment, band: LowPassFilter) -> IntArray:
-    """Sample of each kept row, shape (N,)."""
-    places = np.arange(band.samples(Grid.KEPT)) * band.steps(Grid.KEPT)
-    return places[_kept_rows(segment, band)]
-
-
 def _moving_rows(
-    segments: Sequence[RecordingSegment],
-    samples: Sequence[Samples],
-    places: Sequence[IntArray],
-    largest: LargestMotion,
-    hertz: float,
+    motions: Sequence[RecordedMotion], largest: LargestMotion, hertz: float
 ) -> list[BoolArray]:
-    """Rows of each segment at which a joint moves, shapes (N, n); see `RecordedMotion.moving`.
-
-    Args:
-        segments: The segments.
-        samples: Their low-passed motion.
-        places: Sample of each of their rows. Shapes (N,).
-        largest: Largest motion of the joints.
-        hertz: Cutoff frequency [Hz].
-    """
-    rows, n = sum(map(len, places)), samples[0].q.shape[1]
-    out = np.zeros((rows, n), bool)
+    """Rows of each motion at which a joint moves, shapes (N, n); see `RecordedMotion.moving`."""
+    out = np.zeros((sum(map(len, motions)), motions[0].n), bool)
     for reach in (FILTER_REACH / hertz, 0.0):
         few = out.mean(axis=0) <= MIN_MOVING_SHARE
         if few.any():
             moving = [
-                moving_rows(segment, motion.q, motion.dq, place, largest, reach=reach)
-                for segment, motion, place in zip(segments, samples, places, strict=True)
+                moving_rows(
+                    m.segment, m.samples.q, m.samples.dq, m.row_samples, largest, reach=reach
+                )
+                for m in motions
             ]
             out[:, few] = np.concatenate(moving)[:, few]
     out |= out.mean(axis=0) <= HELD_SHARE
-    return np.split(out, np.cumsum([len(place) for place in places])[:-1])
+    return split_by_motion(out, motions)

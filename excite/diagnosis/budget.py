@@ -19,7 +19,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..effects.effect import Key
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..schemas.effects import is_recording_filter
@@ -51,7 +51,7 @@ class TorqueBudget:
 
 def torque_budget(
     identified: Identification,
-    motions: Sequence[Sequence[RecordedMotion]],
+    motions: Sequence[Motions],
     final: FinalModel,
     effects: Sequence[EffectEstimate],
     held_out: HeldOutErrors,
@@ -64,7 +64,7 @@ def torque_budget(
     fitted, held_out_motions = motions
     gamma = np.concatenate([motion.gamma for motion in held_out_motions])
     absorbed = _absorbed_parameters(final, identified, fitted)
-    torques = _effect_torques(final, held_out.motions)
+    torques = [effect.torque(held_out.motions) for effect in final.saved_effects]
     base = held_out.base / np.maximum(np.sum(held_out.base**2, axis=0), 1e-300)
     relative = {e.key: e.relative_std for e in effects}
     n = base.shape[1]
@@ -96,19 +96,12 @@ def torque_budget(
     )
 
 
-def _effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
-    """Torque of each saved effect along motions with the saved base model, shapes (N, n) [N m]."""
-    return [
-        np.concatenate([effect.shape.columns(motion) @ effect.coefficients for motion in motions])
-        for effect in final.saved_effects
-    ]
-
-
 def _absorbed_parameters(
-    final: FinalModel, identified: Identification, motions: Sequence[RecordedMotion]
+    final: FinalModel, identified: Identification, motions: Motions
 ) -> FloatArray:
     """Base parameters that a base model fitted alone absorbs of each saved effect, shape (E, p)."""
-    torques, free = _effect_torques(final, final.motions), joint_model.free_parameters(identified)
+    torques = [effect.torque(final.motions) for effect in final.saved_effects]
+    free = joint_model.free_parameters(identified)
     gamma = np.concatenate([motion.gamma[:, :, free] for motion in motions])
     residual = np.concatenate([motion.residual for motion in motions])
     moving = final.regression.moving

@@ -15,7 +15,7 @@ import numpy as np
 from .._types import FloatArray
 from ..effects import recorded_motion
 from ..effects.effect import Key
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions, RecordedMotion
 from ..errors import UnusableInput
 from ..identification import identification, segments
 from ..identification.identification import Identification
@@ -244,7 +244,7 @@ def _motions(
     return motions
 
 
-def _rmse(motions: Sequence[RecordedMotion]) -> FloatArray:
+def _rmse(motions: Motions) -> FloatArray:
     """RMS residual of the base model in the rows that count, shape (n,) [N m]."""
     return rms(
         np.concatenate([motion.residual for motion in motions]),
@@ -283,8 +283,8 @@ def _held_out_errors(
     final: FinalModel,
     document: Mapping[str, Any],
     validate: Sequence[Recording],
-    measured: Sequence[RecordedMotion],
-    motions: Sequence[RecordedMotion],
+    measured: Motions,
+    motions: Motions,
 ) -> HeldOutErrors:
     """Errors of the base model and of the model that is read back from the saved file.
 

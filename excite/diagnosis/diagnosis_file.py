@@ -10,7 +10,12 @@ from scipy import special
 
 from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
-from ..effects.recorded_motion import MIN_SPEED, RecordedMotion, split_by_motion, stands_still
+from ..effects.recorded_motion import (
+    MIN_SPEED,
+    Motions,
+    split_by_motion,
+    stands_still,
+)
 from ..robot.parameter_names import percent
 from . import effect_curves, rival_evidence, session_changes, unmodelled
 from .decisions import Decisions
@@ -87,9 +92,7 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     }
 
 
-def _motion_ratio(
-    fitted: Sequence[RecordedMotion], held_out: Sequence[RecordedMotion], quantity: str
-) -> list[float | None]:
+def _motion_ratio(fitted: Motions, held_out: Motions, quantity: str) -> list[float | None]:
     """Largest held-out speed or acceleration of each joint over that of the fitted recordings [1].
 
     None for a joint that moves in the held-out recordings alone, 1 for one that never moves.
@@ -103,7 +106,7 @@ def _motion_ratio(
     return out
 
 
-def _largest(motions: Sequence[RecordedMotion], quantity: str) -> FloatArray:
+def _largest(motions: Motions, quantity: str) -> FloatArray:
     """Return the largest speed or acceleration of each joint in the fitted rows, shape (n,)."""
     largest = [
         np.abs(getattr(m.samples, quantity)[(m.times >= m.time[0]) & (m.times <= m.time[-1])])

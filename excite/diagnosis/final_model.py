@@ -17,7 +17,7 @@ import numpy as np
 from .._types import BoolArray, FloatArray
 from ..effects import delay, nonlinear_viscous
 from ..effects.effect import CandidateModel, Key
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions, RecordedMotion
 from ..identification import identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
@@ -259,7 +259,7 @@ def _cleaned(
     return dataclasses.replace(recording, tau=tau)
 
 
-def renewed(identified: Identification, motions: Sequence[RecordedMotion]) -> list[RecordedMotion]:
+def renewed(identified: Identification, motions: Motions) -> list[RecordedMotion]:
     """Return motions with an identified base model."""
     psi = joint_model.initial_parameters(identified)
     return joint_model.renewed(identified, motions, psi, identified.model.widths)

@@ -18,7 +18,7 @@ from .. import _json
 from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME, recorded_motion
 from ..effects.effect import CandidateModel
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions, RecordedMotion
 from ..identification import identified_model
 from ..identification.identification import MAX_BAND_SHARE
 from ..identification.identified_model import IdentifiedModel, at_row_times
@@ -36,6 +36,10 @@ class FittedEffect:
     shape: CandidateModel
     coefficients: FloatArray
 
+    def torque(self, motions: Motions) -> FloatArray:
+        """Return the torque at the rows of some motions [N m], shape (N, n)."""
+        return np.concatenate([self.shape.columns(m) @ self.coefficients for m in motions])
+
 
 def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArray:
     """Return the torque of effects at every sample of a motion [N m], (M, n).
@@ -45,10 +49,9 @@ def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArra
     at_samples = dataclasses.replace(
         motion, grid=Grid.RECORDED, bandwidth_ratio=FLAT_BANDWIDTH_RATIO
     )
-    out = np.zeros(motion.segment.q.shape)
-    for part in effects:
-        out += part.shape.columns(at_samples) @ part.coefficients
-    return out
+    return sum(
+        (effect.torque([at_samples]) for effect in effects), np.zeros(motion.segment.q.shape)
+    )
 
 
 def entry(effect: FittedEffect, robot: Robot) -> dict[str, Any]:
@@ -92,7 +95,7 @@ def read_back(document: Mapping[str, Any]) -> IdentifiedModel:
 def residuals(
     model: IdentifiedModel,
     recordings: Sequence[Recording],
-    motions: Sequence[RecordedMotion],
+    motions: Motions,
 ) -> FloatArray:
     """Return measured minus predicted torque at the rows of motions, shape (N, n) [N m].
 
@@ -147,11 +150,12 @@ def _effect_torque(
         motion = RecordedMotion(segment, band, robot, fitted.widths)
         out = torque(of_motion, motion)
         for part in of_measured_torque:
-            produced = motion.motor_torque + out
-            change = part.shape.definition.predicted_torque(
-                motion, part.shape, part.coefficients, produced
+            shape, joints = part.shape, part.shape.joints
+            produced = (motion.motor_torque + out)[:, joints]
+            change = shape.definition.recorded_change(motion, shape, part.coefficients, produced)
+            out[:, joints] += band.filter(
+                change, Grid.RECORDED, bandwidth_ratio=FLAT_BANDWIDTH_RATIO
             )
-            out += band.filter(change, Grid.RECORDED, bandwidth_ratio=FLAT_BANDWIDTH_RATIO)
         if is_filtered:
             out = band.filter(out, Grid.RECORDED)
         return out

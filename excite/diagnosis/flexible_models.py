@@ -24,7 +24,7 @@ from ..effects.effect import (
     single_joint_rows,
     within,
 )
-from ..effects.recorded_motion import RecordedMotion, split_by_motion
+from ..effects.recorded_motion import Motions, RecordedMotion, split_by_motion
 from ..identification.lowpass import Grid
 from .motion_rows import MotionRows, motion_rows
 
@@ -66,7 +66,7 @@ EXPERIMENTS: Mapping[str, str] = {
 
 
 def flexible_models(
-    motions: Sequence[RecordedMotion], sigma: FloatArray, joints: Sequence[int] | None = None
+    motions: Motions, sigma: FloatArray, joints: Sequence[int] | None = None
 ) -> Iterator[CandidateModel]:
     """Yield the flexible models of some joints, of all if None.
 
@@ -88,7 +88,7 @@ _FLEXIBLE = Effect(UNMODELLED, "a smooth function of one or two states", {}, "",
 class _Columns:
     """Makes candidate models from features of a joint at all rows of some motions."""
 
-    motions: Sequence[RecordedMotion]
+    motions: Motions
     rows: MotionRows
     joint: int
     sigma: float
@@ -230,7 +230,7 @@ def _oscillator(
 
 
 def _driven(
-    motions: Sequence[RecordedMotion], drives: Sequence[FloatArray], hertz: float, damping: float
+    motions: Motions, drives: Sequence[FloatArray], hertz: float, damping: float
 ) -> FloatArray:
     """States of an oscillator along some motions, shape (N, 2 + 2 motions)."""
     from scipy.signal import lfilter  # slow to import

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions, RecordedMotion
 from ..recordings import Recording
 from ..robot.samples import MIN_TRAVEL
 from .session_changes import block_numbers, sandwiched
@@ -87,7 +87,7 @@ class _GearRows:
 
 
 def gears(
-    motions: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Sequence[Recording]]
+    motions: Sequence[Motions], recordings: Sequence[Sequence[Recording]]
 ) -> tuple[GearEstimate, ...]:
     """Estimate the gear of every joint that has two encoders, from fitted and held-out data."""
     entries = motions[0][0].fitted_robot.robot.entries
@@ -100,9 +100,7 @@ def gears(
     return tuple(gear for gear in estimates if gear is not None)
 
 
-def _segments(
-    motions: Sequence[RecordedMotion], recordings: Sequence[Recording], joint: int
-) -> list[_GearRows]:
+def _segments(motions: Motions, recordings: Sequence[Recording], joint: int) -> list[_GearRows]:
     """Rows of every segment in which a joint has two encoders and moves."""
     linked = {record.source: record for record in recordings if record.qlink is not None}
     rows = (

@@ -6,7 +6,6 @@ frequency do not count; the speeds are divided into classes for that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import recorded_motion
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions
 
 if TYPE_CHECKING:
     from .joint_model import JointModel
@@ -33,7 +32,7 @@ MIN_WAVE_ROWS = 0.05
 """Smallest share of rows in which a wave lies below the cutoff frequency."""
 
 
-def angle_and_speed(motions: Sequence[RecordedMotion], joint: int) -> tuple[FloatArray, FloatArray]:
+def angle_and_speed(motions: Motions, joint: int) -> tuple[FloatArray, FloatArray]:
     """Return angle and speed of a joint at the rows of all motions, shapes (N,).
 
     Args:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects.effect import CandidateModel, Key
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions
 from ..identification.identification import Identification
 from ..schemas.effects import FORM_ERROR_STD
 from . import cross_validation, filter_search, joint_model, posterior, probability
@@ -107,7 +107,7 @@ class RareEffect:
 
 def find_rare_effects(
     identified: Identification,
-    motions: Sequence[RecordedMotion],
+    motions: Motions,
     position_errors: PositionErrors,
     progress: Callable[[str], None],
 ) -> tuple[JointModel, tuple[RareEffect, ...], tuple[EffectEvidence, ...]]:
@@ -142,7 +142,7 @@ class _Search:
     def __init__(
         self,
         identified: Identification,
-        motions: Sequence[RecordedMotion],
+        motions: Motions,
         position_errors: PositionErrors,
         progress: Callable[[str], None],
     ) -> None:

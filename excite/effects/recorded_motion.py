@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -79,6 +79,10 @@ def for_all_fits(compute: Function) -> Function:
         return motion.motion_cache[key]
 
     return cast(Function, computed_once)
+
+
+Motions: TypeAlias = "Sequence[RecordedMotion]"
+"""The motions of some recordings: one of each segment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,25 +426,25 @@ class RecordedMotion:
         return np.asarray((jacobians[:, None, :3] + turning) * carries[:, None] @ robot.spread)
 
 
-def position_range(motions: Sequence[RecordedMotion], joint: int) -> tuple[float, float]:
+def position_range(motions: Motions, joint: int) -> tuple[float, float]:
     """Return the smallest and largest position of a joint [rad or m]."""
     positions = [motion.samples.q[:, joint] for motion in motions]
     return min(float(q.min()) for q in positions), max(float(q.max()) for q in positions)
 
 
-def max_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
+def max_speed(motions: Motions, joint: int) -> float:
     """Return the largest speed of a joint, at least `MIN_SPEED` [rad/s or m/s]."""
     speeds = (float(np.abs(motion.samples.dq[:, joint]).max()) for motion in motions)
     return max(MIN_SPEED, *speeds)
 
 
-def stands_still(motions: Sequence[RecordedMotion], joint: int) -> bool:
+def stands_still(motions: Motions, joint: int) -> bool:
     """Return True if a joint has one position in each of several motions."""
     travels = (float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
     return max(travels) < MIN_TRAVEL
 
 
-def radian(motions: Sequence[RecordedMotion], joint: int) -> float:
+def radian(motions: Motions, joint: int) -> float:
     """Return the travel that counts as a radian of a joint: 1, or a sliding joint's range/(2π)."""
     low, high = position_range(motions, joint)
     is_sliding = motions[0].fitted_robot.robot.entries[joint].kind == "prismatic"
@@ -457,7 +461,7 @@ def interpolated(at: FloatArray, times: FloatArray, x: FloatArray) -> FloatArray
     return np.asarray(CubicSpline(times, x)(np.clip(at, times[0], times[-1])))
 
 
-def split_by_motion(rows: Rows, motions: Sequence[RecordedMotion]) -> list[Rows]:
+def split_by_motion(rows: Rows, motions: Motions) -> list[Rows]:
     """Split rows of several motions, one after the other, by motion."""
     return np.split(rows, np.cumsum([len(motion) for motion in motions])[:-1])
 
@@ -508,9 +512,7 @@ def recorded_motions(
     return out
 
 
-def _moving_rows(
-    motions: Sequence[RecordedMotion], largest: LargestMotion, hertz: float
-) -> list[BoolArray]:
+def _moving_rows(motions: Motions, largest: LargestMotion, hertz: float) -> list[BoolArray]:
     """Rows of each motion at which a joint moves, shapes (N, n); see `RecordedMotion.moving`."""
     out = np.zeros((sum(map(len, motions)), motions[0].n), bool)
     for reach in (FILTER_REACH / hertz, 0.0):

@@ -63,19 +63,6 @@ EXPLAINED_RMSE_RATIO = 1.2
 
 
 @dataclass(frozen=True)
-class DiagnosisOptions:
-    """Options of a diagnosis.
-
-    Attributes:
-        band: Cutoff frequency [Hz]; chosen from the data when None.
-        prior: Known parameters, which are not refit, and known effects, which are no findings.
-    """
-
-    band: float | None = None
-    prior: TrustedPrior = field(default_factory=TrustedPrior)
-
-
-@dataclass(frozen=True)
 class Diagnosis:
     """Result of a diagnosis.
 
@@ -145,26 +132,32 @@ def diagnose(
     base: Base,
     train: Sequence[Recording],
     validate: Sequence[Recording],
-    options: DiagnosisOptions | None = None,
     progress: Progress = lambda _: None,
+    *,
+    band: float | None = None,
+    prior: TrustedPrior | None = None,
 ) -> Diagnosis:
     """Find the effects that the base model lacks.
+
+    Args:
+        band: Cutoff frequency [Hz]; chosen from the data when None.
+        prior: Known parameters, which are not refit, and known effects, which are no findings.
 
     Raises:
         UnusableInput: If there is no held-out recording, or a recording is too short.
     """
-    options = options or DiagnosisOptions()
+    prior = prior or TrustedPrior()
     if not validate:
         raise UnusableInput(
             "--validate: a diagnosis needs a held-out recording; "
             "give one that is not among the training recordings"
         )
     pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
-    hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
+    hertz = band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     segments.require_sampled([*pieces[0], *pieces[1]], hertz)
     recorded = validate, pieces[1]
     known: tuple[FittedEffect, ...] = ()
-    if (stated := options.prior.model) is not None and stated.effects:
+    if (stated := prior.model) is not None and stated.effects:
         stated = replace(stated, hertz=hertz)
         known = tuple(fitted_effects.restored(effect, robot) for effect in stated.effects)
         train, validate = (
@@ -173,7 +166,7 @@ def diagnose(
         )
         pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     settings = identification.IdentificationOptions(
-        band=hertz, trusted=options.prior.parameters, widths=options.prior.widths
+        band=hertz, trusted=prior.parameters, widths=prior.widths
     )
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
     motions = [_motions(identified, group, hertz) for group in pieces]
@@ -302,15 +295,12 @@ def _held_out_errors(
         motion.with_modelled_torque(motion.at_samples(part))
         for motion, part in zip(plain, predicted, strict=True)
     )
-    residual, base = np.where(moving, residual, 0.0), np.where(moving, base, 0.0)
     return HeldOutErrors(
         motions=tuple(present),
         torque=torque,
-        base=base,
-        final=residual,
+        base=np.where(moving, base, 0.0),
+        final=np.where(moving, residual, 0.0),
         moving=moving,
-        rmse_before=rms(base, moving),
-        rmse_after=rms(residual, moving),
     )
 
 

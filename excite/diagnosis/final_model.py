@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -105,8 +106,6 @@ class HeldOutErrors:
         base: Residual of the base model, shape (N, n) [N m].
         final: Residual of the saved model, shape (N, n) [N m].
         moving: Rows that count, shape (N, n).
-        rmse_before: RMSE of the base model, shape (n,) [N m].
-        rmse_after: RMSE of the saved model, shape (n,) [N m].
         rmse_refit: RMSE of the base model identified without the trusted prior, shape (n,) [N m];
             None without one.
     """
@@ -116,9 +115,17 @@ class HeldOutErrors:
     base: FloatArray
     final: FloatArray
     moving: BoolArray
-    rmse_before: FloatArray
-    rmse_after: FloatArray
     rmse_refit: FloatArray | None = None
+
+    @cached_property
+    def rmse_before(self) -> FloatArray:
+        """RMSE of the base model, shape (n,) [N m]."""
+        return rms(self.base, self.moving)
+
+    @cached_property
+    def rmse_after(self) -> FloatArray:
+        """RMSE of the saved model, shape (n,) [N m]."""
+        return rms(self.final, self.moving)
 
     @property
     def torque_rms(self) -> FloatArray:

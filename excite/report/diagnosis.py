@@ -29,6 +29,7 @@ from .formatting import capitalized, number, significant
 from .remarks import RemarksByRecording, count_remarks, list_remarks
 from .render import render
 from .torque_budget import (
+    Document,
     JointBudget,
     base_words,
     finding_parameter_words,
@@ -39,7 +40,6 @@ from .torque_budget import (
     probability_words,
     sorted_findings,
 )
-from .verdict import Document
 
 DRAWN_CURVES = 15
 """Curves of effects that are drawn, those of the largest effects."""
@@ -251,47 +251,8 @@ def _next_section(
     diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
 ) -> Section:
     """Experiments that separate or confirm effects."""
-    groups, count = verdict.open_effects(document), len(document["joints"])
-    changed = [b.joint for b in budgets if b.is_changed]
-    fast = [b.joint for b in budgets if b.is_extrapolated]
-    partly_changed = [
-        joint
-        for joint in dict.fromkeys(c["joint"] for c in document["between_recordings"])
-        if joint not in (*changed, *fast)
-    ]
-
-    def at(action: str, cause: str, joints: Sequence[str]) -> list[str]:
-        """An action and its cause, where there is one."""
-        if not joints:
-            return []
-        return [f"{capitalized(action)}: {cause} at {joint_words(joints, count)}."]
-
-    # in the order of `verdict.next_words`, whose actions are the first ones
-    urgent = verdict.urgent_words(budgets)
-    lines = [
-        *([f"{capitalized(urgent)}."] if urgent else []),
-        *at(verdict.ONE_SESSION, "friction or offset changed", changed),
-        *at(verdict.AS_FAST, "the model is extrapolated", fast),
-    ]
-    lines += [
-        f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
-        for entry in document["unknown"]
-    ]
-    if any(key[1:] for key in groups):
-        lines.append(
-            "One motion for all effects that resemble each other: excite design ROBOT "
-            "--discriminate diagnosis.json -o DIR. What its recording decides: excite diagnose … "
-            "--discriminating RECORDING."
-        )
-    for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
-        purpose = "To tell apart" if names[1:] else "To be surer of"
-        effects = listed([effect_words(name) for name in names])
-        experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
-        place = joint_words(list(dict.fromkeys(joints)), count)
-        lines.append(f"{purpose} {effects} ({place}): {experiments}.")
-    unforeseen = verdict.unforeseen(budgets)
-    lines += at(verdict.alone_words(count), "what remains has no known cause", unforeseen)
-    lines += at(verdict.ONE_SESSION, "friction or offset changed as well", partly_changed)
+    actions = verdict.next_actions(document, budgets)
+    lines = [action.line for group in actions for action in group if action.line]
     answer = "Nothing; other speeds, loads or temperatures may show more."
     if "doubts" in document:
         answer = "Resolve the doubts about the recordings named at the top of this page."

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -21,6 +20,7 @@ from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
 from .formatting import capitalized, number, significant, value_with_error
 from .torque_budget import (
+    Document,
     JointBudget,
     base_words,
     certainty_words,
@@ -37,7 +37,7 @@ DRAWN_UNKNOWN = 6
 
 
 def prediction_section(
-    diagnosis: Diagnosis, document: Mapping[str, Any], budgets: Sequence[JointBudget]
+    diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
 ) -> Section:
     """Build the section on held-out prediction by the base model and by the saved model."""
     robot = diagnosis.identified.model.robot
@@ -114,7 +114,7 @@ def _error_table(diagnosis: Diagnosis, budgets: Sequence[JointBudget]) -> Table:
     return Table(head.split(", "), rows, range(2, 9))
 
 
-def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
+def session_changes_section(document: Document) -> Iterator[Section]:
     """Build the section on friction and offsets that differ between recordings, or may do."""
     changes, undecided = document["between_recordings"], document["undecided_between_recordings"]
     if not changes and not undecided:
@@ -146,7 +146,7 @@ def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
     yield Section("changes", question, answer, data, "warn")
 
 
-def encoders_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Iterator[Section]:
+def encoders_section(diagnosis: Diagnosis, document: Document) -> Iterator[Section]:
     """Build the section on gears with an encoder on either side, if there are any."""
     gears = document["encoders"]
     if not gears:
@@ -174,7 +174,7 @@ def encoders_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Itera
     yield Section("gears", "What do the two encoders say?", answer, data)
 
 
-def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Section]:
+def unknown_section(document: Document, units: Mapping[str, str]) -> Iterator[Section]:
     """Build the section on torque that no effect explains, if there is any."""
     unknown = document["unknown"]
     if not unknown:
@@ -198,7 +198,7 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
     yield Section("unknown", "What remains unknown?", answer, data, "warn")
 
 
-def _dependence(entry: Mapping[str, Any]) -> str:
+def _dependence(entry: Document) -> str:
     """Say what torque depends on that no effect explains."""
     where = entry["where"]
     if where["regime"] == "repetition":

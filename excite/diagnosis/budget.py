@@ -12,6 +12,7 @@ s of that sum has the variance (ρ s)². Effects of several joints are taken as 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -68,7 +69,7 @@ def torque_budget(
     base = held_out.base / np.maximum(np.sum(held_out.base**2, axis=0), 1e-300)
     relative = {e.key: e.relative_std for e in effects}
     n = base.shape[1]
-    of_joint: dict[Key, FloatArray] = {}
+    of_joint: dict[Key, FloatArray] = defaultdict(lambda: np.zeros(n))
     other = held_out.base - held_out.final
     for effect, theta, torque in zip(final.saved_effects, absorbed, torques, strict=True):
         beyond = torque - gamma @ theta
@@ -76,14 +77,12 @@ def torque_budget(
         name, joint = effect.shape.key
         if is_recording_filter(effect.shape.values):
             name = RECORDING_FILTER
-        share = np.sum(beyond * base, axis=0)
-        of_joint[name, joint] = of_joint.get((name, joint), np.zeros(n)) + share
-    shares: dict[str, FloatArray] = {}
-    variances: dict[str, FloatArray] = {}
+        of_joint[name, joint] += np.sum(beyond * base, axis=0)
+    shares: dict[str, FloatArray] = defaultdict(lambda: np.zeros(n))
+    variances: dict[str, FloatArray] = defaultdict(lambda: np.zeros(n))
     for (name, joint), share in of_joint.items():
-        std = share * relative.get((name, joint), 0.0)
-        shares[name] = shares.get(name, np.zeros(n)) + share
-        variances[name] = variances.get(name, np.zeros(n)) + std**2
+        shares[name] += share
+        variances[name] += (share * relative.get((name, joint), 0.0)) ** 2
     if shares:
         matrix = identified.model.base.matrix
         slope = np.einsum("rjp,rj->jp", gamma, base) @ matrix

@@ -51,18 +51,13 @@ class FinalModel:
 
     @property
     def saved_effects(self) -> tuple[FittedEffect, ...]:
-        """All effects, the recording chain last."""
-        return (*self.effects, *self._recording)
-
-    @property
-    def _recording(self) -> tuple[FittedEffect, ...]:
-        """The recording chain: its filter and its delay, as far as it has them."""
-        clock_delay = FittedEffect(delay.clock_delay(), np.array([self.chain.delay]))
-        passed = self.chain.filter
-        return (
-            *((FittedEffect(delay.filtered_recording(passed), np.ones(1)),) if passed else ()),
-            *((clock_delay,) if abs(self.chain.delay) >= recording_chain.MIN_DELAY else ()),
-        )
+        """All effects, last the filter and the delay of the recording chain, if it has them."""
+        out, chain = list(self.effects), self.chain
+        if chain.filter is not None:
+            out.append(FittedEffect(delay.filtered_recording(chain.filter), np.ones(1)))
+        if abs(chain.delay) >= recording_chain.MIN_DELAY:
+            out.append(FittedEffect(delay.clock_delay(), np.array([chain.delay])))
+        return tuple(out)
 
     @property
     def residual(self) -> FloatArray:

@@ -27,7 +27,7 @@ import numpy as np
 from scipy import linalg, special
 
 from .._types import BoolArray, FloatArray, IntArray
-from ..effects.recorded_motion import Motions, RecordedMotion, for_all_fits
+from ..effects.recorded_motion import Motions, RecordedMotion, for_all_fits, split_by_motion
 
 KINDS = ("coulomb", "viscous", "offset")
 """Actuator parameters that may change, in the order of `SessionChange.change`."""
@@ -210,25 +210,19 @@ def parameter_std(motions: Motions) -> FloatArray:
 def changes(motions: Motions, residual: FloatArray, moving: BoolArray) -> list[SessionChange]:
     """Estimate the changes of every recording in which a joint moves from a residual.
 
+    The residual (N, n) [N m] is of a model common to all recordings; `moving` rows (N, n) count.
     With no more blocks than parameters the covariance is that of the prior.
-
-    Args:
-        motions: Motions.
-        residual: Torque that a model common to all recordings leaves, shape (N, n) [N m].
-        moving: Rows that count, shape (N, n).
     """
-    ends = np.cumsum([0, *(len(motion) for motion in motions)])
-    prior, acting = parameter_std(motions), [actuator_columns(motion) for motion in motions]
-    out = []
+    prior, out = parameter_std(motions), []
+    parts = split_by_motion(residual, motions), split_by_motion(moving, motions)
+    by_motion = list(zip(motions, map(actuator_columns, motions), *parts, strict=True))
     for source in sources(motions):
+        of_source = [part for part in by_motion if part[0].segment.source == source]
         for j in range(motions[0].n):
             blocks, power = [], 0.0
-            for start, motion, actuator in zip(ends, motions, acting, strict=False):
-                if motion.segment.source != source:
-                    continue
-                rows = moving[start : start + len(motion), j]
-                x, y = actuator[rows, j], residual[start : start + len(motion), j][rows]
-                block = block_numbers(motion.time)[rows]
+            for motion, actuator, left, counted in of_source:
+                rows = counted[:, j]
+                x, y, block = actuator[rows, j], left[rows, j], block_numbers(motion.time)[rows]
                 blocks += [(x[block == k], y[block == k]) for k in np.unique(block)]
                 power += float(y @ y)
             if not blocks:

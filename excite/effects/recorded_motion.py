@@ -467,11 +467,7 @@ def split_by_motion(rows: Rows, motions: Motions) -> list[Rows]:
 
 
 def needed_samples(band: LowPassFilter) -> int:
-    """Return the samples of an aperiodic segment of which the low-pass filter leaves enough rows.
-
-    Args:
-        band: The filter.
-    """
+    """Return the samples of an aperiodic segment of which the filter leaves enough rows."""
     return 2 * band.margin + MIN_KEPT_ROWS * band.steps(Grid.KEPT)
 
 

@@ -21,7 +21,7 @@ from excite.designer.effect_columns import (
 from excite.designer.presliding import presliding_state
 from excite.effects import EFFECTS_BY_NAME
 from excite.effects.effect import CandidateModel, single_joint_columns
-from excite.effects.recorded_motion import RecordedMotion, fitted_robot
+from excite.effects.recorded_motion import FittedRobot, RecordedMotion
 from excite.identification.lowpass import Grid
 from excite.identification.segments import RecordingSegment
 from excite.robot import inertial_parameters
@@ -118,7 +118,7 @@ def recorded() -> RecordedMotion:
         encoder=np.full(n, 1e-9),
         recording_start=0.0,
     )
-    robot = fitted_robot(c.robot, c.parameters, c.psi)
+    robot = FittedRobot(c.robot, c.parameters, c.psi)
     out = RecordedMotion(segment, segment.band(BAND), robot, c.widths)
     return out.with_modelled_torque(out.motor_torque)
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from .. import _json
 from .._types import FloatArray
-from ..effects import EFFECTS_BY_NAME, recorded_motion
+from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
-from ..effects.recorded_motion import Motions, RecordedMotion
+from ..effects.recorded_motion import FittedRobot, Motions, RecordedMotion
 from ..identification import identified_model
 from ..identification.identification import MAX_BAND_SHARE
 from ..identification.identified_model import IdentifiedModel, at_row_times
@@ -127,7 +127,7 @@ def _effect_torque(
     `is_filtered`: whether it is low-passed, to be compared with low-passed torque.
     """
     effects = [restored(stated, fitted.robot) for stated in fitted.effects]
-    robot = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
+    robot = FittedRobot(fitted.robot, fitted.layout, fitted.psi)
     of_motion, of_measured_torque = (
         [part for part in effects if ("measured" in part.shape.values) is measured]
         for measured in (False, True)

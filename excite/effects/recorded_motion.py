@@ -46,26 +46,23 @@ class FittedRobot:
     """The robot with the parameters of the fitted base model.
 
     Attributes:
-        model: Pinocchio model with the fitted link inertias.
         psi: Standard parameters ψ̂, shape (P,).
     """
 
     robot: Robot
     parameters: Parameters
-    model: pin.Model
     psi: FloatArray
+
+    @cached_property
+    def model(self) -> pin.Model:
+        """Pinocchio model with the fitted link inertias."""
+        return model_with_inertias(self.robot, self.parameters.of_bodies(self.psi))
 
     def actuator_parameter(self, kind: str) -> FloatArray:
         """Return "rotor_inertia", "viscous", "coulomb" or "offset" of every joint, (n,), or 0."""
         if kind not in self.parameters.drive:
             return np.zeros(self.robot.n)
         return np.asarray(self.psi[self.parameters.block(kind)])
-
-
-def fitted_robot(robot: Robot, parameters: Parameters, psi: FloatArray) -> FittedRobot:
-    """Return the robot with standard parameters ψ, shape (P,)."""
-    model = model_with_inertias(robot, parameters.of_bodies(psi))
-    return FittedRobot(robot, parameters, model, psi)
 
 
 def for_all_fits(compute: Function) -> Function:
@@ -473,16 +470,17 @@ def needed_samples(band: LowPassFilter) -> int:
 
 def recorded_motions(
     model: IdentificationModel,
-    fitted: FittedRobot,
-    theta: FloatArray,
+    psi: FloatArray,
     segments: Sequence[RecordingSegment],
     hertz: float,
 ) -> list[RecordedMotion]:
     """Return the motion of every segment that is long enough for the low-pass filter.
 
-    Which rows of a joint count, see `RecordedMotion.moving`, is decided for all segments together:
-    a joint may stand still throughout one of them.
+    The base model is that of standard parameters ψ, shape (P,). Which rows of a joint count, see
+    `RecordedMotion.moving`, is decided for all segments together: a joint may stand still
+    throughout one of them.
     """
+    fitted, theta = FittedRobot(model.robot, model.parameters, psi), model.base.matrix @ psi
     bands = [(segment, segment.band(hertz)) for segment in segments]
     motions = [
         RecordedMotion(segment, band, fitted, model.widths, theta)

@@ -42,26 +42,21 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     """Return the content of `diagnosis.json`, after the decisions of discriminating recordings."""
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
-    torque_rms = held_out.torque_rms
-    speed_ratio = _motion_ratio(diagnosis.model.motions, held_out.motions, "dq")
-    acceleration_ratio = _motion_ratio(diagnosis.model.motions, held_out.motions, "ddq")
+    errors = (noise.floor.tolist(), held_out.rmse_before.tolist(), held_out.rmse_after.tolist())
     rows = {
-        joint: _joint_entry(
-            float(noise.floor[i]),
-            noise.method,
-            float(held_out.rmse_before[i]),
-            float(held_out.rmse_after[i]),
-        )
-        | {
-            "torque_rms": float(torque_rms[i]),
-            "speed_ratio": speed_ratio[i],
-            "acceleration_ratio": acceleration_ratio[i],
-        }
-        for i, joint in enumerate(joints)
+        joint: _joint_entry(floor, noise.method, before, after)
+        for joint, floor, before, after in zip(joints, *errors, strict=True)
+    }
+    further = {
+        "torque_rms": held_out.torque_rms.tolist(),
+        "speed_ratio": _motion_ratio(diagnosis.model.motions, held_out.motions, "dq"),
+        "acceleration_ratio": _motion_ratio(diagnosis.model.motions, held_out.motions, "ddq"),
     }
     if held_out.rmse_refit is not None:
-        for row, rmse in zip(rows.values(), held_out.rmse_refit.tolist(), strict=True):
-            row["rmse_refit"] = rmse
+        further["rmse_refit"] = held_out.rmse_refit.tolist()
+    for key, values in further.items():
+        for row, value in zip(rows.values(), values, strict=True):
+            row[key] = value
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,

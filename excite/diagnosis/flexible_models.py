@@ -168,12 +168,8 @@ def _bumps(place: FloatArray) -> FloatArray:
 
 def _resonances(columns: _Columns, state: str, regime: str) -> Iterator[CandidateModel]:
     """Yield oscillators z̈ + 2ζω ż + ω² z = u that an acceleration or a load drives."""
-    drives = []
-    for motion in columns.motions:
-        x = motion.coarse_samples.ddq if state == "ddq" else motion.rigid_torque
-        u = x[:, columns.joint]
-        drives.append(u - u.mean())
-
+    states = [m.coarse_samples.ddq if state == "ddq" else m.rigid_torque for m in columns.motions]
+    drives = [x[:, columns.joint] - x[:, columns.joint].mean() for x in states]
     resonance = _Resonance(
         name=UNMODELLED,
         equation="z̈ + 2ζω ż + ω² z = u",

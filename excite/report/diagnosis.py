@@ -37,6 +37,7 @@ from .torque_budget import (
     joint_words,
     known_words,
     origin_words,
+    places_where,
     probability_words,
     sorted_findings,
 )
@@ -121,10 +122,17 @@ def _budget_section(
 ) -> Section:
     """The torque budget of every joint, as a picture and in words."""
     improved = sorted((b for b in budgets if b.is_improved), key=lambda b: b.after / b.before)
-    changed = [b.joint for b in budgets if b.is_changed]
-    fast = [b.joint for b in budgets if b.is_extrapolated]
-    misled = [b.joint for b in budgets if b.is_misled]
-    unknown = [b.joint for b in budgets if b.unknown and not b.is_misled]
+    causes = {
+        "parameters of the prior that are in doubt": lambda b: b.is_misled,
+        "friction or offset that changed between the recordings": lambda b: b.is_changed,
+        "speeds that the fitted recordings do not have": lambda b: b.is_extrapolated,
+        "torque that no known effect explains": lambda b: b.unknown and not b.is_misled,
+    }
+    texts = [
+        f"{cause} ({places})"
+        for cause, holds in causes.items()
+        if (places := places_where(budgets, holds))
+    ]
     answer, tone = "Not known: no effect found reduces the error.", "warn"
     if "doubts" in document:
         answer = "Not known while findings are withheld: only the error is shown."
@@ -139,18 +147,7 @@ def _budget_section(
         tone = ""
     elif all(b.is_explained for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"
-    elif misled or changed or fast or unknown:
-        causes = {
-            "parameters of the prior that are in doubt": misled,
-            "friction or offset that changed between the recordings": changed,
-            "speeds that the fitted recordings do not have": fast,
-            "torque that no known effect explains": unknown,
-        }
-        texts = [
-            f"{cause} ({joint_words(joints, len(budgets))})"
-            for cause, joints in causes.items()
-            if joints
-        ]
+    elif texts:
         answer = f"Mostly from {listed(texts)}."
     seconds = sum(float(m.time[-1] - m.time[0]) for m in diagnosis.held_out.motions)
     data = {
@@ -162,7 +159,7 @@ def _budget_section(
         "seconds": number(seconds, 2 if seconds < 100.0 else 3),
         "base": base_words(diagnosis),
         "is_noise_known": diagnosis.noise.method == "periods",
-        "has_changed": bool(changed),
+        "has_changed": any(b.is_changed for b in budgets),
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),
     }
     return Section("budget", "Where does the torque error come from?", answer, data, tone)
@@ -224,7 +221,7 @@ def _findings_answer(document: Document, budgets: Sequence[JointBudget]) -> tupl
         return "Not stated: findings at single joints are withheld; see above.", "warn"
     if document["unknown"]:
         return "No finding: no known effect explains the torque that is missing.", "warn"
-    if verdict.unforeseen(budgets):
+    if any(b.is_unforeseen for b in budgets):
         return "No finding: no known effect explains the error that remains.", "warn"
     return "No finding: no known effect is needed to explain these recordings.", "good"
 

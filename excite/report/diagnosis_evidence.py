@@ -27,6 +27,7 @@ from .torque_budget import (
     change_words,
     filter_words,
     joint_words,
+    places_where,
     regime_words,
     small_words,
     undecided_words,
@@ -64,23 +65,18 @@ def prediction_section(
 
 def _prediction_answer(budgets: Sequence[JointBudget]) -> tuple[str, str]:
     """How near the held-out error is to noise, and its tone."""
-    above = [b.joint for b in budgets if not b.is_explained]
-    worse = [b.joint for b in budgets if b.is_worse]
     furthest = max(budgets, key=lambda b: b.noise_ratio)
     answer, tone = "Yes, down to the noise" + (" at every joint" if budgets[1:] else ""), "good"
-    if above:
-        answer, tone = f"Its error is above the noise at {joint_words(above, len(budgets))}", "warn"
+    if above := places_where(budgets, lambda b: not b.is_explained):
+        answer, tone = f"Its error is above the noise at {above}", "warn"
         ratio = f"{significant(furthest.noise_ratio)} × noise"
         answer += (
             f"; furthest from it is {furthest.joint}: {ratio}" if budgets[1:] else f": {ratio}"
         )
     if furthest.is_withheld:
         return f"{answer}. While findings are withheld, the base model is saved.", "warn"
-    if worse:
-        return (
-            f"{answer}. It predicts {joint_words(worse, len(budgets))} worse than the base model.",
-            "bad",
-        )
+    if worse := places_where(budgets, lambda b: b.is_worse):
+        return f"{answer}. It predicts {worse} worse than the base model.", "bad"
     if not any(b.is_improved for b in budgets):
         return f"{answer}. The saved model predicts as the base model does.", tone
     return f"{answer}." + (

@@ -6,7 +6,7 @@ the error by which it falls, which is divided in their proportion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from pathlib import Path
@@ -64,12 +64,12 @@ def known_words(document: Document) -> str:
 
 def prior_words(budgets: Sequence[JointBudget]) -> str:
     """Return that the trusted prior does not hold; "" if nothing speaks against it."""
-    misled = [budget.joint for budget in budgets if budget.is_misled]
+    misled = places_where(budgets, lambda b: b.is_misled)
     if not misled:
         return ""
     return (
         "the parameters of the prior are in doubt: identified without them, the base model alone "
-        f"predicts {joint_words(misled, len(budgets))} better than the saved model"
+        f"predicts {misled} better than the saved model"
     )
 
 
@@ -359,6 +359,12 @@ def joint_words(joints: Sequence[str], count: int) -> str:
     if len(joints) == count > 1:
         return "both joints" if count == 2 else f"all {count} joints"
     return some(joints, NAMED_JOINTS)
+
+
+def places_where(budgets: Sequence[JointBudget], holds: Callable[[JointBudget], bool]) -> str:
+    """Return the joints of which something holds, as `joint_words` does; "" if there is none."""
+    joints = [budget.joint for budget in budgets if holds(budget)]
+    return joint_words(joints, len(budgets)) if joints else ""
 
 
 def undecided_words(undecided: Sequence[Document], count: int) -> str:

@@ -9,7 +9,14 @@ from ..effects import EFFECTS_BY_NAME
 from ..robot.parameter_names import listed
 from ..schemas.effects import effect_words
 from .formatting import capitalized, significant
-from .torque_budget import Document, JointBudget, joint_words, prior_words, sorted_findings
+from .torque_budget import (
+    Document,
+    JointBudget,
+    joint_words,
+    places_where,
+    prior_words,
+    sorted_findings,
+)
 
 SURE_PROBABILITY = 0.9
 """Probability from which no experiment to confirm a finding is proposed."""
@@ -58,40 +65,29 @@ def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     verdict = document["verdict"]
     text = _VERDICTS[verdict]
     unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
-    changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
-    extrapolated = [b.joint for b in budgets if b.is_extrapolated]
-    above = unforeseen(budgets)
-    useless = [b.joint for b in budgets if b.is_useless]
     if verdict == "no-mismatch" and not all(b.is_explained for b in budgets):
         text = "no effect is found that the base model lacks"
     if unknown:
         places = joint_words(unknown, len(budgets))
         remains = f"torque at {places} repeats with the motion and no known effect explains it"
         text = remains if verdict == "unexplained" else f"{text}; {remains}"
-    if changed:
-        text += (
-            f"; most of the error of {joint_words(changed, len(budgets))} is friction or offset "
-            "that changed between the recordings"
-        )
+    if changed := places_where(budgets, lambda b: b.is_changed and not b.unknown):
+        text += f"; most of the error of {changed} is friction or offset "
+        text += "that changed between the recordings"
     if doubted := prior_words(budgets):
         text += f"; {doubted}"
-    if extrapolated:
-        text += (
-            f"; the model is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
-            "held-out motion is faster than the fitted recordings"
-        )
-    if above:
-        worst = max((b for b in budgets if b.is_unforeseen), key=lambda b: b.noise_ratio)
+    if extrapolated := places_where(budgets, lambda b: b.is_extrapolated):
+        text += f"; the model is extrapolated at {extrapolated}, where the "
+        text += "held-out motion is faster than the fitted recordings"
+    if above := [b for b in budgets if b.is_unforeseen]:
+        worst = max(above, key=lambda b: b.noise_ratio)
         ratio = f"{'up to ' if above[1:] else ''}{significant(worst.noise_ratio)} times the noise"
         if not worst.is_noise_known:
             ratio += ", which is only estimated,"
-        places = joint_words(above, len(budgets))
+        places = joint_words([b.joint for b in above], len(budgets))
         text += f"; the error of the held-out motion is still {ratio} at {places}"
-    if useless:
-        text += (
-            f"; no model fits {joint_words(useless, len(budgets))}: a prediction of no torque "
-            "would be better"
-        )
+    if useless := places_where(budgets, lambda b: b.is_useless):
+        text += f"; no model fits {useless}: a prediction of no torque would be better"
     return text
 
 
@@ -102,31 +98,21 @@ def tone(document: Document, budgets: Sequence[JointBudget]) -> str:
     return "good" if all(b.is_explained for b in budgets) else "warn"
 
 
-def unforeseen(budgets: Sequence[JointBudget]) -> list[str]:
-    """Return joints with an error whose cause is not known."""
-    return [b.joint for b in budgets if b.is_unforeseen]
-
-
 def use_words(budgets: Sequence[JointBudget]) -> str:
     """Say whether the saved model is of use, and which file to load."""
-    improved = [b.joint for b in budgets if b.is_improved]
-    worse = [b.joint for b in budgets if b.is_worse]
-    spoiled = [b.joint for b in budgets if b.is_spoiled]
-    if useless := [b.joint for b in budgets if b.is_useless]:
-        return f"none; model.json does not predict {joint_words(useless, len(budgets))}"
-    if spoiled:
+    if useless := places_where(budgets, lambda b: b.is_useless):
+        return f"none; model.json does not predict {useless}"
+    if spoiled := places_where(budgets, lambda b: b.is_spoiled):
         return (
-            f"model.json with care; it predicts {joint_words(spoiled, len(budgets))} worse than "
-            "the base model, which is its field without_effects"
+            f"model.json with care; it predicts {spoiled} worse than the base model, "
+            "which is its field without_effects"
         )
-    if improved:
+    if improved := places_where(budgets, lambda b: b.is_improved):
         text = (
-            "load model.json; it predicts unseen motion better than the base model at "
-            f"{joint_words(improved, len(budgets))}"
+            f"load model.json; it predicts unseen motion better than the base model at {improved}"
         )
-        if worse:
-            places = joint_words(worse, len(budgets))
-            text += f", worse only by what changed between the recordings at {places}"
+        if worse := places_where(budgets, lambda b: b.is_worse):
+            text += f", worse only by what changed between the recordings at {worse}"
         elif budgets[1:]:
             text += ", worse at none"
         return text + _poor_words(budgets)
@@ -168,6 +154,7 @@ def next_actions(document: Document, budgets: Sequence[JointBudget]) -> list[lis
     count, groups = len(budgets), open_effects(document)
     changed = [b.joint for b in budgets if b.is_changed]
     fast = [b.joint for b in budgets if b.is_extrapolated]
+    above = [b.joint for b in budgets if b.is_unforeseen]
     partly_changed = [
         joint
         for joint in dict.fromkeys(c["joint"] for c in document["between_recordings"])
@@ -214,7 +201,7 @@ def next_actions(document: Document, budgets: Sequence[JointBudget]) -> list[lis
         ],
         discriminating,
         [
-            *at(unforeseen(budgets), alone, "what remains has no known cause", "{words} ({place})"),
+            *at(above, alone, "what remains has no known cause", "{words} ({place})"),
             *at(partly_changed, _ONE_SESSION, "friction or offset changed as well", ""),
         ],
         [Action("", LONGER)] if document["undecided_between_recordings"] else [],

@@ -485,20 +485,17 @@ class _Posterior:
         none = np.zeros(len(places)), 0.0
         if shape.nonlinear is None:
             return none
-        parts, parameter = [], shape.nonlinear
+        parameter = shape.nonlinear
         prior_std = min(float(np.log(parameter.high / parameter.low)), 1.0)
         size = LOG_STEP * prior_std
-        for step in (size, -size):
-            moved = parameter.at(parameter.value * float(np.exp(step)))
-            columns = self.model.columns(moved)
-            if columns is None or columns.count > len(c):
-                return none
-            parts.append((columns, c[: columns.count]))
-        (up, cu), (down, _) = parts
-        if up.joints != down.joints:
+        up, down = (
+            self.model.columns(parameter.at(parameter.value * float(np.exp(step))))
+            for step in (size, -size)
+        )
+        if up is None or down is None or up.joints != down.joints or up.count > len(c):
             return none
         values = tuple(
-            ((a - b) @ cu / (2.0 * size))[:, None]
+            ((a - b) @ c[: up.count] / (2.0 * size))[:, None]
             for a, b in zip(up.values, down.values, strict=True)
         )
         change = Columns(up.joints, values, np.zeros(1, bool), np.ones(1))

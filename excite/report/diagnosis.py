@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from ..diagnosis.diagnosis import Diagnosis
 from ..diagnosis.estimates import MIN_PROBABILITY
+from ..diagnosis.session_changes import sources
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..robot.parameter_names import listed, plural
 from ..schemas.effects import effect_words
@@ -302,10 +303,8 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
 def _provenance_section(diagnosis: Diagnosis, remarks: RemarksByRecording) -> Section:
     """Data, method and versions."""
     robot, trusted = diagnosis.identified.model.robot, diagnosis.identified.options.trusted
-    fitted, held_out = (
-        list(dict.fromkeys(motion.segment.source for motion in motions))
-        for motions in (diagnosis.model.motions, diagnosis.held_out.motions)
-    )
+    fitted = sources(diagnosis.model.motions)
+    held_out = sources(diagnosis.held_out.motions)
     answer = (
         f"Base model and effects were fitted jointly to {plural(len(fitted), 'recording')}; "
         f"{plural(len(held_out), 'other recording')} served only to measure the error; "

@@ -75,7 +75,7 @@ def flexible_models(
     rows = motion_rows(motions)
     for j in range(rows.n) if joints is None else joints:
         columns = _Columns(motions, rows, j, float(sigma[j]))
-        yield from _functions_of_state(columns, rows, j)
+        yield from _functions_of_state(columns)
         for state, drive in (("ddq", "past acceleration"), ("load", "past load")):
             yield from _resonances(columns, state, drive)
 
@@ -121,8 +121,9 @@ def _key(motion: RecordedMotion) -> tuple[str, float]:
     return motion.segment.source, motion.segment.start
 
 
-def _functions_of_state(columns: _Columns, rows: MotionRows, j: int) -> Iterator[CandidateModel]:
+def _functions_of_state(columns: _Columns) -> Iterator[CandidateModel]:
     """Yield curves of the position, and surfaces over pairs of states."""
+    rows, j = columns.rows, columns.joint
     moving = rows.moving[:, j]
 
     def over_range(x: FloatArray) -> FloatArray:

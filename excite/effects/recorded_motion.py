@@ -153,7 +153,7 @@ class RecordedMotion:
     @cached_property
     def torque(self) -> FloatArray:
         """Measured torque, low-passed [N m], shape (N, n)."""
-        return self.band.filter(self.segment.torque, Grid.KEPT)[self.kept]
+        return self.band.filter(self.segment.torque, self.grid)[self.kept]
 
     def _of_same_motion(self, **changes: Any) -> RecordedMotion:
         """Return another fit to the same motion, which shares all that depends on it alone."""
@@ -214,7 +214,7 @@ class RecordedMotion:
     @cached_property
     def torque_slope(self) -> FloatArray:
         """Time derivative of the measured torque [N m/s], shape (N, n)."""
-        return self.band.filter(self.segment.torque, Grid.KEPT, 1)[self.kept]
+        return self.band.filter(self.segment.torque, self.grid, 1)[self.kept]
 
     def sign(self, joint: int) -> FloatArray:
         """Return the smooth sign tanh(q̇/w) of the base model's Coulomb friction, shape (M,)."""

@@ -29,7 +29,7 @@ from scipy.interpolate import make_interp_spline
 from excite import recordings
 from excite._types import FloatArray
 from excite.diagnosis import diagnosis, fitted_effects
-from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
+from excite.diagnosis.diagnosis import Diagnosis
 from excite.effects import EFFECTS_BY_NAME
 from excite.errors import UnusableInput
 from excite.identification.prior import TrustedPrior
@@ -109,8 +109,9 @@ class Subject:
             validate: Held-out recordings.
             prior: What is known.
         """
-        options = DiagnosisOptions(prior=prior)
-        return diagnosis.diagnose(self.robot, self.parameters, self.base, train, validate, options)
+        return diagnosis.diagnose(
+            self.robot, self.parameters, self.base, train, validate, prior=prior
+        )
 
 
 @dataclass(frozen=True)

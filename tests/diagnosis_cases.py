@@ -25,7 +25,7 @@ from synthetic_recordings import (
 
 from excite._types import FloatArray
 from excite.diagnosis import diagnosis
-from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
+from excite.diagnosis.diagnosis import Diagnosis
 from excite.effects.recorded_motion import RecordedMotion
 from excite.identification.identified_model import IdentifiedModel
 from excite.identification.prior import TrustedPrior
@@ -81,7 +81,7 @@ def diagnose(recordings: Sequence[Recording], **options: Any) -> Diagnosis:
         SUBJECT.base,
         recordings[:-1],
         recordings[-1:],
-        DiagnosisOptions(**options),
+        **options,
     )
 
 

@@ -15,7 +15,7 @@ from slow_tests import slow
 from excite import recordings
 from excite._types import FloatArray
 from excite.diagnosis import diagnosis, fitted_effects
-from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
+from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.regression import rms
 from excite.errors import ExciteWarning
 from excite.identification import prior as prior_module
@@ -38,7 +38,7 @@ def diagnose_machine(
     """Diagnose a machine by its recordings in the shared folder."""
     machine, standard, base, files = machine_of(name, train, held_out, urdf)
     known = prior_module.read_prior(REAL / name / prior if prior else None, machine, standard)
-    return diagnosis.diagnose(machine, standard, base, *files, DiagnosisOptions(prior=known))
+    return diagnosis.diagnose(machine, standard, base, *files, prior=known)
 
 
 @cache
@@ -109,7 +109,7 @@ def test_a_payload_is_found_next_to_the_couplings_of_tx40(effects_are_known):
     load = np.zeros(standard.count)
     load[10 * (standard.bodies - 1) :][:4] = 1.5 * np.array([1.0, 0.02, 0.0, 0.1])
     carried = [[with_load(r, machine, standard, load) for r in group] for group in files]
-    result = diagnosis.diagnose(machine, standard, base, *carried, DiagnosisOptions(prior=known))
+    result = diagnosis.diagnose(machine, standard, base, *carried, prior=known)
     named = set(findings_of(result))
     assert ("payload", 5) in named
     assert (named >= {("coupling", 4), ("coupling", 5)}) is not effects_are_known

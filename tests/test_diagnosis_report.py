@@ -105,8 +105,8 @@ def test_robot_without_mismatch() -> None:
 def test_a_robot_that_no_model_predicts_is_not_without_mismatch() -> None:
     result = diagnosis_of(0.0)
     assert result.verdict == "no-mismatch"
-    size = 2.0 * result.held_out.torque_rms
-    held_out = dataclasses.replace(result.held_out, rmse_before=size, rmse_after=size)
+    residual = 2.0 * result.held_out.torque
+    held_out = dataclasses.replace(result.held_out, base=residual, final=residual)
     assert dataclasses.replace(result, held_out=held_out).verdict == "unexplained"
 
 

@@ -743,10 +743,8 @@ def tracks() -> list[recorded_motion.RecordedMotion]:
         identification.IdentificationOptions(band=20.0),
         lambda _: None,
     )
-    body = recorded_motion.fitted_robot(subject.robot, subject.parameters, done.psi)
-    theta = subject.base.matrix @ done.psi
     pieces = list(segments.extract_segments([recording], average=False))
-    return recorded_motion.recorded_motions(done.model, body, theta, pieces, 20.0)
+    return recorded_motion.recorded_motions(done.model, done.psi, pieces, 20.0)
 
 
 def variants(shape: CandidateModel) -> Iterator[CandidateModel]:

@@ -21,7 +21,7 @@ from excite.designer.effect_columns import (
 from excite.designer.presliding import presliding_state
 from excite.effects import EFFECTS_BY_NAME
 from excite.effects.effect import CandidateModel, single_joint_columns
-from excite.effects.recorded_motion import RecordedMotion, fitted_robot
+from excite.effects.recorded_motion import FittedRobot, RecordedMotion
 from excite.identification.lowpass import Grid
 from excite.identification.segments import RecordingSegment
 from excite.robot import inertial_parameters
@@ -118,21 +118,8 @@ def recorded() -> RecordedMotion:
         encoder=np.full(n, 1e-9),
         recording_start=0.0,
     )
-    rows = np.zeros((0, n))
-    out = RecordedMotion(
-        segment,
-        segment.band(BAND),
-        fitted_robot(c.robot, c.parameters, c.psi),
-        c.widths,
-        np.zeros(0),
-        rows,
-        rows[:, :, None],
-        rows,
-        slice(0, None),
-        np.zeros(0),
-        rows.astype(bool),
-        rows.astype(bool),
-    )
+    robot = FittedRobot(c.robot, c.parameters, c.psi)
+    out = RecordedMotion(segment, segment.band(BAND), robot, c.widths)
     return out.with_modelled_torque(out.motor_torque)
 
 
@@ -178,15 +165,15 @@ def test_columns_equal_the_catalogues_below_its_band(symbolic: SymbolicEffect):
     band, t = recorded().band, recorded().times
     flat = ours.reshape(len(ours), -1)
     fine = np.column_stack([np.interp(t, times, column) for column in flat.T])
-    low = band.filter(fine, Grid.KEPT).reshape(-1, *ours.shape[1:])
+    low = band.filter(fine, Grid.KEPT)[recorded().kept].reshape(-1, *ours.shape[1:])
     is_single = symbolic.effect in SINGLE_CURVES
     definition = EFFECTS_BY_NAME[symbolic.effect]
     model = CandidateModel(definition, symbolic.joint, symbolic.values, symbolic.other)
     expected = single_curve(recorded(), model) if is_single else model.columns(recorded())
     assert expected.shape == low.shape
     # the middle period, away from the ends
-    kept = t[:: band.steps(Grid.KEPT)]
-    middle = (kept > PERIOD + 1.0) & (kept < 2.0 * PERIOD - 1.0)
+    time = recorded().time
+    middle = (time > PERIOD + 1.0) & (time < 2.0 * PERIOD - 1.0)
     tolerance = 5e-3 if symbolic.effect in ("elasticity", "hysteresis") else 2e-3
     for k in range(expected.shape[2]):
         error = np.linalg.norm(low[middle, :, k] - expected[middle, :, k])

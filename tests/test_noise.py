@@ -54,9 +54,8 @@ def motions_of(
     model: IdentificationModel, recording: Recording, psi: FloatArray
 ) -> list[RecordedMotion]:
     """Return the motions of a recording with the base model of given parameters."""
-    robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
     pieces = list(segments.extract_segments([recording], average=False))
-    return recorded_motion.recorded_motions(model, robot, model.base.matrix @ psi, pieces, 20.0)
+    return recorded_motion.recorded_motions(model, psi, pieces, 20.0)
 
 
 @pytest.mark.parametrize(

@@ -188,7 +188,6 @@ def test_simulated_quantization_residual_has_the_size_of_the_actual_one(tmp_path
         base_parameters.find(machine, standard, table),
         fine.robot.actuators.width,
     )
-    theta, body = model.base.matrix @ true, recorded_motion.fitted_robot(machine, standard, true)
 
     def tracked(resolution: float) -> list[recorded_motion.RecordedMotion]:
         chain = dataclasses.replace(fine.chain, encoder=resolution)
@@ -199,8 +198,7 @@ def test_simulated_quantization_residual_has_the_size_of_the_actual_one(tmp_path
         path.write_text(read.to_csv())
         return recorded_motion.recorded_motions(
             model,
-            body,
-            theta,
+            true,
             list(segments.extract_segments([recordings.read(path, machine)])),
             20.0,
         )

@@ -186,11 +186,7 @@ def test_self_heating_continues_over_a_gap_of_the_recording(power):
         recording_start=segment.start,
     )
     complete, after = (
-        shape.columns(
-            dataclasses.replace(
-                motion, segment=piece, grid=Grid.RECORDED, kept=slice(0, len(piece))
-            )
-        )[:, 0, 0]
+        shape.columns(dataclasses.replace(motion, segment=piece, grid=Grid.RECORDED))[:, 0, 0]
         for piece in (segment, later)
     )
     inside = slice(80, -80)  # without the ends, which the filter affects

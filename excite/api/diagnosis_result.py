@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -22,8 +22,6 @@ from ..identification import identified_model
 from ..identification import prior as prior_module
 from ..recordings import Recording, recording_cost
 from ..robot import base_parameters, inertial_parameters
-from ..robot.base_parameters import Base
-from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..schemas.diagnosis import DiagnosisDocument, diagnosis_file, read_diagnosis
@@ -177,15 +175,18 @@ def diagnose(
     base = base_parameters.find(loaded, standard, table)
     known = prior_module.read_prior(prior, loaded, standard)
     recording_cost.require_diagnosable([*train, *held_out], report)
-    options = diagnosis.DiagnosisOptions(band, known)
-    setup = loaded, standard, base
+    run = partial(
+        diagnosis.diagnose, loaded, standard, base, progress=report, band=band, prior=known
+    )
     with single_blas_thread():
-        result = diagnosis.diagnose(*setup, train, held_out, options, report)
+        result = run(train=train, validate=held_out)
         decided = None
         if discriminating:
             if earlier is None:
                 report("diagnosis of the earlier recordings alone")
-                earlier = _diagnosed(setup, train[: len(recordings)], held_out, options, report)
+                alone = run(train=train[: len(recordings)], validate=held_out)
+                file = diagnosis_file(Path("diagnosis.json"))
+                earlier = file.converted(diagnosis_document(alone), DiagnosisDocument)
             decided = decisions.decide(earlier, result, _expected(trajectory))
     inputs = argument_files(
         loaded.source,
@@ -211,19 +212,6 @@ def _earlier(path: Path, robot: Robot) -> DiagnosisDocument:
             f"{', '.join(robot.joints)}; give the diagnosis of this robot"
         )
     return document
-
-
-def _diagnosed(
-    setup: tuple[Robot, Parameters, Base],
-    train: Sequence[Recording],
-    held_out: Sequence[Recording],
-    options: diagnosis.DiagnosisOptions,
-    report: Progress,
-) -> DiagnosisDocument:
-    """Diagnose the earlier recordings alone."""
-    result = diagnosis.diagnose(*setup, train, held_out, options, report)
-    file = diagnosis_file(Path("diagnosis.json"))
-    return file.converted(diagnosis_document(result), DiagnosisDocument)
 
 
 def _expected(trajectories: TrajectorySources) -> list[ExpectedEvidence]:

@@ -12,6 +12,7 @@ s of that sum has the variance (ρ s)². Effects of several joints are taken as 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..effects.effect import Key
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions
 from ..identification import consistency
 from ..identification.identification import Identification
 from ..schemas.effects import is_recording_filter
@@ -51,7 +52,7 @@ class TorqueBudget:
 
 def torque_budget(
     identified: Identification,
-    motions: Sequence[Sequence[RecordedMotion]],
+    motions: Sequence[Motions],
     final: FinalModel,
     effects: Sequence[EffectEstimate],
     held_out: HeldOutErrors,
@@ -64,11 +65,11 @@ def torque_budget(
     fitted, held_out_motions = motions
     gamma = np.concatenate([motion.gamma for motion in held_out_motions])
     absorbed = _absorbed_parameters(final, identified, fitted)
-    torques = _effect_torques(final, held_out.motions)
+    torques = [effect.torque(held_out.motions) for effect in final.saved_effects]
     base = held_out.base / np.maximum(np.sum(held_out.base**2, axis=0), 1e-300)
     relative = {e.key: e.relative_std for e in effects}
     n = base.shape[1]
-    of_joint: dict[Key, FloatArray] = {}
+    of_joint: dict[Key, FloatArray] = defaultdict(lambda: np.zeros(n))
     other = held_out.base - held_out.final
     for effect, theta, torque in zip(final.saved_effects, absorbed, torques, strict=True):
         beyond = torque - gamma @ theta
@@ -76,14 +77,12 @@ def torque_budget(
         name, joint = effect.shape.key
         if is_recording_filter(effect.shape.values):
             name = RECORDING_FILTER
-        share = np.sum(beyond * base, axis=0)
-        of_joint[name, joint] = of_joint.get((name, joint), np.zeros(n)) + share
-    shares: dict[str, FloatArray] = {}
-    variances: dict[str, FloatArray] = {}
+        of_joint[name, joint] += np.sum(beyond * base, axis=0)
+    shares: dict[str, FloatArray] = defaultdict(lambda: np.zeros(n))
+    variances: dict[str, FloatArray] = defaultdict(lambda: np.zeros(n))
     for (name, joint), share in of_joint.items():
-        std = share * relative.get((name, joint), 0.0)
-        shares[name] = shares.get(name, np.zeros(n)) + share
-        variances[name] = variances.get(name, np.zeros(n)) + std**2
+        shares[name] += share
+        variances[name] += (share * relative.get((name, joint), 0.0)) ** 2
     if shares:
         matrix = identified.model.base.matrix
         slope = np.einsum("rjp,rj->jp", gamma, base) @ matrix
@@ -96,19 +95,12 @@ def torque_budget(
     )
 
 
-def _effect_torques(final: FinalModel, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
-    """Torque of each saved effect along motions with the saved base model, shapes (N, n) [N m]."""
-    return [
-        np.concatenate([effect.shape.columns(motion) @ effect.coefficients for motion in motions])
-        for effect in final.saved_effects
-    ]
-
-
 def _absorbed_parameters(
-    final: FinalModel, identified: Identification, motions: Sequence[RecordedMotion]
+    final: FinalModel, identified: Identification, motions: Motions
 ) -> FloatArray:
     """Base parameters that a base model fitted alone absorbs of each saved effect, shape (E, p)."""
-    torques, free = _effect_torques(final, final.motions), joint_model.free_parameters(identified)
+    torques = [effect.torque(final.motions) for effect in final.saved_effects]
+    free = joint_model.free_parameters(identified)
     gamma = np.concatenate([motion.gamma[:, :, free] for motion in motions])
     residual = np.concatenate([motion.residual for motion in motions])
     moving = final.regression.moving

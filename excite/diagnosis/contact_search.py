@@ -13,6 +13,7 @@ from ..effects.contact import MAX_SHARE
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from .joint_model import JointModel
+from .session_changes import sources
 
 WINDOWS = 40
 """Length of a motion over that of the shortest window in which a contact is sought."""
@@ -49,9 +50,8 @@ def contacts(fitted: JointModel) -> list[CandidateModel]:
             chosen.append((number, window))
         if len(chosen) == MAX_WINDOWS:
             break
-    sources = {motion.segment.source for motion in fitted.motions}
     lengths = np.arange(1, int(MAX_SHARE * WINDOWS) + 1)
-    count = float((WINDOWS + 1 - lengths).sum()) * len(sources)
+    count = float((WINDOWS + 1 - lengths).sum()) * len(sources(fitted.motions))
     out: list[CandidateModel] = []
     for number, window in chosen:
         motion, force = fitted.motions[number], forces[number]

@@ -15,7 +15,7 @@ import numpy as np
 from .._types import FloatArray
 from ..effects import recorded_motion
 from ..effects.effect import Key
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions, RecordedMotion
 from ..errors import UnusableInput
 from ..identification import identification, segments
 from ..identification.identification import Identification
@@ -60,19 +60,6 @@ Progress = Callable[[str], None]
 """Receives a line of text at each stage."""
 EXPLAINED_RMSE_RATIO = 1.2
 """RMSE over the noise floor up to which a joint counts as explained (the contract's value)."""
-
-
-@dataclass(frozen=True)
-class DiagnosisOptions:
-    """Options of a diagnosis.
-
-    Attributes:
-        band: Cutoff frequency [Hz]; chosen from the data when None.
-        prior: Known parameters, which are not refit, and known effects, which are no findings.
-    """
-
-    band: float | None = None
-    prior: TrustedPrior = field(default_factory=TrustedPrior)
 
 
 @dataclass(frozen=True)
@@ -145,26 +132,32 @@ def diagnose(
     base: Base,
     train: Sequence[Recording],
     validate: Sequence[Recording],
-    options: DiagnosisOptions | None = None,
     progress: Progress = lambda _: None,
+    *,
+    band: float | None = None,
+    prior: TrustedPrior | None = None,
 ) -> Diagnosis:
     """Find the effects that the base model lacks.
+
+    Args:
+        band: Cutoff frequency [Hz]; chosen from the data when None.
+        prior: Known parameters, which are not refit, and known effects, which are no findings.
 
     Raises:
         UnusableInput: If there is no held-out recording, or a recording is too short.
     """
-    options = options or DiagnosisOptions()
+    prior = prior or TrustedPrior()
     if not validate:
         raise UnusableInput(
             "--validate: a diagnosis needs a held-out recording; "
             "give one that is not among the training recordings"
         )
     pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
-    hertz = options.band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
+    hertz = band or bandwidth.chosen_hertz(pieces[0], pieces[1], robot)
     segments.require_sampled([*pieces[0], *pieces[1]], hertz)
     recorded = validate, pieces[1]
     known: tuple[FittedEffect, ...] = ()
-    if (stated := options.prior.model) is not None and stated.effects:
+    if (stated := prior.model) is not None and stated.effects:
         stated = replace(stated, hertz=hertz)
         known = tuple(fitted_effects.restored(effect, robot) for effect in stated.effects)
         train, validate = (
@@ -173,7 +166,7 @@ def diagnose(
         )
         pieces = [segments.usable_segments(group, average=False) for group in (train, validate)]
     settings = identification.IdentificationOptions(
-        band=hertz, trusted=options.prior.parameters, widths=options.prior.widths
+        band=hertz, trusted=prior.parameters, widths=prior.widths
     )
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
     motions = [_motions(identified, group, hertz) for group in pieces]
@@ -244,7 +237,7 @@ def _motions(
     return motions
 
 
-def _rmse(motions: Sequence[RecordedMotion]) -> FloatArray:
+def _rmse(motions: Motions) -> FloatArray:
     """RMS residual of the base model in the rows that count, shape (n,) [N m]."""
     return rms(
         np.concatenate([motion.residual for motion in motions]),
@@ -283,8 +276,8 @@ def _held_out_errors(
     final: FinalModel,
     document: Mapping[str, Any],
     validate: Sequence[Recording],
-    measured: Sequence[RecordedMotion],
-    motions: Sequence[RecordedMotion],
+    measured: Motions,
+    motions: Motions,
 ) -> HeldOutErrors:
     """Errors of the base model and of the model that is read back from the saved file.
 
@@ -302,15 +295,12 @@ def _held_out_errors(
         motion.with_modelled_torque(motion.at_samples(part))
         for motion, part in zip(plain, predicted, strict=True)
     )
-    residual, base = np.where(moving, residual, 0.0), np.where(moving, base, 0.0)
     return HeldOutErrors(
         motions=tuple(present),
         torque=torque,
-        base=base,
-        final=residual,
+        base=np.where(moving, base, 0.0),
+        final=np.where(moving, residual, 0.0),
         moving=moving,
-        rmse_before=rms(base, moving),
-        rmse_after=rms(residual, moving),
     )
 
 

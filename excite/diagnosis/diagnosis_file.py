@@ -10,7 +10,12 @@ from scipy import special
 
 from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
-from ..effects.recorded_motion import MIN_SPEED, RecordedMotion, split_by_motion, stands_still
+from ..effects.recorded_motion import (
+    MIN_SPEED,
+    Motions,
+    split_by_motion,
+    stands_still,
+)
 from ..robot.parameter_names import percent
 from . import effect_curves, rival_evidence, session_changes, unmodelled
 from .decisions import Decisions
@@ -37,26 +42,21 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     """Return the content of `diagnosis.json`, after the decisions of discriminating recordings."""
     joints = diagnosis.identified.model.robot.joints
     held_out, noise = diagnosis.held_out, diagnosis.noise
-    torque_rms = held_out.torque_rms
-    speed_ratio = _motion_ratio(diagnosis.model.motions, held_out.motions, "dq")
-    acceleration_ratio = _motion_ratio(diagnosis.model.motions, held_out.motions, "ddq")
+    errors = (noise.floor.tolist(), held_out.rmse_before.tolist(), held_out.rmse_after.tolist())
     rows = {
-        joint: _joint_entry(
-            float(noise.floor[i]),
-            noise.method,
-            float(held_out.rmse_before[i]),
-            float(held_out.rmse_after[i]),
-        )
-        | {
-            "torque_rms": float(torque_rms[i]),
-            "speed_ratio": speed_ratio[i],
-            "acceleration_ratio": acceleration_ratio[i],
-        }
-        for i, joint in enumerate(joints)
+        joint: _joint_entry(floor, noise.method, before, after)
+        for joint, floor, before, after in zip(joints, *errors, strict=True)
+    }
+    further = {
+        "torque_rms": held_out.torque_rms.tolist(),
+        "speed_ratio": _motion_ratio(diagnosis.model.motions, held_out.motions, "dq"),
+        "acceleration_ratio": _motion_ratio(diagnosis.model.motions, held_out.motions, "ddq"),
     }
     if held_out.rmse_refit is not None:
-        for row, rmse in zip(rows.values(), held_out.rmse_refit.tolist(), strict=True):
-            row["rmse_refit"] = rmse
+        further["rmse_refit"] = held_out.rmse_refit.tolist()
+    for key, values in further.items():
+        for row, value in zip(rows.values(), values, strict=True):
+            row[key] = value
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
@@ -87,9 +87,7 @@ def document(diagnosis: Diagnosis, decisions: Decisions | None = None) -> dict[s
     }
 
 
-def _motion_ratio(
-    fitted: Sequence[RecordedMotion], held_out: Sequence[RecordedMotion], quantity: str
-) -> list[float | None]:
+def _motion_ratio(fitted: Motions, held_out: Motions, quantity: str) -> list[float | None]:
     """Largest held-out speed or acceleration of each joint over that of the fitted recordings [1].
 
     None for a joint that moves in the held-out recordings alone, 1 for one that never moves.
@@ -103,7 +101,7 @@ def _motion_ratio(
     return out
 
 
-def _largest(motions: Sequence[RecordedMotion], quantity: str) -> FloatArray:
+def _largest(motions: Motions, quantity: str) -> FloatArray:
     """Return the largest speed or acceleration of each joint in the fitted rows, shape (n,)."""
     largest = [
         np.abs(getattr(m.samples, quantity)[(m.times >= m.time[0]) & (m.times <= m.time[-1])])

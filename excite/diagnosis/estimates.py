@@ -485,20 +485,17 @@ class _Posterior:
         none = np.zeros(len(places)), 0.0
         if shape.nonlinear is None:
             return none
-        parts, parameter = [], shape.nonlinear
+        parameter = shape.nonlinear
         prior_std = min(float(np.log(parameter.high / parameter.low)), 1.0)
         size = LOG_STEP * prior_std
-        for step in (size, -size):
-            moved = parameter.at(parameter.value * float(np.exp(step)))
-            columns = self.model.columns(moved)
-            if columns is None or columns.count > len(c):
-                return none
-            parts.append((columns, c[: columns.count]))
-        (up, cu), (down, _) = parts
-        if up.joints != down.joints:
+        up, down = (
+            self.model.columns(parameter.at(parameter.value * float(np.exp(step))))
+            for step in (size, -size)
+        )
+        if up is None or down is None or up.joints != down.joints or up.count > len(c):
             return none
         values = tuple(
-            ((a - b) @ cu / (2.0 * size))[:, None]
+            ((a - b) @ c[: up.count] / (2.0 * size))[:, None]
             for a, b in zip(up.values, down.values, strict=True)
         )
         change = Columns(up.joints, values, np.zeros(1, bool), np.ones(1))
@@ -509,23 +506,19 @@ class _Posterior:
 
 def _likeness(posterior_of: _Posterior, evidence: Sequence[EffectEvidence]) -> dict[Key, list[str]]:
     """Names of effects at the same joint that may stand for each effect of the model."""
-    needed = [
-        e
+    places = {
+        e.key: posterior_of.places(e.members)
         for e in evidence
-        if e.effect != UNMODELLED and e.is_in_model and len(posterior_of.places(e.members))
-    ]
-    out: dict[Key, list[str]] = {}
-    for first in needed:
-        a = posterior_of.places(first.members)
-        variance = posterior_of.shared_power(a, a)
-        names = []
-        for second in needed:
-            if second is first or second.joint != first.joint or second.effect == first.effect:
-                continue
-            b = posterior_of.places(second.members)
-            other = posterior_of.shared_power(b, b)
-            shared = posterior_of.shared_power(a, b)
-            if shared < ALIKE_CORRELATION * np.sqrt(max(variance * other, 1e-300)):
-                names.append(second.effect)
-        out[first.key] = names
-    return out
+        if e.effect != UNMODELLED and e.is_in_model
+    }
+    places = {key: active for key, active in places.items() if len(active)}
+    power = {key: posterior_of.shared_power(a, a) for key, a in places.items()}
+
+    def are_alike(first: Key, second: Key) -> bool:
+        if first[0] == second[0] or first[1] != second[1]:
+            return False
+        size = np.sqrt(max(power[first] * power[second], 1e-300))
+        shared = posterior_of.shared_power(places[first], places[second])
+        return bool(shared < ALIKE_CORRELATION * size)
+
+    return {first: [second[0] for second in places if are_alike(first, second)] for first in places}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from .._types import BoolArray, FloatArray
 from ..effects import delay, nonlinear_viscous
 from ..effects.effect import CandidateModel, Key
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions, RecordedMotion
 from ..identification import identification, identified_model
 from ..identification.identification import Identification
 from ..recordings import Recording
@@ -50,18 +51,13 @@ class FinalModel:
 
     @property
     def saved_effects(self) -> tuple[FittedEffect, ...]:
-        """All effects, the recording chain last."""
-        return (*self.effects, *self._recording)
-
-    @property
-    def _recording(self) -> tuple[FittedEffect, ...]:
-        """The recording chain: its filter and its delay, as far as it has them."""
-        clock_delay = FittedEffect(delay.clock_delay(), np.array([self.chain.delay]))
-        passed = self.chain.filter
-        return (
-            *((FittedEffect(delay.filtered_recording(passed), np.ones(1)),) if passed else ()),
-            *((clock_delay,) if abs(self.chain.delay) >= recording_chain.MIN_DELAY else ()),
-        )
+        """All effects, last the filter and the delay of the recording chain, if it has them."""
+        out, chain = list(self.effects), self.chain
+        if chain.filter is not None:
+            out.append(FittedEffect(delay.filtered_recording(chain.filter), np.ones(1)))
+        if abs(chain.delay) >= recording_chain.MIN_DELAY:
+            out.append(FittedEffect(delay.clock_delay(), np.array([chain.delay])))
+        return tuple(out)
 
     @property
     def residual(self) -> FloatArray:
@@ -105,8 +101,6 @@ class HeldOutErrors:
         base: Residual of the base model, shape (N, n) [N m].
         final: Residual of the saved model, shape (N, n) [N m].
         moving: Rows that count, shape (N, n).
-        rmse_before: RMSE of the base model, shape (n,) [N m].
-        rmse_after: RMSE of the saved model, shape (n,) [N m].
         rmse_refit: RMSE of the base model identified without the trusted prior, shape (n,) [N m];
             None without one.
     """
@@ -116,9 +110,17 @@ class HeldOutErrors:
     base: FloatArray
     final: FloatArray
     moving: BoolArray
-    rmse_before: FloatArray
-    rmse_after: FloatArray
     rmse_refit: FloatArray | None = None
+
+    @cached_property
+    def rmse_before(self) -> FloatArray:
+        """RMSE of the base model, shape (n,) [N m]."""
+        return rms(self.base, self.moving)
+
+    @cached_property
+    def rmse_after(self) -> FloatArray:
+        """RMSE of the saved model, shape (n,) [N m]."""
+        return rms(self.final, self.moving)
 
     @property
     def torque_rms(self) -> FloatArray:
@@ -259,7 +261,7 @@ def _cleaned(
     return dataclasses.replace(recording, tau=tau)
 
 
-def renewed(identified: Identification, motions: Sequence[RecordedMotion]) -> list[RecordedMotion]:
+def renewed(identified: Identification, motions: Motions) -> list[RecordedMotion]:
     """Return motions with an identified base model."""
     psi = joint_model.initial_parameters(identified)
     return joint_model.renewed(identified, motions, psi, identified.model.widths)

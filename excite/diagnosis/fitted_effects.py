@@ -16,9 +16,9 @@ import numpy as np
 
 from .. import _json
 from .._types import FloatArray
-from ..effects import EFFECTS_BY_NAME, recorded_motion
+from ..effects import EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import FittedRobot, Motions, RecordedMotion
 from ..identification import identified_model
 from ..identification.identification import MAX_BAND_SHARE
 from ..identification.identified_model import IdentifiedModel, at_row_times
@@ -36,28 +36,22 @@ class FittedEffect:
     shape: CandidateModel
     coefficients: FloatArray
 
+    def torque(self, motions: Motions) -> FloatArray:
+        """Return the torque at the rows of some motions [N m], shape (N, n)."""
+        return np.concatenate([self.shape.columns(m) @ self.coefficients for m in motions])
+
 
 def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArray:
-    """Return the torque of effects at every sample of a segment [N m], (M, n).
+    """Return the torque of effects at every sample of a motion [N m], (M, n).
 
     It is complete below the cutoff frequency, to pass a filter with the torque of all else.
-
-    Args:
-        effects: The effects.
-        motion: The motion of the segment.
     """
-    segment = motion.segment
     at_samples = dataclasses.replace(
-        motion,
-        grid=Grid.RECORDED,
-        bandwidth_ratio=FLAT_BANDWIDTH_RATIO,
-        kept=slice(0, len(segment)),
-        time=segment.start + np.arange(len(segment)) / segment.rate,
+        motion, grid=Grid.RECORDED, bandwidth_ratio=FLAT_BANDWIDTH_RATIO
     )
-    out = np.zeros(segment.q.shape)
-    for part in effects:
-        out += part.shape.columns(at_samples) @ part.coefficients
-    return out
+    return sum(
+        (effect.torque([at_samples]) for effect in effects), np.zeros(motion.segment.q.shape)
+    )
 
 
 def entry(effect: FittedEffect, robot: Robot) -> dict[str, Any]:
@@ -101,7 +95,7 @@ def read_back(document: Mapping[str, Any]) -> IdentifiedModel:
 def residuals(
     model: IdentifiedModel,
     recordings: Sequence[Recording],
-    motions: Sequence[RecordedMotion],
+    motions: Motions,
 ) -> FloatArray:
     """Return measured minus predicted torque at the rows of motions, shape (N, n) [N m].
 
@@ -133,14 +127,13 @@ def _effect_torque(
     `is_filtered`: whether it is low-passed, to be compared with low-passed torque.
     """
     effects = [restored(stated, fitted.robot) for stated in fitted.effects]
-    robot = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
+    robot = FittedRobot(fitted.robot, fitted.layout, fitted.psi)
     of_motion, of_measured_torque = (
         [part for part in effects if ("measured" in part.shape.values) is measured]
         for measured in (False, True)
     )
     # an actuator's loss before a clock's delay, as in the catalogue
     of_measured_torque.sort(key=lambda part: list(EFFECTS_BY_NAME).index(part.shape.effect))
-    no_rows = np.zeros((0, fitted.robot.n))
 
     def effect_torque(stretch: Recording) -> FloatArray:
         segment = RecordingSegment(
@@ -154,27 +147,15 @@ def _effect_torque(
             recording_start=float(recording.t[0]),
         )
         band = segment.band(min(fitted.hertz, MAX_BAND_SHARE * segment.rate))
-        motion = RecordedMotion(
-            segment=segment,
-            band=band,
-            fitted_robot=robot,
-            widths=fitted.widths,
-            theta=np.zeros(0),
-            torque=no_rows,
-            gamma=no_rows[:, :, None],
-            slopes=no_rows,
-            kept=slice(0),
-            time=np.zeros(0),
-            moving=no_rows.astype(bool),
-            far_from_rest=no_rows.astype(bool),
-        )
+        motion = RecordedMotion(segment, band, robot, fitted.widths)
         out = torque(of_motion, motion)
         for part in of_measured_torque:
-            produced = motion.motor_torque + out
-            change = part.shape.definition.predicted_torque(
-                motion, part.shape, part.coefficients, produced
+            shape, joints = part.shape, part.shape.joints
+            produced = (motion.motor_torque + out)[:, joints]
+            change = shape.definition.recorded_change(motion, shape, part.coefficients, produced)
+            out[:, joints] += band.filter(
+                change, Grid.RECORDED, bandwidth_ratio=FLAT_BANDWIDTH_RATIO
             )
-            out += band.filter(change, Grid.RECORDED, bandwidth_ratio=FLAT_BANDWIDTH_RATIO)
         if is_filtered:
             out = band.filter(out, Grid.RECORDED)
         return out

@@ -24,7 +24,7 @@ from ..effects.effect import (
     single_joint_rows,
     within,
 )
-from ..effects.recorded_motion import RecordedMotion, split_by_motion
+from ..effects.recorded_motion import Motions, RecordedMotion, split_by_motion
 from ..identification.lowpass import Grid
 from .motion_rows import MotionRows, motion_rows
 
@@ -66,7 +66,7 @@ EXPERIMENTS: Mapping[str, str] = {
 
 
 def flexible_models(
-    motions: Sequence[RecordedMotion], sigma: FloatArray, joints: Sequence[int] | None = None
+    motions: Motions, sigma: FloatArray, joints: Sequence[int] | None = None
 ) -> Iterator[CandidateModel]:
     """Yield the flexible models of some joints, of all if None.
 
@@ -75,7 +75,7 @@ def flexible_models(
     rows = motion_rows(motions)
     for j in range(rows.n) if joints is None else joints:
         columns = _Columns(motions, rows, j, float(sigma[j]))
-        yield from _functions_of_state(columns, rows, j)
+        yield from _functions_of_state(columns)
         for state, drive in (("ddq", "past acceleration"), ("load", "past load")):
             yield from _resonances(columns, state, drive)
 
@@ -88,7 +88,7 @@ _FLEXIBLE = Effect(UNMODELLED, "a smooth function of one or two states", {}, "",
 class _Columns:
     """Makes candidate models from features of a joint at all rows of some motions."""
 
-    motions: Sequence[RecordedMotion]
+    motions: Motions
     rows: MotionRows
     joint: int
     sigma: float
@@ -121,8 +121,9 @@ def _key(motion: RecordedMotion) -> tuple[str, float]:
     return motion.segment.source, motion.segment.start
 
 
-def _functions_of_state(columns: _Columns, rows: MotionRows, j: int) -> Iterator[CandidateModel]:
+def _functions_of_state(columns: _Columns) -> Iterator[CandidateModel]:
     """Yield curves of the position, and surfaces over pairs of states."""
+    rows, j = columns.rows, columns.joint
     moving = rows.moving[:, j]
 
     def over_range(x: FloatArray) -> FloatArray:
@@ -168,12 +169,8 @@ def _bumps(place: FloatArray) -> FloatArray:
 
 def _resonances(columns: _Columns, state: str, regime: str) -> Iterator[CandidateModel]:
     """Yield oscillators z̈ + 2ζω ż + ω² z = u that an acceleration or a load drives."""
-    drives = []
-    for motion in columns.motions:
-        x = motion.coarse_samples.ddq if state == "ddq" else motion.rigid_torque
-        u = x[:, columns.joint]
-        drives.append(u - u.mean())
-
+    states = [m.coarse_samples.ddq if state == "ddq" else m.rigid_torque for m in columns.motions]
+    drives = [x[:, columns.joint] - x[:, columns.joint].mean() for x in states]
     resonance = _Resonance(
         name=UNMODELLED,
         equation="z̈ + 2ζω ż + ω² z = u",
@@ -230,7 +227,7 @@ def _oscillator(
 
 
 def _driven(
-    motions: Sequence[RecordedMotion], drives: Sequence[FloatArray], hertz: float, damping: float
+    motions: Motions, drives: Sequence[FloatArray], hertz: float, damping: float
 ) -> FloatArray:
     """States of an oscillator along some motions, shape (N, 2 + 2 motions)."""
     from scipy.signal import lfilter  # slow to import

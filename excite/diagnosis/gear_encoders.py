@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._types import FloatArray, IntArray
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions, RecordedMotion
 from ..recordings import Recording
 from ..robot.samples import MIN_TRAVEL
 from .session_changes import block_numbers, sandwiched
@@ -85,9 +85,19 @@ class _GearRows:
     position: FloatArray
     block: IntArray
 
+    def columns(self, load: float, speed: float) -> FloatArray:
+        """Return columns of compliance, backlash, delay, friction, and eccentricity, (N, 6).
+
+        `load` and `speed` are the largest ones of the fitted recordings.
+        """
+        backlash = 0.5 * np.tanh(self.load / (SIGN_WIDTH_RATIO * load))
+        friction = np.tanh(self.speed / (SIGN_WIDTH_RATIO * speed))
+        eccentricity = np.cos(self.position), np.sin(self.position)
+        return np.column_stack([self.load, backlash, self.speed, friction, *eccentricity])
+
 
 def gears(
-    motions: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Sequence[Recording]]
+    motions: Sequence[Motions], recordings: Sequence[Sequence[Recording]]
 ) -> tuple[GearEstimate, ...]:
     """Estimate the gear of every joint that has two encoders, from fitted and held-out data."""
     entries = motions[0][0].fitted_robot.robot.entries
@@ -100,9 +110,7 @@ def gears(
     return tuple(gear for gear in estimates if gear is not None)
 
 
-def _segments(
-    motions: Sequence[RecordedMotion], recordings: Sequence[Recording], joint: int
-) -> list[_GearRows]:
+def _segments(motions: Motions, recordings: Sequence[Recording], joint: int) -> list[_GearRows]:
     """Rows of every segment in which a joint has two encoders and moves."""
     linked = {record.source: record for record in recordings if record.qlink is not None}
     rows = (
@@ -136,17 +144,6 @@ def _rows(motion: RecordedMotion, recording: Recording, joint: int) -> _GearRows
     return _GearRows(lag[moving], load[moving], speed[moving], position[moving], block[moving])
 
 
-def _columns(rows: _GearRows, load: float, speed: float) -> FloatArray:
-    """Columns of compliance, backlash, delay, friction, and eccentricity, shape (N, 6)."""
-    backlash, friction = (
-        0.5 * np.tanh(rows.load / (SIGN_WIDTH_RATIO * load)),
-        np.tanh(rows.speed / (SIGN_WIDTH_RATIO * speed)),
-    )
-    return np.column_stack(
-        [rows.load, backlash, rows.speed, friction, np.cos(rows.position), np.sin(rows.position)]
-    )
-
-
 def _estimate(
     joint: int, is_prismatic: bool, train: Sequence[_GearRows], held_out: Sequence[_GearRows]
 ) -> GearEstimate | None:
@@ -157,47 +154,44 @@ def _estimate(
         max(1e-12, *(float(np.abs(getattr(rows, name)).max()) for rows in train))
         for name in ("load", "speed")
     )
-    signs = np.concatenate([rows.load > 0.0 for rows in train])
-    # incremental encoders count from where a recording began: every segment has its own mean
-    parts = [
-        (c - c.mean(axis=0), r.lag - r.lag.mean(), r.block)
-        for r in train
-        for c in (_columns(r, load, speed),)
-    ]
-    blocks = [(c[b == k], z[b == k]) for c, z, b in parts for k in np.unique(b)]
+    blocks: list[tuple[FloatArray, FloatArray]] = []
+    for rows in train:
+        # incremental encoders count from where a recording began: every segment has its own mean
+        c, z = _centred(rows.columns(load, speed)), _centred(rows.lag)
+        blocks += [(c[rows.block == k], z[rows.block == k]) for k in np.unique(rows.block)]
     if len(blocks) < MIN_BLOCKS:
         return None
-    kept = [
-        0,
-        *([1] if MIN_SIGN_SHARE < signs.mean() < 1.0 - MIN_SIGN_SHARE else []),
-        2,
-        3,
-        *([] if is_prismatic else [4, 5]),
-    ]
+    positive = np.concatenate([rows.load > 0.0 for rows in train]).mean()
+    shows_backlash = MIN_SIGN_SHARE < positive < 1.0 - MIN_SIGN_SHARE
+    is_kept = (True, shows_backlash, True, True, not is_prismatic, not is_prismatic)
+    kept = np.flatnonzero(is_kept).tolist()
     x, std = _fit(blocks, kept)
     # neither compliance nor backlash may be negative
     while negative := [k for k in kept if k < 2 and x[k] < 0.0]:
         kept = [k for k in kept if k not in negative]
         x, std = _fit(blocks, kept)
-    lag, columns = (
-        np.concatenate([r.lag - r.lag.mean() for r in held_out]),
-        [_columns(r, load, speed) for r in held_out],
-    )
+    lag = np.concatenate([_centred(rows.lag) for rows in held_out])
     if not lag.any():  # a copy of the motor's encoder
         return None
-    centred, gear = np.concatenate([c - c.mean(axis=0) for c in columns]), [0, 1]
-    estimates = [(float(value), float(error)) for value, error in zip(x, std, strict=True)]
+    columns = [rows.columns(load, speed) for rows in held_out]
+    centred, gear = np.concatenate([_centred(c) for c in columns]), [0, 1]
+    compliance, backlash, delay, *_ = zip(x.tolist(), std.tolist(), strict=True)
     return GearEstimate(
         joint,
-        estimates[0],
-        estimates[1] if x[1] > MIN_STANDARD_ERRORS * std[1] else None,
-        estimates[2],
+        compliance,
+        backlash if x[1] > MIN_STANDARD_ERRORS * std[1] else None,
+        delay,
         float(np.sqrt(np.mean(lag**2))),
         float(np.sqrt(np.mean((lag - centred @ x) ** 2))),
-        np.concatenate([r.load for r in held_out]),
+        np.concatenate([rows.load for rows in held_out]),
         lag - centred[:, 2:] @ x[2:] + float(np.mean(np.concatenate(columns)[:, gear] @ x[gear])),
         load,
     )
+
+
+def _centred(x: FloatArray) -> FloatArray:
+    """Signals without their means over the rows."""
+    return np.asarray(x - x.mean(axis=0))
 
 
 def _fit(

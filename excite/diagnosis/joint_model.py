@@ -588,9 +588,7 @@ def identified_motions(
 ) -> list[RecordedMotion]:
     """Return the motions of segments that are long enough, with the identified base model."""
     psi, model = initial_parameters(identified), identified.model
-    robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
-    theta = model.base.matrix @ psi
-    return recorded_motion.recorded_motions(model, robot, theta, segments, hertz)
+    return recorded_motion.recorded_motions(model, psi, segments, hertz)
 
 
 def _base_columns(
@@ -678,7 +676,7 @@ def renewed(
 ) -> list[RecordedMotion]:
     """Return motions with the base model of other parameters."""
     model = identified.model
-    robot = recorded_motion.fitted_robot(model.robot, model.parameters, psi)
+    robot = recorded_motion.FittedRobot(model.robot, model.parameters, psi)
     columns, theta = model.friction_columns(), model.base.matrix @ psi
     return [m.with_base_model(robot, widths, theta, columns) for m in motions]
 

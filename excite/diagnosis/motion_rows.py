@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions, RecordedMotion
 from ..identification.lowpass import Grid
 
 MIN_BIN_ROWS = 8
@@ -59,7 +58,7 @@ class MotionRows:
         return np.sign(speed) * (np.abs(speed) > SLOW_SPEED_RATIO * np.abs(speed).max())
 
 
-def motion_rows(motions: Sequence[RecordedMotion]) -> MotionRows:
+def motion_rows(motions: Motions) -> MotionRows:
     """Concatenate the rows of some motions."""
     parts = [_state(motion) for motion in motions]
     entries = motions[0].fitted_robot.robot.entries

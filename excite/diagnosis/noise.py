@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from .._types import BoolArray, FloatArray
-from ..effects.recorded_motion import RecordedMotion, split_by_motion
+from ..effects.recorded_motion import Motions, RecordedMotion, split_by_motion
 from ..identification import segments
 from ..identification.lowpass import Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
@@ -75,7 +75,7 @@ class NoiseEstimate:
 
 def estimate_noise(
     model: IdentificationModel,
-    motions: Sequence[RecordedMotion],
+    motions: Motions,
     residuals: Sequence[FloatArray],
     recordings: Sequence[Recording],
 ) -> NoiseEstimate:
@@ -121,9 +121,7 @@ def _repetition_noise(squares: Sequence[FloatArray], joints: int) -> FloatArray:
     return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def _spectral_noise(
-    motions: Sequence[RecordedMotion], residuals: Sequence[FloatArray]
-) -> FloatArray:
+def _spectral_noise(motions: Motions, residuals: Sequence[FloatArray]) -> FloatArray:
     """RMS of white noise below the lower cutoff, with the density above the motion, shape (n,)."""
     from scipy import signal  # slow to import
 
@@ -180,7 +178,7 @@ def _two_periods(
 
 
 def products_of_periods(
-    periods: Mapping[str, Period], motions: Sequence[RecordedMotion], residual: FloatArray
+    periods: Mapping[str, Period], motions: Motions, residual: FloatArray
 ) -> list[FloatArray]:
     """Return the products of a residual in two subsequent periods, by joint, (m,) [(N m)²].
 
@@ -260,9 +258,7 @@ def estimate_period(recording: Recording) -> Period | None:
     return recording.repetition if end - start >= MIN_PERIODS * period else None
 
 
-def quantization_residuals(
-    model: IdentificationModel, motions: Sequence[RecordedMotion]
-) -> tuple[FloatArray, ...]:
+def quantization_residuals(model: IdentificationModel, motions: Motions) -> tuple[FloatArray, ...]:
     """Draw `DRAWS` residuals (N, n) [N m] of the base model by quantisation alone.
 
     The error of each position is unknown, but not its distribution: smoothed positions are

@@ -6,7 +6,6 @@ frequency do not count; the speeds are divided into classes for that.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..effects import recorded_motion
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions
 
 if TYPE_CHECKING:
     from .joint_model import JointModel
@@ -33,13 +32,8 @@ MIN_WAVE_ROWS = 0.05
 """Smallest share of rows in which a wave lies below the cutoff frequency."""
 
 
-def angle_and_speed(motions: Sequence[RecordedMotion], joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return angle and speed of a joint at the rows of all motions, shapes (N,).
-
-    Args:
-        motions: Recorded motions.
-        joint: Index of the joint.
-    """
+def angle_and_speed(motions: Motions, joint: int) -> tuple[FloatArray, FloatArray]:
+    """Return angle and speed of a joint at the rows of all motions, shapes (N,)."""
     states = [np.column_stack([m.samples.q[:, joint], m.samples.dq[:, joint]]) for m in motions]
     angle, speed = np.vstack([m.at_rows(x) for m, x in zip(motions, states, strict=True)]).T
     return angle, speed
@@ -75,13 +69,9 @@ class OrderSpectrum:
     def of(
         cls, fitted: JointModel, joint: int, low: float, *, grows_with_speed: bool = False
     ) -> OrderSpectrum:
-        """Return the spectrum of the motions of a joint model.
+        """Return the spectrum of the motions of a joint model from the order `low` [1/rad or 1/m].
 
-        Args:
-            fitted: The joint model.
-            joint: Index of the joint.
-            low: Smallest order [1/rad or 1/m].
-            grows_with_speed: Whether the amplitude grows with the square of the speed.
+        `grows_with_speed`: whether the amplitude grows with the square of the speed.
         """
         rows = np.flatnonzero(fitted.regression.moving[:, joint])
         angle, speed = (x[rows] for x in angle_and_speed(fitted.motions, joint))
@@ -129,10 +119,7 @@ class OrderSpectrum:
     def peak(self, fitted: JointModel) -> tuple[float, float]:
         """Return the order [1/rad or 1/m] that fits the residual best, and half its power [(N m)²].
 
-        Both are 0 where there is none.
-
-        Args:
-            fitted: A joint model of the same motions.
+        Both are 0 where there is none. The joint model is of the same motions.
         """
         usable, (cc, ss, cs) = self._products
         if not usable.any():

@@ -69,13 +69,12 @@ def friction_probabilities(log_bayes_factors: FloatArray) -> FloatArray:
     ln B of the friction at every joint has the same shape; −∞ where it is absent.
     """
     a, b = SHARED_COUNTS
-    supporting = np.maximum(log_bayes_factors, 0.0) / TEMPERATURE
-    tempered = supporting + np.minimum(log_bayes_factors, 0.0)
-    out = np.asarray(special.expit(tempered))
+    evidence = tempered(log_bayes_factors, TEMPERATURE)
+    out = np.asarray(special.expit(evidence))
     for _ in range(SHARED_ROUNDS):
         others = out.sum() - out
         odds = np.log((others + a) / (len(out) - 1 - others + b))
-        out = np.asarray(special.expit(tempered + odds))
+        out = np.asarray(special.expit(evidence + odds))
     return out
 
 
@@ -84,11 +83,9 @@ def rare_probability(log_bayes_factor: float, size: float) -> Probability:
     return Probability(float(by_evidence(log_bayes_factor)), float(by_size(size)))
 
 
-def tempered(log_bayes_factors: FloatArray) -> FloatArray:
-    """Return evidence at several joints, tempered where it is for an effect, as for a rare one."""
-    return np.where(
-        log_bayes_factors > 0.0, log_bayes_factors / RARE_TEMPERATURE, log_bayes_factors
-    )
+def tempered(log_bayes_factors: FloatArray, temperature: float = RARE_TEMPERATURE) -> FloatArray:
+    """Return evidence at several joints, tempered where it is for an effect."""
+    return np.where(log_bayes_factors > 0.0, log_bayes_factors / temperature, log_bayes_factors)
 
 
 def beyond_errors(log_bayes_factor: float, by_errors: float) -> float:

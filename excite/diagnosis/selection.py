@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects.effect import CandidateModel, Key
-from ..effects.recorded_motion import RecordedMotion
+from ..effects.recorded_motion import Motions
 from ..identification.identification import Identification
 from ..schemas.effects import FORM_ERROR_STD
 from . import cross_validation, filter_search, joint_model, posterior, probability
@@ -107,7 +107,7 @@ class RareEffect:
 
 def find_rare_effects(
     identified: Identification,
-    motions: Sequence[RecordedMotion],
+    motions: Motions,
     position_errors: PositionErrors,
     progress: Callable[[str], None],
 ) -> tuple[JointModel, tuple[RareEffect, ...], tuple[EffectEvidence, ...]]:
@@ -142,7 +142,7 @@ class _Search:
     def __init__(
         self,
         identified: Identification,
-        motions: Sequence[RecordedMotion],
+        motions: Motions,
         position_errors: PositionErrors,
         progress: Callable[[str], None],
     ) -> None:
@@ -391,10 +391,8 @@ class _Search:
         )
         if is_large and is_predictive and _is_seen_in_motion(extended, replaced, members):
             return self._beyond_position_errors(_Addition(shape, extended, evidence))
-        if not is_large and key[0] not in LAST_RESORTS:
-            self._small[key] = replace(
-                evidence, members=(), is_in_model=False, spoils_prediction=not is_predictive
-            )
+        if not is_large:
+            self._note_small(replace(evidence, spoils_prediction=not is_predictive))
         return None
 
     def _beyond_position_errors(self, addition: _Addition) -> _Addition | None:
@@ -410,9 +408,13 @@ class _Search:
         evidence, _ = posterior.judge(model, key)
         if evidence.is_needed:
             return replace(addition, joint=model, evidence=evidence)
-        if key[0] not in LAST_RESORTS:
-            self._small[key] = replace(evidence, members=(), is_in_model=False)
+        self._note_small(evidence)
         return None
+
+    def _note_small(self, evidence: EffectEvidence) -> None:
+        """Note an effect that is not added, though there is evidence for it."""
+        if evidence.effect not in LAST_RESORTS:
+            self._small[evidence.key] = replace(evidence, members=(), is_in_model=False)
 
     def _add(self, chosen: _Addition, scores: Mapping[Key, float]) -> None:
         """Add an effect, and note what else might be in its place."""

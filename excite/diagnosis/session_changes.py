@@ -27,7 +27,7 @@ import numpy as np
 from scipy import linalg, special
 
 from .._types import BoolArray, FloatArray, IntArray
-from ..effects.recorded_motion import RecordedMotion, for_all_fits
+from ..effects.recorded_motion import Motions, RecordedMotion, for_all_fits, split_by_motion
 
 KINDS = ("coulomb", "viscous", "offset")
 """Actuator parameters that may change, in the order of `SessionChange.change`."""
@@ -104,7 +104,7 @@ class SessionChange:
         return self.blocks <= FEW_BLOCKS and not is_small and not self.is_significant
 
 
-def sources(motions: Sequence[RecordedMotion]) -> list[str]:
+def sources(motions: Motions) -> list[str]:
     """Return the recordings in their order."""
     return list(dict.fromkeys(motion.segment.source for motion in motions))
 
@@ -121,9 +121,7 @@ def actuator_columns(motion: RecordedMotion) -> FloatArray:
     return np.stack([motion.coulomb_columns, speed, np.broadcast_to(unit, speed.shape)], axis=2)
 
 
-def weights_in_mean(
-    motions: Sequence[RecordedMotion], scale: FloatArray, error: FloatArray
-) -> FloatArray:
+def weights_in_mean(motions: Motions, scale: FloatArray, error: FloatArray) -> FloatArray:
     """Return the weight of each recording in the mean of `KINDS`, shape (recordings, n, 3).
 
     It is 1 / (σ² + e²/q), with the prior σ of a change, the residual e, and the mean square q of
@@ -149,7 +147,7 @@ def weights_in_mean(
     return np.asarray(weights / weights.sum(axis=0))
 
 
-def columns(motions: Sequence[RecordedMotion], weights: FloatArray) -> list[FloatArray]:
+def columns(motions: Motions, weights: FloatArray) -> list[FloatArray]:
     """Return the columns of the changes, shapes (N, n, 3n × (recordings − 1)).
 
     A change of recording r acts by the columns there, less its weight (of `weights_in_mean`) times
@@ -169,7 +167,7 @@ def columns(motions: Sequence[RecordedMotion], weights: FloatArray) -> list[Floa
     return out
 
 
-def prior_std(motions: Sequence[RecordedMotion], scale: FloatArray) -> FloatArray:
+def prior_std(motions: Motions, scale: FloatArray) -> FloatArray:
     """Return the prior standard deviation of the coefficients of `columns`; `scale` is (n,)."""
     of_joint = scale[:, None] * parameter_std(motions)
     return np.tile(of_joint.ravel(), len(sources(motions)) - 1)
@@ -190,7 +188,7 @@ def scale_of_joints(log_evidence: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(posterior @ SCALES**2))
 
 
-def parameter_std(motions: Sequence[RecordedMotion]) -> FloatArray:
+def parameter_std(motions: Motions) -> FloatArray:
     """Return the prior standard deviation of `KINDS` at every joint, shape (n, 3)."""
     robot = motions[0].fitted_robot
     max_speed, max_torque = (
@@ -209,30 +207,22 @@ def parameter_std(motions: Sequence[RecordedMotion]) -> FloatArray:
     return np.asarray(RELATIVE_CHANGE * np.maximum(scale, 1e-12))
 
 
-def changes(
-    motions: Sequence[RecordedMotion], residual: FloatArray, moving: BoolArray
-) -> list[SessionChange]:
+def changes(motions: Motions, residual: FloatArray, moving: BoolArray) -> list[SessionChange]:
     """Estimate the changes of every recording in which a joint moves from a residual.
 
+    The residual (N, n) [N m] is of a model common to all recordings; `moving` rows (N, n) count.
     With no more blocks than parameters the covariance is that of the prior.
-
-    Args:
-        motions: Motions.
-        residual: Torque that a model common to all recordings leaves, shape (N, n) [N m].
-        moving: Rows that count, shape (N, n).
     """
-    ends = np.cumsum([0, *(len(motion) for motion in motions)])
-    prior, acting = parameter_std(motions), [actuator_columns(motion) for motion in motions]
-    out = []
+    prior, out = parameter_std(motions), []
+    parts = split_by_motion(residual, motions), split_by_motion(moving, motions)
+    by_motion = list(zip(motions, map(actuator_columns, motions), *parts, strict=True))
     for source in sources(motions):
+        of_source = [part for part in by_motion if part[0].segment.source == source]
         for j in range(motions[0].n):
             blocks, power = [], 0.0
-            for start, motion, actuator in zip(ends, motions, acting, strict=False):
-                if motion.segment.source != source:
-                    continue
-                rows = moving[start : start + len(motion), j]
-                x, y = actuator[rows, j], residual[start : start + len(motion), j][rows]
-                block = block_numbers(motion.time)[rows]
+            for motion, actuator, left, counted in of_source:
+                rows = counted[:, j]
+                x, y, block = actuator[rows, j], left[rows, j], block_numbers(motion.time)[rows]
                 blocks += [(x[block == k], y[block == k]) for k in np.unique(block)]
                 power += float(y @ y)
             if not blocks:

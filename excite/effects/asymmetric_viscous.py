@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from .._types import FloatArray
 from .effect import CandidateModel, Values
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion, max_speed
+from .recorded_motion import FittedRobot, Motions, max_speed
 
 MAX_EXCESS = 1.5
 """Largest half difference of both directions, over the friction of the base fit at full speed: the
@@ -17,14 +17,13 @@ friction that refits with it may be larger by half."""
 class _AsymmetricViscous(JointTorque):
     """Half of the difference between both directions; their mean is that of the base model."""
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        for j in range(motions[0].n):
-            viscous, coulomb = (
-                max(float(motions[0].fitted_robot.actuator_parameter(kind)[j]), 1e-9)
-                for kind in ("viscous", "coulomb")
-            )
-            limit = MAX_EXCESS * (viscous + coulomb / max_speed(motions, j))
-            yield CandidateModel(self, j, facts={"limit": limit})
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
+        viscous, coulomb = (
+            max(float(motions[0].fitted_robot.actuator_parameter(kind)[joint]), 1e-9)
+            for kind in ("viscous", "coulomb")
+        )
+        limit = MAX_EXCESS * (viscous + coulomb / max_speed(motions, joint))
+        yield CandidateModel(self, joint, facts={"limit": limit})
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
         """Check that it dissipates energy in both directions, with all friction."""

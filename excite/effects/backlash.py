@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from .._types import FloatArray
 from ..identification.lowpass import Grid
 from .effect import CandidateModel, Effect, NonlinearParameter, Values, grid_candidates, within
 from .gear_dynamics import link_lag_torque, simulate_backlash_gap
-from .recorded_motion import FittedRobot, RecordedMotion, radian
+from .recorded_motion import FittedRobot, Motions, RecordedMotion, radian
 
 WIDTHS = np.geomspace(1e-4, 1e-2, 13)
 """Grid of backlash widths [rad], see `recorded_motion.radian`."""
@@ -39,19 +39,19 @@ class _Backlash(Effect):
         )
         return link_lag_torque(motion, j, lag, Grid.RECORDED)
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        """Yield backlash of every joint whose load changes sign; otherwise the gap stays closed."""
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
+        """Yield backlash of a joint whose load changes sign; otherwise the gap stays closed."""
+        if not any(np.ptp(np.sign(motion.rigid_torque[:, joint])) > 1.0 for motion in motions):
+            return
         # the samples must follow the link
         max_frequency = min(
             MAX_HOLDING_FREQUENCY, *(motion.segment.rate / (2.0 * np.pi) for motion in motions)
         )
-        for j in range(motions[0].n):
-            if any(np.ptp(np.sign(motion.rigid_torque[:, j])) > 1.0 for motion in motions):
-                widths = (radian(motions, j) * WIDTHS).tolist()
-                for frequency in (f for f in HOLDING_FREQUENCIES if f <= max_frequency):
-                    values = {"width": widths[0], "hold": frequency}
-                    model = CandidateModel(self, j, values, facts={"max_frequency": max_frequency})
-                    yield from grid_candidates(model, "width", widths)
+        widths = (radian(motions, joint) * WIDTHS).tolist()
+        for frequency in (f for f in HOLDING_FREQUENCIES if f <= max_frequency):
+            values = {"width": widths[0], "hold": frequency}
+            model = CandidateModel(self, joint, values, facts={"max_frequency": max_frequency})
+            yield from grid_candidates(model, "width", widths)
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"width": float(model.values["width"] * c[0])}

@@ -18,7 +18,7 @@ from .gear_dynamics import (
     simulate_oscillator,
     solve_linear_recursion,
 )
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 FREQUENCIES = np.geomspace(1.9, 19.0, 10)
 """Grid of natural frequencies of the base under the moving robot, of two axes their mean [Hz].
@@ -105,9 +105,7 @@ def _upright_inertia(motion: RecordedMotion, axes: Sequence[int], pedestal: floa
     return np.asarray(upright + pedestal * upright.max())
 
 
-def _upright_frequency_ratio(
-    motions: Sequence[RecordedMotion], axes: Sequence[int], pedestal: float
-) -> float:
+def _upright_frequency_ratio(motions: Motions, axes: Sequence[int], pedestal: float) -> float:
     """Frequency of the base with all joints at zero over that under the moving robot."""
     upright, along = motions[0].upright_inertia[list(axes)], list(axes)
     in_motion = np.mean(
@@ -118,7 +116,7 @@ def _upright_frequency_ratio(
 
 
 def _usual_frequency_ratios(
-    motions: Sequence[RecordedMotion], axes: Sequence[int], pedestal: float
+    motions: Motions, axes: Sequence[int], pedestal: float
 ) -> tuple[float, ...]:
     """Ratios of the frequencies about the second and the first axis, all joints at zero.
 
@@ -168,7 +166,7 @@ class _BaseCompliance(Effect):
         torque = [part @ x for part, x in zip(on_joints, base_motion, strict=True)]
         return motion.lowpass(np.sum(torque, axis=0), Grid.COARSE)
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def candidates(self, motions: Motions) -> Iterator[CandidateModel]:
         """Yield frequencies and damping ratios of every mode, and both usual frequency ratios."""
         for mode, axes in enumerate(BASE_MODES):
             ratio = _upright_frequency_ratio(motions, axes, PEDESTAL_INERTIA)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from .._types import FloatArray
 from ..identification.lowpass import Grid
 from .effect import CandidateModel, Effect, NonlinearParameter, Values
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 COURSES = ((1.0, 0.0, 0.0), (1.348, 1.0, 0.0), (1.6, 0.0, 8.0))
 """Time courses of the force that are tried, each (stretch, swells, knots).
@@ -91,7 +91,7 @@ def unit_forces(motion: RecordedMotion) -> FloatArray:
 
 
 def contact_models(
-    motions: Sequence[RecordedMotion], number: int, low: float, high: float, alternatives: float
+    motions: Motions, number: int, low: float, high: float, alternatives: float
 ) -> Iterator[CandidateModel]:
     """Yield forces on every link from `low` to `high` [s] of a motion.
 

@@ -10,7 +10,7 @@ import numpy as np
 from .._types import FloatArray
 from .effect import CandidateModel, Values, grid_candidates
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion, stands_still
+from .recorded_motion import FittedRobot, Motions, stands_still
 
 RATIOS = (0.5, 1.0, 2.0)
 """Turns of the shaft by the other joint over those by its own, tried with either sign."""
@@ -29,7 +29,7 @@ class _Coupling(JointTorque):
     without being visible, it would absorb any residual.
     """
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def candidates(self, motions: Motions) -> Iterator[CandidateModel]:
         """Yield shafts between joints up to two apart, of either sign, with and without inertia."""
         n = motions[0].n
         for i in range(n):
@@ -62,7 +62,7 @@ class _Coupling(JointTorque):
         return bool(parts[:2].max() > 0.0 and parts.min() > -MAX_NEGATIVE_SHARE * parts.max())
 
 
-def _ratios(motions: Sequence[RecordedMotion], i: int, j: int) -> Sequence[float]:
+def _ratios(motions: Motions, i: int, j: int) -> Sequence[float]:
     """Return the ratios that are tried of a shaft of joint i that joint j turns, too."""
     entries = motions[0].fitted_robot.robot.entries
     if (entries[i].kind == "prismatic") is (entries[j].kind == "prismatic"):

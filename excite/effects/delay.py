@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from .._types import FloatArray
 from ..identification.lowpass import FLAT_BANDWIDTH_RATIO, Grid
 from ..schemas.effects import is_recording_filter
 from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_rows
-from .recorded_motion import FittedRobot, RecordedMotion, interpolated
+from .recorded_motion import FittedRobot, Motions, RecordedMotion, interpolated
 
 DELAYS = (0.003, 0.008, 0.02)
 """Grid of delays [s]."""
@@ -88,7 +88,7 @@ class _Delay(Effect):
             torque = motion.motor_torque
             change = _filter_of(model.values).passed(motion, torque) - torque
             return motion.lowpass(change)[:, :, None]
-        torque = motion.measured_torque[:, _joints(model)]
+        torque = motion.measured_torque[:, model.joints]
         if seconds := model.values.get("seconds", 0.0):
             change = motion.lowpass((torque - _delayed(motion, torque, -seconds)) / seconds)
         else:
@@ -98,17 +98,16 @@ class _Delay(Effect):
             return change[:, :, None]
         return single_joint_rows(motion, model.joint, change)
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
         """Yield delays of one joint: small ones of either sign, larger ones, and lags."""
         dwells = [motion.reversal_dwell for motion in motions]
         dwell = min((float(x.min()) for x in dwells if np.isfinite(x).any()), default=0.0)
         facts = {"dwell": dwell}
-        for joint in range(motions[0].n):
-            # of the same columns: a lag, but for delays so small that both are alike
-            yield CandidateModel(self, joint, {"measured": 1.0, "lagging": 1.0}, facts=facts)
-            yield CandidateModel(self, joint, {"measured": 1.0}, facts=facts)
-            delayed = CandidateModel(self, joint, {"measured": 1.0, "seconds": DELAYS[0]})
-            yield from grid_candidates(delayed, "seconds", DELAYS)
+        # of the same columns: a lag, but for delays so small that both are alike
+        yield CandidateModel(self, joint, {"measured": 1.0, "lagging": 1.0}, facts=facts)
+        yield CandidateModel(self, joint, {"measured": 1.0}, facts=facts)
+        delayed = CandidateModel(self, joint, {"measured": 1.0, "seconds": DELAYS[0]})
+        yield from grid_candidates(delayed, "seconds", DELAYS)
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {} if is_recording_filter(model.values) else {"seconds": float(c[0])}
@@ -125,28 +124,20 @@ class _Delay(Effect):
         min_lead = MIN_LEAD_DWELL * model.facts["dwell"]
         return bool(min_delay <= c[0] < MAX_LINEAR_DELAY or min_lead <= -c[0] < MAX_LINEAR_DELAY)
 
-    def predicted_torque(
+    def recorded_change(
         self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
     ) -> FloatArray:
-        """Return the change of the produced torque by a delay or a filter, shape (M, n)."""
+        """Return the change of the produced torque by a delay or a filter, shape (M, k)."""
         if is_recording_filter(model.values):
             return float(c[0]) * (_filter_of(model.values).passed(motion, produced) - produced)
-        joints, seconds, out = _joints(model), float(c[0]), np.zeros_like(produced)
-        torque = produced[:, joints]
-        if "lagging" in model.values:
-            low = motion.band.transform(torque)
-            lagging = low.filter(Grid.RECORDED, 0, FLAT_BANDWIDTH_RATIO, seconds) - low.filter(
-                Grid.RECORDED, 0, FLAT_BANDWIDTH_RATIO
-            )
-            out[:, joints] = lagging
-        else:
-            out[:, joints] = _delayed(motion, torque, seconds) - torque
-        return out
-
-
-def _joints(model: CandidateModel) -> slice | list[int]:
-    """Joints whose torque is delayed: that of the model, or all."""
-    return slice(None) if model.joint is None else [model.joint]
+        seconds = float(c[0])
+        if "lagging" not in model.values:
+            return _delayed(motion, produced, seconds) - produced
+        low = motion.band.transform(produced)
+        lagging, direct = (
+            low.filter(Grid.RECORDED, 0, FLAT_BANDWIDTH_RATIO, time) for time in (seconds, 0.0)
+        )
+        return lagging - direct
 
 
 def _delayed(motion: RecordedMotion, torque: FloatArray, seconds: float) -> FloatArray:

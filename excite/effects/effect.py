@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .._types import BoolArray, FloatArray
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 MAX_VARIANT_STEPS = 4
 """Largest number of moves from a model variant to a better neighbouring one."""
@@ -63,11 +63,16 @@ class Effect:
         """
         raise NotImplementedError
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        """Yield all candidate models for a robot with recorded motions: one of every joint."""
-        return (CandidateModel(self, j) for j in range(motions[0].n if self.has_candidates else 0))
+    def candidates(self, motions: Motions) -> Iterator[CandidateModel]:
+        """Yield all candidate models for a robot with recorded motions: those of every joint."""
+        for joint in range(motions[0].n if self.has_candidates else 0):
+            yield from self.joint_candidates(motions, joint)
 
-    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
+        """Yield the candidate models of one joint."""
+        yield CandidateModel(self, joint)
+
+    def dense_model(self, motions: Motions, joint: int) -> CandidateModel:
         """Return the model of a joint, linear in its coefficients, of a friction of every joint."""
         raise NotImplementedError
 
@@ -98,13 +103,13 @@ class Effect:
         """Return a form of a model with further coefficients; None if there is none."""
         return None
 
-    def predicted_torque(
+    def recorded_change(
         self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
     ) -> FloatArray:
-        """Return recorded minus produced torque of an effect of measured torque, (M, n) [N m].
+        """Return recorded minus produced torque of an effect of measured torque, (M, k) [N m].
 
-        `produced` is the torque that the actuators produce, of the same shape, where none is
-        measured.
+        `produced` is the torque that the actuators of the model's joints produce, of the same
+        shape, where none is measured.
         """
         raise NotImplementedError
 
@@ -140,7 +145,7 @@ class CandidateModel:
     interval: tuple[float, float] | None = None
     source: str = ""
     facts: Values = field(default_factory=dict)
-    motions: Sequence[RecordedMotion] = field(default=(), repr=False, compare=False)
+    motions: Motions = field(default=(), repr=False, compare=False)
     nonlinear: NonlinearParameter | None = None
     own_columns: Callable[[RecordedMotion], FloatArray] | None = None
     prior_std: float | None = None
@@ -171,6 +176,11 @@ class CandidateModel:
         """Index of the joint, of a model that has one."""
         assert self.joint is not None
         return self.joint
+
+    @property
+    def joints(self) -> slice:
+        """The joint of the model; all joints of a model that has none."""
+        return slice(None) if self.joint is None else slice(self.joint, self.joint + 1)
 
     @property
     def is_absorbed(self) -> bool:

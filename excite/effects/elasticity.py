@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from .gear_dynamics import (
     neighbouring_damping_ratios,
     starts_in_motion,
 )
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 RESONANCES = np.geomspace(3.0, 34.0, 14)
 """Resonance frequencies of the link on its motor that define the stiffness grid [Hz]: from where
@@ -51,25 +51,22 @@ class _Elasticity(Effect):
         )
         return link_lag_torque(motion, model.joint_index, lag, Grid.COARSE)
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        for j in range(motions[0].n):
-            inertia = float(np.mean([motion.link_inertias[:, j].mean() for motion in motions]))
-            grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
-            values = {"stiffness": grid[-1], "damping": DAMPING_RATIOS[0], "rests": 0.0}
-            facts = {
-                "resonant_stiffness": inertia * (2.0 * np.pi * motions[0].band.hertz) ** 2,
-                "inertial_stiffness": _dominant_inertial_stiffness(
-                    motions, CandidateModel(self, j, values)
-                ),
-                "min_scale": MIN_SCALE,
-            }
-            stiffest = CandidateModel(self, j, values, facts=facts | {"min_scale": MIN_STIFF_SCALE})
-            in_motion = any(starts_in_motion(motion, j) for motion in motions)
-            for starts_at_rest in (0.0, 1.0) if in_motion else (0.0,):
-                for damping in DAMPING_RATIOS:
-                    model = stiffest.with_values(damping=damping, rests=starts_at_rest)
-                    yield from grid_candidates(replace(model, facts=facts), "stiffness", grid[:-1])
-            yield stiffest
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
+        inertia = float(np.mean([motion.link_inertias[:, joint].mean() for motion in motions]))
+        grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
+        values = {"stiffness": grid[-1], "damping": DAMPING_RATIOS[0], "rests": 0.0}
+        stiffest = CandidateModel(self, joint, values)
+        facts = {
+            "resonant_stiffness": inertia * (2.0 * np.pi * motions[0].band.hertz) ** 2,
+            "inertial_stiffness": _dominant_inertial_stiffness(motions, stiffest),
+            "min_scale": MIN_SCALE,
+        }
+        in_motion = any(starts_in_motion(motion, joint) for motion in motions)
+        for starts_at_rest in (0.0, 1.0) if in_motion else (0.0,):
+            for damping in DAMPING_RATIOS:
+                model = stiffest.with_values(damping=damping, rests=starts_at_rest)
+                yield from grid_candidates(replace(model, facts=facts), "stiffness", grid[:-1])
+        yield replace(stiffest, facts=facts | {"min_scale": MIN_STIFF_SCALE})
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         stiffness = model.values["stiffness"]
@@ -87,7 +84,7 @@ class _Elasticity(Effect):
         return [within(variant, "stiffness", FREQUENCY_FACTOR**2) for variant in variants]
 
 
-def _dominant_inertial_stiffness(motions: Sequence[RecordedMotion], model: CandidateModel) -> float:
+def _dominant_inertial_stiffness(motions: Motions, model: CandidateModel) -> float:
     """M ω² at the frequency that shows a stiff spring best [N m/rad].
 
     The deflection of a stiff spring scales with 1/(K − M ω²), which the ratio of the deflections

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from .effect import (
     grid_candidates,
     within,
 )
-from .recorded_motion import RecordedMotion, radian
+from .recorded_motion import Motions, RecordedMotion, radian
 
 MAX_AMPLITUDE = 0.1
 """Largest plausible error of an encoder [rad], see `recorded_motion.radian`."""
@@ -56,19 +56,18 @@ class _EncoderError(Effect):
         )
         return -motion.lowpass(torque, Grid.COARSE)
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
         """Yield single waves, and waves with their multiples.
 
         The torque of a wave grows with the square of its order, so that the multiples of an
         eccentric disc's error matter. Orders above those of the grid are sought in the residual.
         """
-        for j in range(motions[0].n):
-            unit = radian(motions, j)
-            for grid, multiples in ((ORDERS, ()), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
-                orders = (np.array(grid) / unit).tolist()
-                values = {"order": orders[0], **dict.fromkeys(multiples, 1.0)}
-                model = CandidateModel(self, j, values, facts={"unit": unit})
-                yield from grid_candidates(model, "order", orders)
+        unit = radian(motions, joint)
+        for grid, multiples in ((ORDERS, ()), (ORDERS_WITH_MULTIPLES, MULTIPLES)):
+            orders = (np.array(grid) / unit).tolist()
+            values = {"order": orders[0], **dict.fromkeys(multiples, 1.0)}
+            model = CandidateModel(self, joint, values, facts={"unit": unit})
+            yield from grid_candidates(model, "order", orders)
 
     def is_plausible(self, model: CandidateModel, c: FloatArray) -> bool:
         amplitudes = np.hypot(c[::2], c[1::2])

@@ -12,7 +12,6 @@ difference, which grows with the effect, would be taken for further effects.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,14 +19,14 @@ import numpy as np
 from .._types import FloatArray
 from ..schemas.effects import FORM_POSITION_WAVES, FORM_SPEED_WAVES
 from .effect import CandidateModel
-from .recorded_motion import RecordedMotion, max_speed, position_range
+from .recorded_motion import Motions, RecordedMotion, max_speed, position_range
 
 DERIVATIVES = 2
 """Time derivatives of the torque, as of a second-order lag [1]."""
 
 
 def with_form_error(
-    model: CandidateModel, motions: Sequence[RecordedMotion], coefficients: FloatArray
+    model: CandidateModel, motions: Motions, coefficients: FloatArray
 ) -> CandidateModel:
     """Return a model with its discrepancy as further columns, in units of its coefficients (k,)."""
     n, joint = motions[0].n, model.joint

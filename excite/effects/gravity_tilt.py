@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from .._types import FloatArray
 from ..identification.lowpass import Grid
 from .effect import CandidateModel, Effect, Values
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 MAX_TILT_SINE = 0.7
 """Largest sine of the tilt angle."""
@@ -30,7 +30,7 @@ class _GravityTilt(Effect):
             columns.append(-(base.mass[:, 6:, :3] @ gravity)[:, :, None])
         return motion.lowpass(np.concatenate(columns, axis=2), Grid.COARSE)
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def candidates(self, motions: Motions) -> Iterator[CandidateModel]:
         """Yield a small tilt, and where the model's gravity is vertical a large one."""
         is_upright = not np.any(motions[0].fitted_robot.model.gravity.linear[:2])
         for large in (0.0, 1.0) if is_upright else (0.0,):

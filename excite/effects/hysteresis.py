@@ -8,7 +8,7 @@ damped, as the bristles of the LuGre model are: σ₁ ż.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import accumulate
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from .effect import CandidateModel, Effect, Values, single_joint_rows
 from .friction_runtime import ELEMENTS, LAST_REACH, UNEQUAL_ELEMENTS, damping, reaches, shares
-from .recorded_motion import FittedRobot, RecordedMotion, for_all_fits, radian
+from .recorded_motion import FittedRobot, Motions, RecordedMotion, for_all_fits, radian
 
 FIRST_REACH = 2.5e-4
 """Deflection at which the first of the elements slips [rad], see `recorded_motion.radian`; it does
@@ -111,7 +111,7 @@ class _Hysteresis(Effect):
         damped = motion.lowpass((motion.samples.dq[:, j] * (sticks @ damping(values)))[:, None])
         return single_joint_rows(motion, j, np.hstack([columns, damped]))
 
-    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    def dense_model(self, motions: Motions, joint: int) -> CandidateModel:
         """Return a nonnegative combination of Maxwell-slip elements of a joint.
 
         The columns after them, of either sign, make the two branches of the loop unequal; the last

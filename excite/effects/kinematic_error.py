@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -12,7 +12,7 @@ from .._types import FloatArray
 from ..identification.lowpass import Grid
 from ..robot.dynamics import inverse_dynamics
 from .effect import CandidateModel, Effect, Values
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 ANGLE_STEP = 1e-4
 """Rotation of the finite differences [rad]."""
@@ -52,10 +52,10 @@ class _KinematicError(Effect):
         largest = np.abs(out).max(axis=(0, 1))
         return motion.lowpass(out * (largest > MIN_COLUMN_RATIO * largest.max()), Grid.COARSE)
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
         """Yield angle and length errors, with and without the link's own inertia."""
-        for j, is_angle, moves_link in product(range(motions[0].n), (1.0, 0.0), (0.0, 1.0)):
-            yield CandidateModel(self, j, {"angle": is_angle, "whole": moves_link})
+        for is_angle, moves_link in product((1.0, 0.0), (0.0, 1.0)):
+            yield CandidateModel(self, joint, {"angle": is_angle, "whole": moves_link})
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"angle" if model.values["angle"] else "length": float(np.linalg.norm(c))}

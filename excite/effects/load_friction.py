@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Values
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions
 
 EFFICIENCY_DIFFERENCE = 0.1
 """Usual difference of load friction between driving and being driven, over the prior of μ."""
@@ -24,7 +22,7 @@ class _LoadFriction(JointTorque):
     torque: |τ_L| sgn q̇ ± τ_L, both ≥ 0, hold no gain of the torque.
     """
 
-    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    def dense_model(self, motions: Motions, joint: int) -> CandidateModel:
         """Return friction that grows with the load and its square."""
         load = np.abs(np.concatenate([motion.transmitted_torque[:, joint] for motion in motions]))
         return CandidateModel(

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Values, single_joint_rows
 from .friction_runtime import CONCAVE_CURVES, JointMotion, columns
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion, for_all_fits, max_speed
+from .recorded_motion import FittedRobot, Motions, RecordedMotion, for_all_fits, max_speed
 
 LINE_SHARE = "line_share"
 """Value of a model that is continued beyond the speeds of its fit: share of the line."""
@@ -31,7 +29,7 @@ class _NonlinearViscous(JointTorque):
         j = model.joint_index
         return single_joint_rows(motion, j, _curves(motion, j, *model.values.items()))
 
-    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    def dense_model(self, motions: Motions, joint: int) -> CandidateModel:
         """Return a nonnegative combination of concave and convex friction curves."""
         return CandidateModel(self, joint, {"top_speed": max_speed(motions, joint)})
 

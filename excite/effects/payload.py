@@ -5,7 +5,7 @@ A load that the robot carries in one of several recordings is found without a tr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from ..identification.lowpass import Grid
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import pseudo_inertia
 from .effect import CandidateModel, Effect, Values
-from .recorded_motion import FittedRobot, RecordedMotion, for_all_fits
+from .recorded_motion import FittedRobot, Motions, RecordedMotion, for_all_fits
 
 MAX_CENTRE_DISTANCE = 1.5
 """Largest distance of a payload's centre of mass from its link's frame [m]."""
@@ -56,7 +56,7 @@ class _Payload(Effect):
             return np.zeros((len(motion), motion.n, count))
         return _link_regressor(motion)[:, :, 10 * link : 10 * link + count]
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def candidates(self, motions: Motions) -> Iterator[CandidateModel]:
         """Yield a point mass, and a body with inertia, on every link.
 
         Of several recordings, each may be the one with a load on a link that ends a chain.
@@ -103,7 +103,7 @@ def _ends_a_chain(fitted: FittedRobot, link: int) -> bool:
     return link + 1 not in set(fitted.model.parents)  # body 0 is the base
 
 
-def _times_of_recordings(motions: Sequence[RecordedMotion]) -> dict[str, tuple[float, float]]:
+def _times_of_recordings(motions: Motions) -> dict[str, tuple[float, float]]:
     """Return begin and end of the motions of each recording [s]."""
     out: dict[str, tuple[float, float]] = {}
     for motion in motions:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Values, grid_candidates
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion, position_range, radian
+from .recorded_motion import FittedRobot, Motions, position_range, radian
 
 ORDERS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Orders of single waves [1/rad], a factor of √2 apart: from half of a usual range to where torque
@@ -25,14 +25,13 @@ class _PositionFriction(JointTorque):
     over the joint's range is subtracted: friction that does not vary there is Coulomb friction.
     """
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
         """Yield single waves, and the first three waves of a periodic function."""
-        for j in range(motions[0].n):
-            low, high = position_range(motions, j)
-            for grid, waves in ((ORDERS, 1.0), (ORDERS_OF_THREE, 3.0)):
-                orders = (np.array(grid) / radian(motions, j)).tolist()
-                values = {"order": orders[0], "waves": waves, "low": low, "high": high}
-                yield from grid_candidates(CandidateModel(self, j, values), "order", orders)
+        low, high = position_range(motions, joint)
+        for grid, waves in ((ORDERS, 1.0), (ORDERS_OF_THREE, 3.0)):
+            orders = (np.array(grid) / radian(motions, joint)).tolist()
+            values = {"order": orders[0], "waves": waves, "low": low, "high": high}
+            yield from grid_candidates(CandidateModel(self, joint, values), "order", orders)
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"amplitude": float(np.hypot(c[0], c[1]))}

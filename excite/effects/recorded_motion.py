@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +27,7 @@ from ..robot.samples import MIN_TRAVEL, Samples
 from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics, symmetric
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Rows = TypeVar("Rows", FloatArray, BoolArray)
 MIN_MOVING_SHARE = 0.3
 """Share of the time of all motions that a joint must move. A joint that moves less is judged near
 its stops as well, as little would remain."""
@@ -45,26 +46,23 @@ class FittedRobot:
     """The robot with the parameters of the fitted base model.
 
     Attributes:
-        model: Pinocchio model with the fitted link inertias.
         psi: Standard parameters ψ̂, shape (P,).
     """
 
     robot: Robot
     parameters: Parameters
-    model: pin.Model
     psi: FloatArray
+
+    @cached_property
+    def model(self) -> pin.Model:
+        """Pinocchio model with the fitted link inertias."""
+        return model_with_inertias(self.robot, self.parameters.of_bodies(self.psi))
 
     def actuator_parameter(self, kind: str) -> FloatArray:
         """Return "rotor_inertia", "viscous", "coulomb" or "offset" of every joint, (n,), or 0."""
         if kind not in self.parameters.drive:
             return np.zeros(self.robot.n)
         return np.asarray(self.psi[self.parameters.block(kind)])
-
-
-def fitted_robot(robot: Robot, parameters: Parameters, psi: FloatArray) -> FittedRobot:
-    """Return the robot with standard parameters ψ, shape (P,)."""
-    model = model_with_inertias(robot, parameters.of_bodies(psi))
-    return FittedRobot(robot, parameters, model, psi)
 
 
 def for_all_fits(compute: Function) -> Function:
@@ -80,6 +78,10 @@ def for_all_fits(compute: Function) -> Function:
     return cast(Function, computed_once)
 
 
+Motions: TypeAlias = "Sequence[RecordedMotion]"
+"""The motions of some recordings: one of each segment."""
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedMotion:
     """A segment of a recording, low-passed, with the fitted base model.
@@ -91,16 +93,13 @@ class RecordedMotion:
         segment: The segment as it was recorded.
         fitted_robot: Robot with the parameters of the base model.
         widths: Widths of the smooth Coulomb friction [rad/s], shape (n,).
-        theta: Base parameters θ̂ of the fit.
-        torque: Measured torque, low-passed [N m], shape (N, n).
+        theta: Base parameters θ̂ of the fit. Without a fit this is empty, as the next four are.
         gamma: Base regressor Γ, low-passed, shape (N, n, p).
         slopes: Derivative of the torque by the logarithm of the friction width, shape (N, n).
-        kept: Rows of the regression's grid that are far enough from the segment's ends.
-        time: Times of the kept rows [s], shape (N,).
         moving: Rows at which a joint moves; static friction is not modelled. Shape (N, n).
         far_from_rest: Rows that no friction at rest reaches through the low-pass filter, shape
             (N, n).
-        grid: Grid to which `lowpass` reduces.
+        grid: Grid of the rows, to which `lowpass` reduces: of the regression or the recording.
         bandwidth_ratio: Cutoff of `lowpass` over that of the band.
         modelled_torque: Torque of a fitted joint model, which takes the place of the measured
             torque; None without one, shape (M, n) [N m].
@@ -112,14 +111,11 @@ class RecordedMotion:
     band: LowPassFilter
     fitted_robot: FittedRobot
     widths: FloatArray
-    theta: FloatArray
-    torque: FloatArray
-    gamma: FloatArray
-    slopes: FloatArray
-    kept: slice
-    time: FloatArray
-    moving: BoolArray
-    far_from_rest: BoolArray
+    theta: FloatArray = field(default_factory=lambda: np.zeros(0))
+    gamma: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    slopes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    moving: BoolArray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    far_from_rest: BoolArray = field(default_factory=lambda: np.zeros((0, 0), bool))
     grid: Grid = Grid.KEPT
     bandwidth_ratio: float = 1.0
     modelled_torque: FloatArray | None = None
@@ -134,7 +130,30 @@ class RecordedMotion:
     @property
     def n(self) -> int:
         """Number of joints."""
-        return int(self.torque.shape[1])
+        return int(self.segment.q.shape[1])
+
+    @property
+    def kept(self) -> slice:
+        """Rows of the grid that count: on that of the regression those far from both ends."""
+        if self.grid is Grid.RECORDED:
+            return slice(0, len(self.segment))
+        step, margin = self.band.steps(Grid.KEPT), self.band.margin
+        return slice(margin // step, -(-(len(self.segment) - margin) // step))
+
+    @cached_property
+    def row_samples(self) -> IntArray:
+        """Sample of each row, shape (N,)."""
+        return (np.arange(self.band.samples(self.grid)) * self.band.steps(self.grid))[self.kept]
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """Time of each row [s], shape (N,)."""
+        return self.times[self.row_samples]
+
+    @cached_property
+    def torque(self) -> FloatArray:
+        """Measured torque, low-passed [N m], shape (N, n)."""
+        return self.band.filter(self.segment.torque, self.grid)[self.kept]
 
     def _of_same_motion(self, **changes: Any) -> RecordedMotion:
         """Return another fit to the same motion, which shares all that depends on it alone."""
@@ -167,10 +186,7 @@ class RecordedMotion:
 
     def with_torque(self, torque: FloatArray) -> RecordedMotion:
         """Return the motion with another measured torque, shape (M, n) [N m]."""
-        return self._of_same_motion(
-            segment=replace(self.segment, torque=torque),
-            torque=self.band.filter(torque, Grid.KEPT)[self.kept],
-        )
+        return self._of_same_motion(segment=replace(self.segment, torque=torque))
 
     def with_modelled_torque(
         self, torque: FloatArray, motor_torque: FloatArray | None = None
@@ -198,7 +214,7 @@ class RecordedMotion:
     @cached_property
     def torque_slope(self) -> FloatArray:
         """Time derivative of the measured torque [N m/s], shape (N, n)."""
-        return self.band.filter(self.segment.torque, Grid.KEPT, 1)[self.kept]
+        return self.band.filter(self.segment.torque, self.grid, 1)[self.kept]
 
     def sign(self, joint: int) -> FloatArray:
         """Return the smooth sign tanh(q̇/w) of the base model's Coulomb friction, shape (M,)."""
@@ -207,8 +223,17 @@ class RecordedMotion:
     @property
     @for_all_fits
     def samples(self) -> Samples:
-        """Low-passed motion at every sample of the recording, see `low_passed_samples`."""
-        return low_passed_samples(self.segment, self.band)
+        """Low-passed motion at every sample of the recording, shapes (M, n).
+
+        q and q̈ pass a filter of twice the bandwidth, q̇ that of `friction_speed`: it is not the
+        derivative of q.
+        """
+        position = self.band.transform(self.segment.q)
+        return Samples(
+            position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
+            friction_speed(self.segment.q, self.band, position),
+            position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO),
+        )
 
     @property
     def temperature(self) -> FloatArray:
@@ -398,25 +423,25 @@ class RecordedMotion:
         return np.asarray((jacobians[:, None, :3] + turning) * carries[:, None] @ robot.spread)
 
 
-def position_range(motions: Sequence[RecordedMotion], joint: int) -> tuple[float, float]:
+def position_range(motions: Motions, joint: int) -> tuple[float, float]:
     """Return the smallest and largest position of a joint [rad or m]."""
     positions = [motion.samples.q[:, joint] for motion in motions]
     return min(float(q.min()) for q in positions), max(float(q.max()) for q in positions)
 
 
-def max_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
+def max_speed(motions: Motions, joint: int) -> float:
     """Return the largest speed of a joint, at least `MIN_SPEED` [rad/s or m/s]."""
     speeds = (float(np.abs(motion.samples.dq[:, joint]).max()) for motion in motions)
     return max(MIN_SPEED, *speeds)
 
 
-def stands_still(motions: Sequence[RecordedMotion], joint: int) -> bool:
+def stands_still(motions: Motions, joint: int) -> bool:
     """Return True if a joint has one position in each of several motions."""
     travels = (float(np.ptp(motion.samples.q[:, joint])) for motion in motions)
     return max(travels) < MIN_TRAVEL
 
 
-def radian(motions: Sequence[RecordedMotion], joint: int) -> float:
+def radian(motions: Motions, joint: int) -> float:
     """Return the travel that counts as a radian of a joint: 1, or a sliding joint's range/(2π)."""
     low, high = position_range(motions, joint)
     is_sliding = motions[0].fitted_robot.robot.entries[joint].kind == "prismatic"
@@ -433,115 +458,66 @@ def interpolated(at: FloatArray, times: FloatArray, x: FloatArray) -> FloatArray
     return np.asarray(CubicSpline(times, x)(np.clip(at, times[0], times[-1])))
 
 
-def split_by_motion(rows: FloatArray, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
+def split_by_motion(rows: Rows, motions: Motions) -> list[Rows]:
     """Split rows of several motions, one after the other, by motion."""
     return np.split(rows, np.cumsum([len(motion) for motion in motions])[:-1])
 
 
 def needed_samples(band: LowPassFilter) -> int:
-    """Return the samples of an aperiodic segment of which the low-pass filter leaves enough rows.
-
-    Args:
-        band: The filter.
-    """
+    """Return the samples of an aperiodic segment of which the filter leaves enough rows."""
     return 2 * band.margin + MIN_KEPT_ROWS * band.steps(Grid.KEPT)
 
 
 def recorded_motions(
     model: IdentificationModel,
-    fitted: FittedRobot,
-    theta: FloatArray,
+    psi: FloatArray,
     segments: Sequence[RecordingSegment],
     hertz: float,
 ) -> list[RecordedMotion]:
     """Return the motion of every segment that is long enough for the low-pass filter.
 
-    Which rows of a joint count, see `RecordedMotion.moving`, is decided for all segments together:
-    a joint may stand still throughout one of them.
+    The base model is that of standard parameters ψ, shape (P,). Which rows of a joint count, see
+    `RecordedMotion.moving`, is decided for all segments together: a joint may stand still
+    throughout one of them.
     """
+    fitted, theta = FittedRobot(model.robot, model.parameters, psi), model.base.matrix @ psi
     bands = [(segment, segment.band(hertz)) for segment in segments]
-    usable = [(segment, band) for segment, band in bands if len(segment) > needed_samples(band)]
-    if not usable:
+    motions = [
+        RecordedMotion(segment, band, fitted, model.widths, theta)
+        for segment, band in bands
+        if len(segment) > needed_samples(band)
+    ]
+    if not motions:
         return []
-    samples = [low_passed_samples(segment, band) for segment, band in usable]
-    places = [_row_samples(segment, band) for segment, band in usable]
-    largest = LargestMotion.of((s.q, s.dq) for s in samples)
-    moving = _moving_rows([segment for segment, _ in usable], samples, places, largest, hertz)
+    largest = LargestMotion.of((motion.samples.q, motion.samples.dq) for motion in motions)
     out = []
-    for (segment, band), motion, rows, counted in zip(usable, samples, places, moving, strict=True):
-        kept = _kept_rows(segment, band)
-        gamma, slopes, _ = filtered_regressor(model, segment.q, band)
-        reach = int(FILTER_REACH / hertz * segment.rate)
+    for motion, moving in zip(motions, _moving_rows(motions, largest, hertz), strict=True):
+        gamma, slopes, _ = filtered_regressor(model, motion.segment.q, motion.band)
+        reach = int(FILTER_REACH / hertz * motion.segment.rate)
+        s = motion.samples
         out.append(
-            RecordedMotion(
-                segment=segment,
-                band=band,
-                fitted_robot=fitted,
-                widths=model.widths,
-                theta=theta,
-                torque=band.filter(segment.torque, Grid.KEPT)[kept],
-                gamma=gamma[kept],
-                slopes=slopes[kept],
-                kept=kept,
-                time=segment.start + rows / segment.rate,
-                moving=counted,
-                far_from_rest=far_from_rest(motion.q, motion.dq, rows, largest, reach),
+            motion._of_same_motion(
+                gamma=gamma[motion.kept],
+                slopes=slopes[motion.kept],
+                moving=moving,
+                far_from_rest=far_from_rest(s.q, s.dq, motion.row_samples, largest, reach),
             )
         )
     return out
 
 
-def low_passed_samples(segment: RecordingSegment, band: LowPassFilter) -> Samples:
-    """Return the low-passed motion at every sample of a segment, shapes (M, n).
-
-    q and q̈ pass a filter of twice the bandwidth, q̇ that of `friction_speed`: it is not the
-    derivative of q.
-    """
-    position = band.transform(segment.q)
-    return Samples(
-        position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
-        friction_speed(segment.q, band, position),
-        position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO),
-    )
-
-
-def _kept_rows(segment: RecordingSegment, band: LowPassFilter) -> slice:
-    """Rows of the regression's grid that are far enough from the segment's ends."""
-    step = band.steps(Grid.KEPT)
-    return slice(band.margin // step, -(-(len(segment) - band.margin) // step))
-
-
-def _row_samples(segment: RecordingSegment, band: LowPassFilter) -> IntArray:
-    """Sample of each kept row, shape (N,)."""
-    places = np.arange(band.samples(Grid.KEPT)) * band.steps(Grid.KEPT)
-    return places[_kept_rows(segment, band)]
-
-
-def _moving_rows(
-    segments: Sequence[RecordingSegment],
-    samples: Sequence[Samples],
-    places: Sequence[IntArray],
-    largest: LargestMotion,
-    hertz: float,
-) -> list[BoolArray]:
-    """Rows of each segment at which a joint moves, shapes (N, n); see `RecordedMotion.moving`.
-
-    Args:
-        segments: The segments.
-        samples: Their low-passed motion.
-        places: Sample of each of their rows. Shapes (N,).
-        largest: Largest motion of the joints.
-        hertz: Cutoff frequency [Hz].
-    """
-    rows, n = sum(map(len, places)), samples[0].q.shape[1]
-    out = np.zeros((rows, n), bool)
+def _moving_rows(motions: Motions, largest: LargestMotion, hertz: float) -> list[BoolArray]:
+    """Rows of each motion at which a joint moves, shapes (N, n); see `RecordedMotion.moving`."""
+    out = np.zeros((sum(map(len, motions)), motions[0].n), bool)
     for reach in (FILTER_REACH / hertz, 0.0):
         few = out.mean(axis=0) <= MIN_MOVING_SHARE
         if few.any():
             moving = [
-                moving_rows(segment, motion.q, motion.dq, place, largest, reach=reach)
-                for segment, motion, place in zip(segments, samples, places, strict=True)
+                moving_rows(
+                    m.segment, m.samples.q, m.samples.dq, m.row_samples, largest, reach=reach
+                )
+                for m in motions
             ]
             out[:, few] = np.concatenate(moving)[:, few]
     out |= out.mean(axis=0) <= HELD_SHARE
-    return np.split(out, np.cumsum([len(place) for place in places])[:-1])
+    return split_by_motion(out, motions)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ..robot.samples import MIN_TRAVEL
 from .effect import CandidateModel, Values, grid_candidates
 from .friction_runtime import SPRING_FORMS, JointMotion, columns
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion, position_range
+from .recorded_motion import FittedRobot, Motions, position_range
 
 UNBOUNDED_FORMS = (0, 1)
 """Forms that hold beyond the positions to which they were fitted. The others say nothing there:
@@ -36,27 +36,25 @@ class _Spring(JointTorque):
     as a constant torque is the base model's offset.
     """
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        for j in range(motions[0].n):
-            low, high = position_range(motions, j)
-            if high - low >= MIN_TRAVEL:
-                yield from self._candidates(j, {"low": low, "high": high})
-
-    def _candidates(self, j: int, ends: Values) -> Iterator[CandidateModel]:
-        length = ends["high"] - ends["low"]
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
+        low, high = position_range(motions, joint)
+        length, ends = high - low, {"low": low, "high": high}
+        if length < MIN_TRAVEL:
+            return
         for form in range(len(SPRING_FORMS)):
             values = {"form": float(form), **({} if form in UNBOUNDED_FORMS else ends)}
-            yield CandidateModel(self, j, values, facts=ends)
+            yield CandidateModel(self, joint, values, facts=ends)
         if length > MIN_CURVE_RANGE:
             orders = (2.0 * np.pi / length * np.array(WAVES_OVER_RANGE)).tolist()
-            values = {"order": orders[0], "about": 0.5 * (ends["low"] + ends["high"]), **ends}
-            yield from grid_candidates(CandidateModel(self, j, values, facts=ends), "order", orders)
-            bent = CandidateModel(self, j, {"bend": 0.0, **ends}, facts=ends)
+            values = {"order": orders[0], "about": 0.5 * (low + high), **ends}
+            waving = CandidateModel(self, joint, values, facts=ends)
+            yield from grid_candidates(waving, "order", orders)
+            bent = CandidateModel(self, joint, {"bend": 0.0, **ends}, facts=ends)
             yield from grid_candidates(bent, "bend", (length * KINK_POSITIONS).tolist())
             for waves in CURVE_WAVES:
                 shares = tuple(1.0 / m for m in range(1, waves + 1))
                 values = {"waves": float(waves), **ends}
-                yield CandidateModel(self, j, values, facts=ends, prior_shares=shares)
+                yield CandidateModel(self, joint, values, facts=ends, prior_shares=shares)
 
     def varied(self, model: CandidateModel, key: str, value: float) -> CandidateModel:
         """Return the model with another value; that of a bend is its distance from the low end."""

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from .._types import FloatArray
 from .effect import CandidateModel, Values
 from .friction_runtime import STRIBECK_SPEEDS, JointMotion, columns
 from .joint_torque import JointTorque
-from .recorded_motion import FittedRobot, RecordedMotion, max_speed
+from .recorded_motion import FittedRobot, Motions, max_speed
 
 
 class _Stribeck(JointTorque):
     """Exponential and Gaussian curves."""
 
-    def dense_model(self, motions: Sequence[RecordedMotion], joint: int) -> CandidateModel:
+    def dense_model(self, motions: Motions, joint: int) -> CandidateModel:
         """Return a nonnegative combination of exponential and Gaussian Stribeck curves."""
         return CandidateModel(self, joint, {"top_speed": max_speed(motions, joint)})
 

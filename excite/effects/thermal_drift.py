@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from .._types import FloatArray
 from ..errors import UnusableInput
 from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_columns
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 MAX_COLD_EXCESS = 3.0
 """Largest excess of the initial friction over its mean, over the mean: a cold joint, not one that
@@ -40,16 +40,12 @@ class _ThermalDrift(Effect):
         friction = _friction_torque(motion, j, model.values)
         return single_joint_columns(motion, j, _warming(motion, model) * friction)
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        origins = [{}, *({"origin": time} for time in _common_origin(motions))]
-        for j in range(motions[0].n):
-            for origin in origins:
-                yield from self._by_time(motions, j, origin)
-            yield from self._by_temperature(motions, j)
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
+        for origin in ({}, *({"origin": time} for time in _common_origin(motions))):
+            yield from self._by_time(motions, joint, origin)
+        yield from self._by_temperature(motions, joint)
 
-    def _by_time(
-        self, motions: Sequence[RecordedMotion], j: int, origin: Values
-    ) -> Iterator[CandidateModel]:
+    def _by_time(self, motions: Motions, j: int, origin: Values) -> Iterator[CandidateModel]:
         """Exponential changes with run time, and with the heat of the joint's friction losses."""
         length = max(float(_run_time(motion, origin)[-1]) for motion in motions)
         friction = _base_friction(motions[0].fitted_robot, j)
@@ -72,9 +68,7 @@ class _ThermalDrift(Effect):
             )
             yield from grid_candidates(by_losses, "time_constant", constants, MIN_TIME_CONSTANT)
 
-    def _by_temperature(
-        self, motions: Sequence[RecordedMotion], j: int
-    ) -> Iterator[CandidateModel]:
+    def _by_temperature(self, motions: Motions, j: int) -> Iterator[CandidateModel]:
         """Linear change with temperature, where all motions have it and it varies."""
         temperatures = np.concatenate([motion.temperature[:, j] for motion in motions])
         if not np.ptp(temperatures) > MIN_TEMPERATURE_RANGE:  # also where it is not a number
@@ -179,11 +173,11 @@ def _base_friction(base: FittedRobot, joint: int) -> Values:
     return {"coulomb": max(coulomb, 1e-9), "viscous": viscous}
 
 
-def _mean_speed(motions: Sequence[RecordedMotion], joint: int) -> float:
+def _mean_speed(motions: Motions, joint: int) -> float:
     return float(np.mean(np.abs(np.concatenate([m.samples.dq[:, joint] for m in motions]))))
 
 
-def _common_origin(motions: Sequence[RecordedMotion]) -> list[float]:
+def _common_origin(motions: Motions) -> list[float]:
     """Return the start of several recordings by one clock [s], one after the other; else none."""
     spans = {
         source: (

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
-import numpy as np
+from collections.abc import Iterator
 
 from .._types import FloatArray
 from .effect import CandidateModel, Effect, Values, single_joint_columns
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 CHANGES = (-0.7, 2.0)
 """Plausible relative changes of a gain: a wrong torque constant, gear ratio or unit is a factor."""
@@ -23,20 +21,18 @@ class _TorqueGain(Effect):
         j = model.joint_index
         return single_joint_columns(motion, j, motion.measured_torque[:, j])
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        return (CandidateModel(self, j, {"measured": 1.0}) for j in range(motions[0].n))
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
+        yield CandidateModel(self, joint, {"measured": 1.0})
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         # the recorded torque is the true one over the gain
         return {"gain": 1.0 - float(c[0])}
 
-    def predicted_torque(
+    def recorded_change(
         self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
     ) -> FloatArray:
         """Return recorded minus produced torque; the coefficient is its share in the former."""
-        out = np.zeros_like(produced)
-        out[:, model.joint_index] = produced[:, model.joint_index] * float(c[0] / (1.0 - c[0]))
-        return out
+        return produced * float(c[0] / (1.0 - c[0]))
 
 
 TORQUE_GAIN = _TorqueGain(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from .effect import CandidateModel, NonlinearParameter
 from .joint_torque import JointTorque
-from .recorded_motion import RecordedMotion, position_range
+from .recorded_motion import Motions, position_range
 
 TORQUE_RIPPLE = JointTorque(
     "torque_ripple",
@@ -23,7 +21,7 @@ TORQUE_RIPPLE = JointTorque(
 """Torque ripple; users call it cogging, gear meshing or motor pole ripple."""
 
 
-def wave_model(motions: Sequence[RecordedMotion], joint: int, order: float) -> CandidateModel:
+def wave_model(motions: Motions, joint: int, order: float) -> CandidateModel:
     """Return the wave of one order [1/rad] at a joint, whose amplitude may grow with the load.
 
     The order is known to half a period over the range of the joint, the width of its peak in a

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from .._types import FloatArray
 from ..identification.standstill import STANDSTILL_SPEED_RATIO
 from .effect import CandidateModel, Effect, Values, grid_candidates, single_joint_columns
-from .recorded_motion import FittedRobot, RecordedMotion
+from .recorded_motion import FittedRobot, Motions, RecordedMotion
 
 POWERS = (2.0, 3.0, 5.0)
 """Powers of the torque that are lost."""
@@ -36,27 +36,21 @@ class _TorqueSaturation(Effect):
             motion, j, lost_torque(model.values, motion.measured_torque[:, j])
         )
 
-    def candidates(self, motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-        for joint in range(motions[0].n):
-            torque, speed = (
-                np.abs(np.concatenate([x[:, joint] for x in signals]))
-                for signals in (
-                    [motion.measured_torque for motion in motions],
-                    [motion.samples.dq for motion in motions],
-                )
-            )
-            largest = max(float(torque.max()), 1e-9)
-            # median torque in motion: a joint at standstill may carry none
-            moving = speed >= STANDSTILL_SPEED_RATIO * speed.max()
-            usual = max(float(np.median(torque[moving])), 1e-9)
-            fixed, facts = {"measured": 1.0, "largest": largest}, {"usual": usual}
-            for power in POWERS:
-                yield CandidateModel(self, joint, {**fixed, "power": power}, facts=facts)
-            levels = np.geomspace(usual, largest, 6).tolist()
-            for sharpness in SHARPNESSES:
-                values = {**fixed, "level": levels[0], "bend": sharpness}
-                model = CandidateModel(self, joint, values, facts=facts)
-                yield from grid_candidates(model, "level", levels)
+    def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:
+        torque = np.abs(np.concatenate([m.measured_torque[:, joint] for m in motions]))
+        speed = np.abs(np.concatenate([m.samples.dq[:, joint] for m in motions]))
+        largest = max(float(torque.max()), 1e-9)
+        # median torque in motion: a joint at standstill may carry none
+        moving = speed >= STANDSTILL_SPEED_RATIO * speed.max()
+        usual = max(float(np.median(torque[moving])), 1e-9)
+        fixed, facts = {"measured": 1.0, "largest": largest}, {"usual": usual}
+        for power in POWERS:
+            yield CandidateModel(self, joint, {**fixed, "power": power}, facts=facts)
+        levels = np.geomspace(usual, largest, 6).tolist()
+        for sharpness in SHARPNESSES:
+            values = {**fixed, "level": levels[0], "bend": sharpness}
+            model = CandidateModel(self, joint, values, facts=facts)
+            yield from grid_candidates(model, "level", levels)
 
     def parameters(self, model: CandidateModel, c: FloatArray, base: FittedRobot) -> Values:
         return {"loss": _relative_loss(model, model.values["largest"]) * float(c[0])}
@@ -70,14 +64,11 @@ class _TorqueSaturation(Effect):
         )
         return bool(0.0 < c[0] < min(bounds))
 
-    def predicted_torque(
+    def recorded_change(
         self, motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
     ) -> FloatArray:
-        """Return recorded minus produced torque of an actuator that loses torque, shape (M, n)."""
-        out = np.zeros_like(produced)
-        torque = produced[:, model.joint_index]
-        out[:, model.joint_index] = recorded_torque(float(c[0]), model.values, torque) - torque
-        return out
+        """Return recorded minus produced torque of an actuator that loses torque, (M, 1) [N m]."""
+        return recorded_torque(float(c[0]), model.values, produced) - produced
 
 
 def _relative_loss(model: CandidateModel, torque: float) -> float:
@@ -93,7 +84,7 @@ def lost_torque(values: Values, x: FloatArray) -> FloatArray:
 
 
 def recorded_torque(loss: float, values: Values, torque: FloatArray) -> FloatArray:
-    """Return the torque x that is recorded where an actuator produces τ [N m], shape (M,).
+    """Return the torque x that is recorded where an actuator produces τ [N m], any shape.
 
     Solves x − c · lost(x) = τ with the coefficient c of the `loss`.
     """

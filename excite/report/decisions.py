@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 from ..robot.parameter_names import plural, some
 from ..schemas.effects import effect_words
 from .content import Section, Table, TableCell
 from .formatting import odds_words
+from .torque_budget import Document
 
 HEAD = ("joint", "question", "odds before", "expected", "odds after", "decision")
 """Titles of the table."""
 
 
-def decision_rows(document: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def decision_rows(document: Document) -> list[tuple[str, ...]]:
     """Return joint, question, odds before, expected and after, and decision of each pair.
 
     All odds are those of the first effect of the question.
-
-    Args:
-        document: Content of a `diagnosis.json`.
     """
     rows: list[tuple[str, ...]] = []
     for entry in document.get("decisions", ()):
@@ -42,7 +39,7 @@ def decision_rows(document: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _is_found(document: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
+def _is_found(document: Document, entry: Document) -> bool:
     """Tell whether the effect that a pair is decided for is a finding of all recordings.
 
     It need not be: what explains more than its rival may be superfluous next to other effects.
@@ -61,12 +58,8 @@ def _expected_words(expected: Mapping[str, float] | None, after: float) -> str:
     return odds_words(expected["effect" if after >= 0.0 else "rival"])
 
 
-def decisions_answer(document: Mapping[str, Any]) -> tuple[str, str]:
-    """Return in a sentence what was decided, and its tone.
-
-    Args:
-        document: Content of a `diagnosis.json` with decisions.
-    """
+def decisions_answer(document: Document) -> tuple[str, str]:
+    """Return in a sentence what was decided, and its tone."""
     entries = document["decisions"]
     if not entries:
         return "Nothing had to be decided: the earlier recordings left no two effects open.", "good"
@@ -85,12 +78,8 @@ def decisions_answer(document: Mapping[str, Any]) -> tuple[str, str]:
     return text, "good" if len(decided) == len(entries) else "warn"
 
 
-def decisions_section(document: Mapping[str, Any]) -> Iterator[Section]:
-    """Build the section on the discriminating recordings, if there are any.
-
-    Args:
-        document: Content of a `diagnosis.json`.
-    """
+def decisions_section(document: Document) -> Iterator[Section]:
+    """Build the section on the discriminating recordings, if there are any."""
     if "decisions" not in document:
         return
     rows: list[list[str | TableCell]] = [

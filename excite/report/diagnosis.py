@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from ..diagnosis.diagnosis import Diagnosis
 from ..diagnosis.estimates import MIN_PROBABILITY
+from ..diagnosis.session_changes import sources
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..robot.parameter_names import listed, plural
 from ..schemas.effects import effect_words
@@ -29,6 +30,7 @@ from .formatting import capitalized, number, significant
 from .remarks import RemarksByRecording, count_remarks, list_remarks
 from .render import render
 from .torque_budget import (
+    Document,
     JointBudget,
     base_words,
     finding_parameter_words,
@@ -36,10 +38,10 @@ from .torque_budget import (
     joint_words,
     known_words,
     origin_words,
+    places_where,
     probability_words,
     sorted_findings,
 )
-from .verdict import Document
 
 DRAWN_CURVES = 15
 """Curves of effects that are drawn, those of the largest effects."""
@@ -121,10 +123,17 @@ def _budget_section(
 ) -> Section:
     """The torque budget of every joint, as a picture and in words."""
     improved = sorted((b for b in budgets if b.is_improved), key=lambda b: b.after / b.before)
-    changed = [b.joint for b in budgets if b.is_changed]
-    fast = [b.joint for b in budgets if b.is_extrapolated]
-    misled = [b.joint for b in budgets if b.is_misled]
-    unknown = [b.joint for b in budgets if b.unknown and not b.is_misled]
+    causes = {
+        "parameters of the prior that are in doubt": lambda b: b.is_misled,
+        "friction or offset that changed between the recordings": lambda b: b.is_changed,
+        "speeds that the fitted recordings do not have": lambda b: b.is_extrapolated,
+        "torque that no known effect explains": lambda b: b.unknown and not b.is_misled,
+    }
+    texts = [
+        f"{cause} ({places})"
+        for cause, holds in causes.items()
+        if (places := places_where(budgets, holds))
+    ]
     answer, tone = "Not known: no effect found reduces the error.", "warn"
     if "doubts" in document:
         answer = "Not known while findings are withheld: only the error is shown."
@@ -139,18 +148,7 @@ def _budget_section(
         tone = ""
     elif all(b.is_explained for b in budgets):
         answer, tone = "From noise alone, at every joint.", "good"
-    elif misled or changed or fast or unknown:
-        causes = {
-            "parameters of the prior that are in doubt": misled,
-            "friction or offset that changed between the recordings": changed,
-            "speeds that the fitted recordings do not have": fast,
-            "torque that no known effect explains": unknown,
-        }
-        texts = [
-            f"{cause} ({joint_words(joints, len(budgets))})"
-            for cause, joints in causes.items()
-            if joints
-        ]
+    elif texts:
         answer = f"Mostly from {listed(texts)}."
     seconds = sum(float(m.time[-1] - m.time[0]) for m in diagnosis.held_out.motions)
     data = {
@@ -162,7 +160,7 @@ def _budget_section(
         "seconds": number(seconds, 2 if seconds < 100.0 else 3),
         "base": base_words(diagnosis),
         "is_noise_known": diagnosis.noise.method == "periods",
-        "has_changed": bool(changed),
+        "has_changed": any(b.is_changed for b in budgets),
         "has_uncertain": any(not p.is_certain for b in improved for p in b.parts),
     }
     return Section("budget", "Where does the torque error come from?", answer, data, tone)
@@ -224,7 +222,7 @@ def _findings_answer(document: Document, budgets: Sequence[JointBudget]) -> tupl
         return "Not stated: findings at single joints are withheld; see above.", "warn"
     if document["unknown"]:
         return "No finding: no known effect explains the torque that is missing.", "warn"
-    if verdict.unforeseen(budgets):
+    if any(b.is_unforeseen for b in budgets):
         return "No finding: no known effect explains the error that remains.", "warn"
     return "No finding: no known effect is needed to explain these recordings.", "good"
 
@@ -251,47 +249,8 @@ def _next_section(
     diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
 ) -> Section:
     """Experiments that separate or confirm effects."""
-    groups, count = verdict.open_effects(document), len(document["joints"])
-    changed = [b.joint for b in budgets if b.is_changed]
-    fast = [b.joint for b in budgets if b.is_extrapolated]
-    partly_changed = [
-        joint
-        for joint in dict.fromkeys(c["joint"] for c in document["between_recordings"])
-        if joint not in (*changed, *fast)
-    ]
-
-    def at(action: str, cause: str, joints: Sequence[str]) -> list[str]:
-        """An action and its cause, where there is one."""
-        if not joints:
-            return []
-        return [f"{capitalized(action)}: {cause} at {joint_words(joints, count)}."]
-
-    # in the order of `verdict.next_words`, whose actions are the first ones
-    urgent = verdict.urgent_words(budgets)
-    lines = [
-        *([f"{capitalized(urgent)}."] if urgent else []),
-        *at(verdict.ONE_SESSION, "friction or offset changed", changed),
-        *at(verdict.AS_FAST, "the model is extrapolated", fast),
-    ]
-    lines += [
-        f"For the unknown torque at {entry['joint']}: {entry['experiment']}."
-        for entry in document["unknown"]
-    ]
-    if any(key[1:] for key in groups):
-        lines.append(
-            "One motion for all effects that resemble each other: excite design ROBOT "
-            "--discriminate diagnosis.json -o DIR. What its recording decides: excite diagnose … "
-            "--discriminating RECORDING."
-        )
-    for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
-        purpose = "To tell apart" if names[1:] else "To be surer of"
-        effects = listed([effect_words(name) for name in names])
-        experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
-        place = joint_words(list(dict.fromkeys(joints)), count)
-        lines.append(f"{purpose} {effects} ({place}): {experiments}.")
-    unforeseen = verdict.unforeseen(budgets)
-    lines += at(verdict.alone_words(count), "what remains has no known cause", unforeseen)
-    lines += at(verdict.ONE_SESSION, "friction or offset changed as well", partly_changed)
+    actions = verdict.next_actions(document, budgets)
+    lines = [action.line for group in actions for action in group if action.line]
     answer = "Nothing; other speeds, loads or temperatures may show more."
     if "doubts" in document:
         answer = "Resolve the doubts about the recordings named at the top of this page."
@@ -344,10 +303,8 @@ def _considered_section(diagnosis: Diagnosis, document: Document) -> Section:
 def _provenance_section(diagnosis: Diagnosis, remarks: RemarksByRecording) -> Section:
     """Data, method and versions."""
     robot, trusted = diagnosis.identified.model.robot, diagnosis.identified.options.trusted
-    fitted, held_out = (
-        list(dict.fromkeys(motion.segment.source for motion in motions))
-        for motions in (diagnosis.model.motions, diagnosis.held_out.motions)
-    )
+    fitted = sources(diagnosis.model.motions)
+    held_out = sources(diagnosis.held_out.motions)
     answer = (
         f"Base model and effects were fitted jointly to {plural(len(fitted), 'recording')}; "
         f"{plural(len(held_out), 'other recording')} served only to measure the error; "

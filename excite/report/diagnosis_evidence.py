@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -21,12 +20,14 @@ from .figures.session_changes import KIND_WORDS
 from .figures.torque_fit import EXCERPT_SECONDS, FitLabels
 from .formatting import capitalized, number, significant, value_with_error
 from .torque_budget import (
+    Document,
     JointBudget,
     base_words,
     certainty_words,
     change_words,
     filter_words,
     joint_words,
+    places_where,
     regime_words,
     small_words,
     undecided_words,
@@ -37,7 +38,7 @@ DRAWN_UNKNOWN = 6
 
 
 def prediction_section(
-    diagnosis: Diagnosis, document: Mapping[str, Any], budgets: Sequence[JointBudget]
+    diagnosis: Diagnosis, document: Document, budgets: Sequence[JointBudget]
 ) -> Section:
     """Build the section on held-out prediction by the base model and by the saved model."""
     robot = diagnosis.identified.model.robot
@@ -64,23 +65,18 @@ def prediction_section(
 
 def _prediction_answer(budgets: Sequence[JointBudget]) -> tuple[str, str]:
     """How near the held-out error is to noise, and its tone."""
-    above = [b.joint for b in budgets if not b.is_explained]
-    worse = [b.joint for b in budgets if b.is_worse]
     furthest = max(budgets, key=lambda b: b.noise_ratio)
     answer, tone = "Yes, down to the noise" + (" at every joint" if budgets[1:] else ""), "good"
-    if above:
-        answer, tone = f"Its error is above the noise at {joint_words(above, len(budgets))}", "warn"
+    if above := places_where(budgets, lambda b: not b.is_explained):
+        answer, tone = f"Its error is above the noise at {above}", "warn"
         ratio = f"{significant(furthest.noise_ratio)} × noise"
         answer += (
             f"; furthest from it is {furthest.joint}: {ratio}" if budgets[1:] else f": {ratio}"
         )
     if furthest.is_withheld:
         return f"{answer}. While findings are withheld, the base model is saved.", "warn"
-    if worse:
-        return (
-            f"{answer}. It predicts {joint_words(worse, len(budgets))} worse than the base model.",
-            "bad",
-        )
+    if worse := places_where(budgets, lambda b: b.is_worse):
+        return f"{answer}. It predicts {worse} worse than the base model.", "bad"
     if not any(b.is_improved for b in budgets):
         return f"{answer}. The saved model predicts as the base model does.", tone
     return f"{answer}." + (
@@ -114,7 +110,7 @@ def _error_table(diagnosis: Diagnosis, budgets: Sequence[JointBudget]) -> Table:
     return Table(head.split(", "), rows, range(2, 9))
 
 
-def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
+def session_changes_section(document: Document) -> Iterator[Section]:
     """Build the section on friction and offsets that differ between recordings, or may do."""
     changes, undecided = document["between_recordings"], document["undecided_between_recordings"]
     if not changes and not undecided:
@@ -146,7 +142,7 @@ def session_changes_section(document: Mapping[str, Any]) -> Iterator[Section]:
     yield Section("changes", question, answer, data, "warn")
 
 
-def encoders_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Iterator[Section]:
+def encoders_section(diagnosis: Diagnosis, document: Document) -> Iterator[Section]:
     """Build the section on gears with an encoder on either side, if there are any."""
     gears = document["encoders"]
     if not gears:
@@ -174,7 +170,7 @@ def encoders_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Itera
     yield Section("gears", "What do the two encoders say?", answer, data)
 
 
-def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Section]:
+def unknown_section(document: Document, units: Mapping[str, str]) -> Iterator[Section]:
     """Build the section on torque that no effect explains, if there is any."""
     unknown = document["unknown"]
     if not unknown:
@@ -198,7 +194,7 @@ def unknown_section(document: Mapping[str, Any], units: Mapping[str, str]) -> It
     yield Section("unknown", "What remains unknown?", answer, data, "warn")
 
 
-def _dependence(entry: Mapping[str, Any]) -> str:
+def _dependence(entry: Document) -> str:
     """Say what torque depends on that no effect explains."""
     where = entry["where"]
     if where["regime"] == "repetition":

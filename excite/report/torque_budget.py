@@ -6,7 +6,7 @@ the error by which it falls, which is divided in their proportion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from pathlib import Path
@@ -20,6 +20,8 @@ from ..schemas.effects import effect_words
 from .formatting import number, significant, value_with_error
 from .prediction import FAIR_RELATIVE_ERROR
 
+Document = Mapping[str, Any]
+"""The diagnosis as in `diagnosis.json`, or a part of it."""
 MIN_SHARE = 0.03
 """Share of the removed error from which an effect is named; smaller ones are summed. An error that
 changes by less counts as unchanged."""
@@ -44,21 +46,13 @@ _PARAMETER_WORDS = {"mu": "μ", "com_x": "centre x", "com_y": "centre y", "com_z
 
 
 def base_words(diagnosis: Diagnosis) -> str:
-    """Return which base model the errors before the diagnosis are of.
-
-    Args:
-        diagnosis: The result.
-    """
+    """Return which base model the errors before the diagnosis are of."""
     has_prior = bool(diagnosis.identified.options.trusted)
     return "the model of the prior" if has_prior else "the base model fitted without effects"
 
 
-def known_words(document: Mapping[str, Any]) -> str:
-    """Return which effects are known by the prior; "" if none.
-
-    Args:
-        document: The diagnosis as in `diagnosis.json`.
-    """
+def known_words(document: Document) -> str:
+    """Return which effects are known by the prior; "" if none."""
     places: dict[str, list[str]] = {}
     for entry in document["known_effects"]:
         places.setdefault(entry["effect"], []).append(entry["joint"] or "whole robot")
@@ -69,26 +63,18 @@ def known_words(document: Mapping[str, Any]) -> str:
 
 
 def prior_words(budgets: Sequence[JointBudget]) -> str:
-    """Return that the trusted prior does not hold; "" if nothing speaks against it.
-
-    Args:
-        budgets: The budgets of all joints.
-    """
-    misled = [budget.joint for budget in budgets if budget.is_misled]
+    """Return that the trusted prior does not hold; "" if nothing speaks against it."""
+    misled = places_where(budgets, lambda b: b.is_misled)
     if not misled:
         return ""
     return (
         "the parameters of the prior are in doubt: identified without them, the base model alone "
-        f"predicts {joint_words(misled, len(budgets))} better than the saved model"
+        f"predicts {misled} better than the saved model"
     )
 
 
-def filter_words(document: Mapping[str, Any]) -> str:
-    """Return how recorded torque and positions differ in their frequency response; "" if not.
-
-    Args:
-        document: The diagnosis as in `diagnosis.json`.
-    """
+def filter_words(document: Document) -> str:
+    """Return how recorded torque and positions differ in their frequency response; "" if not."""
     entry = document[RECORDING_FILTER]
     if entry is None or min(entry["gain"]) > MAX_UNSEEN_GAIN:
         return ""
@@ -362,35 +348,27 @@ class JointBudget:
 
 
 def small_words(effects: Sequence[str]) -> str:
-    """Return effects that would explain a part of unknown torque in a sentence.
-
-    Args:
-        effects: Their names.
-    """
+    """Return effects that would explain a part of unknown torque in a sentence."""
     names = listed([effect_words(name) for name in effects])
     verb = "are" if effects[1:] else "is"
     return f"{names} would explain a part, but {verb} too small to be sure of"
 
 
 def joint_words(joints: Sequence[str], count: int) -> str:
-    """Return joints in a sentence by name, or how many there are if they are all or many.
-
-    Args:
-        joints: Names of the joints.
-        count: Number of joints of the robot.
-    """
+    """Return joints in a sentence by name, or how many there are if they are all or many."""
     if len(joints) == count > 1:
         return "both joints" if count == 2 else f"all {count} joints"
     return some(joints, NAMED_JOINTS)
 
 
-def undecided_words(undecided: Sequence[Mapping[str, Any]], count: int) -> str:
-    """Say which recordings have too little motion to tell a change of friction from chance.
+def places_where(budgets: Sequence[JointBudget], holds: Callable[[JointBudget], bool]) -> str:
+    """Return the joints of which something holds, as `joint_words` does; "" if there is none."""
+    joints = [budget.joint for budget in budgets if holds(budget)]
+    return joint_words(joints, len(budgets)) if joints else ""
 
-    Args:
-        undecided: `undecided_between_recordings` of `diagnosis.json`.
-        count: Number of joints of the robot.
-    """
+
+def undecided_words(undecided: Sequence[Document], count: int) -> str:
+    """Say which recordings have too little motion to tell a change of friction from chance."""
     joints = list(dict.fromkeys(change["joint"] for change in undecided))
     recordings = list(dict.fromkeys(Path(change["recording"]).name for change in undecided))
     longest = max(change["seconds"] for change in undecided)
@@ -408,7 +386,7 @@ def probability_words(probability: float) -> str:
     return f"{probability:.2f}"
 
 
-def change_words(change: Mapping[str, Any]) -> str:
+def change_words(change: Document) -> str:
     """Return a change between recordings with its standard error, and relative to the value."""
     text = value_with_error(change["value"], change["std"], change["unit"])
     share = change.get("relative")
@@ -417,12 +395,12 @@ def change_words(change: Mapping[str, Any]) -> str:
     return f"{text} ({100.0 * share:+.0f} %)".replace("-", "−")
 
 
-def parameter_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+def parameter_words(parameters: Mapping[str, Document]) -> str:
     """Return parameters of `diagnosis.json` with standard errors."""
     return ", ".join(_parameter(*entry) for entry in parameters.items()) or "not determined"
 
 
-def finding_parameter_words(finding: Mapping[str, Any]) -> str:
+def finding_parameter_words(finding: Document) -> str:
     """Return the parameters of a finding, and the orders of all waves of a ripple."""
     text = parameter_words(finding["parameters"])
     weaker = [
@@ -435,7 +413,7 @@ def finding_parameter_words(finding: Mapping[str, Any]) -> str:
     return f"{text}; weaker waves of order (amplitude in {unit}) {listed(weaker)}"
 
 
-def _parameter(name: str, entry: Mapping[str, Any]) -> str:
+def _parameter(name: str, entry: Document) -> str:
     """Return a parameter; a delay says which of torque and motion is late."""
     if name != "seconds":
         return f"{_PARAMETER_WORDS.get(name, name.replace('_', ' '))} {value_with_error(**entry)}"
@@ -447,7 +425,7 @@ def _parameter(name: str, entry: Mapping[str, Any]) -> str:
     return f"torque {size} {order} position"
 
 
-def origin_words(finding: Mapping[str, Any]) -> str:
+def origin_words(finding: Document) -> str:
     """Return the other joint of a finding, or the interval in which it acts; empty without one."""
     text = f" from {finding['from']}" if finding.get("from") else ""
     if finding["where"]["time"] is None:
@@ -457,14 +435,14 @@ def origin_words(finding: Mapping[str, Any]) -> str:
     return f"{text}, {number(start)} to {number(end)} s of {recording} only"
 
 
-def certainty_words(entry: Mapping[str, Any]) -> str:
+def certainty_words(entry: Document) -> str:
     """Return how sure torque that no effect explains is; no probability that is not calibrated."""
     if entry["z_score"] is not None:
         return f"{significant(entry['z_score'])} × its standard error"
     return f"probability {probability_words(entry['probability'])}"
 
 
-def regime_words(entry: Mapping[str, Any]) -> str:
+def regime_words(entry: Document) -> str:
     """Return the quantities on which torque depends that no effect explains, with their joints."""
     regime = str(entry["where"]["regime"]).replace("place", "position")
     if "other" in entry:
@@ -472,7 +450,7 @@ def regime_words(entry: Mapping[str, Any]) -> str:
     return regime
 
 
-def sorted_findings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def sorted_findings(document: Document) -> list[Document]:
     """Return the findings of `diagnosis.json` by joint, the largest of each joint first."""
     joints = [None, *document["joints"]]
     return sorted(
@@ -507,13 +485,8 @@ def _separable(parts: list[BudgetPart], removed: float) -> list[BudgetPart]:
     return sorted(parts, key=lambda part: -part.share)
 
 
-def joint_budgets(document: Mapping[str, Any], robot: Robot) -> list[JointBudget]:
-    """Return the budget of every joint.
-
-    Args:
-        document: The diagnosis as in `diagnosis.json`.
-        robot: The robot.
-    """
+def joint_budgets(document: Document, robot: Robot) -> list[JointBudget]:
+    """Return the budget of every joint."""
     uncertain = {(e["effect"], e["joint"]) for e in document["considered"] if e["modelled"]}
     small = {entry["joint"]: tuple(entry["too_small"]) for entry in document["unknown"]}
     out = []

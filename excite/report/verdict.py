@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
-from .formatting import significant
-from .torque_budget import JointBudget, joint_words, prior_words, sorted_findings
-
-Document = Mapping[str, Any]
-"""The diagnosis as in `diagnosis.json`, or a part of it."""
+from ..effects import EFFECTS_BY_NAME
+from ..robot.parameter_names import listed
+from ..schemas.effects import effect_words
+from .formatting import capitalized, significant
+from .torque_budget import (
+    Document,
+    JointBudget,
+    joint_words,
+    places_where,
+    prior_words,
+    sorted_findings,
+)
 
 SURE_PROBABILITY = 0.9
 """Probability from which no experiment to confirm a finding is proposed."""
@@ -19,12 +26,10 @@ _VERDICTS = {
     "partly-explained": "the effects below explain a part of what the base model lacks",
     "unexplained": "the base model lacks something that no known effect explains",
 }
-ONE_SESSION = (
+_ONE_SESSION = (
     "warm up alike, or record temp.<joint>, and record training and validation again in one session"
 )
-"""Action on friction that changed between recordings."""
-AS_FAST = "record training motion as fast as the motion that is to be predicted"
-"""Action on a model that is extrapolated."""
+_AS_FAST = "record training motion as fast as the motion that is to be predicted"
 LONGER = "record a longer motion"
 """Action on changes between recordings that cannot be told from chance."""
 _CHECK_ROBOT = (
@@ -33,98 +38,81 @@ _CHECK_ROBOT = (
 _WITHOUT_PRIOR = "diagnose without --prior, or with a prior that states only what is known"
 
 
-def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
-    """Say whether the base model lacks something, and what of the error is not explained.
+@dataclass(frozen=True)
+class Action:
+    """Something to do on what recordings leave open.
 
-    Args:
-        document: The diagnosis, without doubts about its recordings.
-        budgets: The torque budget of each joint.
+    Attributes:
+        line: A sentence with its cause; "" for one that is stated elsewhere.
+        brief: The action in an enumeration of the first ones; "" for one that is not among them.
     """
+
+    line: str
+    brief: str = ""
+
+
+_DISCRIMINATE = Action(
+    "One motion for all effects that resemble each other: excite design ROBOT --discriminate "
+    "diagnosis.json -o DIR. What its recording decides: excite diagnose … --discriminating "
+    "RECORDING.",
+    "excite design ROBOT --discriminate diagnosis.json designs the motion that decides between the "
+    "effects that resemble each other",
+)
+
+
+def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
+    """Say whether the base model lacks something, and what of the error is not explained."""
     verdict = document["verdict"]
     text = _VERDICTS[verdict]
     unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
-    changed = [b.joint for b in budgets if b.is_changed and not b.unknown]
-    extrapolated = [b.joint for b in budgets if b.is_extrapolated]
-    above = unforeseen(budgets)
-    useless = [b.joint for b in budgets if b.is_useless]
     if verdict == "no-mismatch" and not all(b.is_explained for b in budgets):
         text = "no effect is found that the base model lacks"
     if unknown:
         places = joint_words(unknown, len(budgets))
         remains = f"torque at {places} repeats with the motion and no known effect explains it"
         text = remains if verdict == "unexplained" else f"{text}; {remains}"
-    if changed:
-        text += (
-            f"; most of the error of {joint_words(changed, len(budgets))} is friction or offset "
-            "that changed between the recordings"
-        )
+    if changed := places_where(budgets, lambda b: b.is_changed and not b.unknown):
+        text += f"; most of the error of {changed} is friction or offset "
+        text += "that changed between the recordings"
     if doubted := prior_words(budgets):
         text += f"; {doubted}"
-    if extrapolated:
-        text += (
-            f"; the model is extrapolated at {joint_words(extrapolated, len(budgets))}, where the "
-            "held-out motion is faster than the fitted recordings"
-        )
-    if above:
-        worst = max((b for b in budgets if b.is_unforeseen), key=lambda b: b.noise_ratio)
+    if extrapolated := places_where(budgets, lambda b: b.is_extrapolated):
+        text += f"; the model is extrapolated at {extrapolated}, where the "
+        text += "held-out motion is faster than the fitted recordings"
+    if above := [b for b in budgets if b.is_unforeseen]:
+        worst = max(above, key=lambda b: b.noise_ratio)
         ratio = f"{'up to ' if above[1:] else ''}{significant(worst.noise_ratio)} times the noise"
         if not worst.is_noise_known:
             ratio += ", which is only estimated,"
-        places = joint_words(above, len(budgets))
+        places = joint_words([b.joint for b in above], len(budgets))
         text += f"; the error of the held-out motion is still {ratio} at {places}"
-    if useless:
-        text += (
-            f"; no model fits {joint_words(useless, len(budgets))}: a prediction of no torque "
-            "would be better"
-        )
+    if useless := places_where(budgets, lambda b: b.is_useless):
+        text += f"; no model fits {useless}: a prediction of no torque would be better"
     return text
 
 
 def tone(document: Document, budgets: Sequence[JointBudget]) -> str:
-    """Return "good" where the error is near that of noise at every joint, else "warn" or "bad".
-
-    Args:
-        document: The diagnosis.
-        budgets: The torque budget of each joint.
-    """
+    """Return "good" where the error is near that of noise at every joint, else "warn" or "bad"."""
     if document["verdict"] == "unexplained" or any(b.is_useless for b in budgets):
         return "bad"
     return "good" if all(b.is_explained for b in budgets) else "warn"
 
 
-def unforeseen(budgets: Sequence[JointBudget]) -> list[str]:
-    """Return joints with an error whose cause is not known.
-
-    Args:
-        budgets: The torque budget of each joint.
-    """
-    return [b.joint for b in budgets if b.is_unforeseen]
-
-
 def use_words(budgets: Sequence[JointBudget]) -> str:
-    """Say whether the saved model is of use, and which file to load.
-
-    Args:
-        budgets: The torque budget of each joint.
-    """
-    improved = [b.joint for b in budgets if b.is_improved]
-    worse = [b.joint for b in budgets if b.is_worse]
-    spoiled = [b.joint for b in budgets if b.is_spoiled]
-    if useless := [b.joint for b in budgets if b.is_useless]:
-        return f"none; model.json does not predict {joint_words(useless, len(budgets))}"
-    if spoiled:
+    """Say whether the saved model is of use, and which file to load."""
+    if useless := places_where(budgets, lambda b: b.is_useless):
+        return f"none; model.json does not predict {useless}"
+    if spoiled := places_where(budgets, lambda b: b.is_spoiled):
         return (
-            f"model.json with care; it predicts {joint_words(spoiled, len(budgets))} worse than "
-            "the base model, which is its field without_effects"
+            f"model.json with care; it predicts {spoiled} worse than the base model, "
+            "which is its field without_effects"
         )
-    if improved:
+    if improved := places_where(budgets, lambda b: b.is_improved):
         text = (
-            "load model.json; it predicts unseen motion better than the base model at "
-            f"{joint_words(improved, len(budgets))}"
+            f"load model.json; it predicts unseen motion better than the base model at {improved}"
         )
-        if worse:
-            places = joint_words(worse, len(budgets))
-            text += f", worse only by what changed between the recordings at {places}"
+        if worse := places_where(budgets, lambda b: b.is_worse):
+            text += f", worse only by what changed between the recordings at {worse}"
         elif budgets[1:]:
             text += ", worse at none"
         return text + _poor_words(budgets)
@@ -154,60 +142,74 @@ def _poor_words(budgets: Sequence[JointBudget]) -> str:
 
 
 def next_words(document: Document, budgets: Sequence[JointBudget]) -> str:
-    """Return the first actions on what these recordings leave open.
+    """Return the first actions on what these recordings leave open."""
+    for actions in next_actions(document, budgets):
+        if briefs := [action.brief for action in actions if action.brief]:
+            return "; ".join(briefs)
+    return "nothing is needed"
 
-    Args:
-        document: The diagnosis.
-        budgets: The torque budget of each joint.
-    """
-    if urgent := urgent_words(budgets):
-        return urgent
-    actions = [ONE_SESSION] if any(b.is_changed for b in budgets) else []
-    if any(b.is_extrapolated for b in budgets):
-        actions.append(AS_FAST)
-    actions += [
-        f"for the unknown torque at {entry['joint']}, {entry['experiment']}"
-        for entry in document["unknown"][:1]
+
+def next_actions(document: Document, budgets: Sequence[JointBudget]) -> list[list[Action]]:
+    """Return all actions on what these recordings leave open, those that go first in front."""
+    count, groups = len(budgets), open_effects(document)
+    changed = [b.joint for b in budgets if b.is_changed]
+    fast = [b.joint for b in budgets if b.is_extrapolated]
+    above = [b.joint for b in budgets if b.is_unforeseen]
+    partly_changed = [
+        joint
+        for joint in dict.fromkeys(c["joint"] for c in document["between_recordings"])
+        if joint not in (*changed, *fast)
     ]
-    if not actions and any(len(names) > 1 for names in open_effects(document)):
-        actions = [
-            "excite design ROBOT --discriminate diagnosis.json designs the motion that decides "
-            "between the effects that resemble each other"
-        ]
-    if not actions and (places := unforeseen(budgets)):
-        actions = [f"{alone_words(len(budgets))} ({joint_words(places, len(budgets))})"]
-    if not actions and document["undecided_between_recordings"]:
-        actions = [LONGER]
-    return "; ".join(actions) or "nothing is needed"
 
+    def at(
+        joints: Sequence[str], words: str, cause: str, brief: str = "{words}"
+    ) -> Iterator[Action]:
+        """An action and its cause, where there is one."""
+        if joints:
+            place = joint_words(joints, count)
+            line = f"{capitalized(words)}: {cause} at {place}."
+            yield Action(line, brief.format(words=words, place=place))
 
-def urgent_words(budgets: Sequence[JointBudget]) -> str:
-    """Return the action without which all others are in vain; empty if there is none.
-
-    Args:
-        budgets: The torque budget of each joint.
-    """
+    # without the first, all others are in vain
+    urgent = []
     if any(b.is_misled for b in budgets):
-        return _WITHOUT_PRIOR  # what else there is shows without it
-    return _CHECK_ROBOT if any(b.is_useless for b in budgets) else ""
-
-
-def alone_words(count: int) -> str:
-    """Return the action on an error whose cause is not known.
-
-    Args:
-        count: Number of joints of the robot.
-    """
+        urgent = [_WITHOUT_PRIOR]  # what else there is shows without it
+    elif any(b.is_useless for b in budgets):
+        urgent = [_CHECK_ROBOT]
+    of_unknown = [
+        Action(
+            f"For the unknown torque at {entry['joint']}: {entry['experiment']}.",
+            f"for the unknown torque at {entry['joint']}, {entry['experiment']}" if k == 0 else "",
+        )
+        for k, entry in enumerate(document["unknown"])
+    ]
+    discriminating = [_DISCRIMINATE] if any(names[1:] for names in groups) else []
+    for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):
+        purpose = "To tell apart" if names[1:] else "To be surer of"
+        effects = listed([effect_words(name) for name in names])
+        experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
+        place = joint_words(list(dict.fromkeys(joints)), count)
+        discriminating.append(Action(f"{purpose} {effects} ({place}): {experiments}."))
     alone = "each joint alone at several speeds" if count > 1 else "at several constant speeds"
-    return f"record twice, {alone} in both directions"
+    alone = f"record twice, {alone} in both directions"
+    return [
+        [Action(f"{capitalized(words)}.", words) for words in urgent],
+        [
+            *at(changed, _ONE_SESSION, "friction or offset changed"),
+            *at(fast, _AS_FAST, "the model is extrapolated"),
+            *of_unknown,
+        ],
+        discriminating,
+        [
+            *at(above, alone, "what remains has no known cause", "{words} ({place})"),
+            *at(partly_changed, _ONE_SESSION, "friction or offset changed as well", ""),
+        ],
+        [Action("", LONGER)] if document["undecided_between_recordings"] else [],
+    ]
 
 
 def open_effects(document: Document) -> dict[tuple[str, ...], list[str]]:
-    """Return findings that are unsure or resemble others: the joints of each group of effects.
-
-    Args:
-        document: The diagnosis.
-    """
+    """Return findings that are unsure or resemble others: the joints of each group of effects."""
     groups: dict[tuple[str, ...], list[str]] = {}
     for finding in sorted_findings(document):
         rivals = (rival["effect"] for rival in finding.get("rivals", ()))

@@ -395,9 +395,7 @@ class _Posterior:
         places = self.places(effects)
         if not len(places):
             return replace(estimate, is_in_model=False)
-        change = np.zeros(len(self.solution.coefficients))
-        change[places] = self.solution.coefficients[places]
-        torque = self.torque_beyond_base(change)
+        torque = self.torque_beyond_base(self.solution.at(places))
         severity = float((torque / self.model.regression.sigma).max())
         form = posterior.SIZE_SPREAD if estimate.effect in EXCHANGEABLE else FORM_STD
         main = max((e for e in effects if len(self.places([e]))), key=self.relative_size)

@@ -442,10 +442,8 @@ def modelled_torque(model: JointModel) -> list[FloatArray]:
     It has not passed the filter of the recording chain.
     """
     regression, place = model.regression, model.filter_place
-    of_filter = np.zeros(len(model.solution.coefficients))
-    of_filter[place] = model.solution.coefficients[place]
-    total = model.known + regression.torque - regression.residual()
-    total = total - regression.torque_along(of_filter)
+    of_filter = regression.torque_along(model.solution.at(slice(place, place + 1)))
+    total = model.known + regression.torque - regression.residual() - of_filter
     parts = recorded_motion.split_by_motion(total, model.motions)
     return [
         model.chain.without_filter(m, m.at_samples(part))
@@ -457,8 +455,6 @@ def _with_discrepancy(fitted: JointModel, model: CandidateModel) -> CandidateMod
     """Return a rare effect with the discrepancy of its form, in units of its fitted torque."""
     if model not in fitted.models or model.effect == UNMODELLED:
         return model
-    if model.definition.prior_only:
-        return model  # rigid bodies have exactly the form of their model
     coefficients = fitted.coefficients(fitted.models.index(model))
     return with_form_error(model, fitted.motions, coefficients)
 

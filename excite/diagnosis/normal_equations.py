@@ -51,6 +51,12 @@ class Solution:
     log_determinant: float
     _factor: tuple[FloatArray, FloatArray] | None = None
 
+    def at(self, places: IntArray | slice) -> FloatArray:
+        """Return the coefficients with all but those at some places zero, shape (K,)."""
+        out = np.zeros_like(self.coefficients)
+        out[places] = self.coefficients[places]
+        return out
+
     def solve(self, x: FloatArray) -> FloatArray:
         """Return A⁻¹ x over the active coefficients, shape (active, k)."""
         if self._factor is None:

@@ -126,11 +126,8 @@ def _varied(reduced: JointModel, group: Sequence[Candidate]) -> list[CandidateMo
     """Return the models of an effect with the discrepancy of its form, which all members have."""
     out = []
     for candidate in group:
-        shape = varied = candidate.model
-        if not shape.definition.prior_only:
-            c = candidate.fit.coefficients
-            bounded = shape.nonnegative or (False,) * len(c)
-            c = np.where(bounded, np.maximum(c, 0.0), c)
-            varied = with_form_error(shape, reduced.motions, c)
+        shape, c = candidate.model, candidate.fit.coefficients
+        bounded = shape.nonnegative or (False,) * len(c)
+        varied = with_form_error(shape, reduced.motions, np.where(bounded, np.maximum(c, 0.0), c))
         out.append(varied if reduced.columns(varied) is not None else shape)
     return out

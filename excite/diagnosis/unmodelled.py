@@ -118,9 +118,7 @@ def find(
         size = float(entry.growth[entry.joint])
         shape = model.models[entry.members[0]]
         part = regression.slices[entry.members[0]]
-        change = np.zeros(len(solution.coefficients))
-        change[part] = solution.coefficients[part]
-        torque = regression.torque_along(change)[:, entry.joint]
+        torque = regression.torque_along(solution.at(part))[:, entry.joint]
         out.append(
             UnmodelledTorque(
                 entry.joint,

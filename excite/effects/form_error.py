@@ -28,7 +28,12 @@ DERIVATIVES = 2
 def with_form_error(
     model: CandidateModel, motions: Motions, coefficients: FloatArray
 ) -> CandidateModel:
-    """Return a model with its discrepancy as further columns, in units of its coefficients (k,)."""
+    """Return a model with its discrepancy as further columns, in units of its coefficients (k,).
+
+    Rigid bodies have none: they have exactly the form of their model.
+    """
+    if model.definition.prior_only:
+        return model
     n, joint = motions[0].n, model.joint
     count = n + DERIVATIVES
     if joint is not None:

@@ -250,7 +250,7 @@ def _next_section(
 ) -> Section:
     """Experiments that separate or confirm effects."""
     actions = verdict.next_actions(document, budgets)
-    lines = [action.line for group in actions for action in group if action.line]
+    lines = [action.line for group in actions for action in group]
     answer = "Nothing; other speeds, loads or temperatures may show more."
     if "doubts" in document:
         answer = "Resolve the doubts about the recordings named at the top of this page."

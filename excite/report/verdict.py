@@ -43,7 +43,7 @@ class Action:
     """Something to do on what recordings leave open.
 
     Attributes:
-        line: A sentence with its cause; "" for one that is stated elsewhere.
+        line: A sentence with its cause.
         brief: The action in an enumeration of the first ones; "" for one that is not among them.
     """
 
@@ -190,6 +190,8 @@ def next_actions(document: Document, budgets: Sequence[JointBudget]) -> list[lis
         experiments = "; ".join(EFFECTS_BY_NAME[name].experiment for name in names)
         place = joint_words(list(dict.fromkeys(joints)), count)
         discriminating.append(Action(f"{purpose} {effects} ({place}): {experiments}."))
+    undecided = document["undecided_between_recordings"]
+    too_short = list(dict.fromkeys(change["joint"] for change in undecided))
     alone = "each joint alone at several speeds" if count > 1 else "at several constant speeds"
     alone = f"record twice, {alone} in both directions"
     return [
@@ -204,7 +206,7 @@ def next_actions(document: Document, budgets: Sequence[JointBudget]) -> list[lis
             *at(above, alone, "what remains has no known cause", "{words} ({place})"),
             *at(partly_changed, _ONE_SESSION, "friction or offset changed as well", ""),
         ],
-        [Action("", LONGER)] if document["undecided_between_recordings"] else [],
+        [*at(too_short, LONGER, "a change of friction or offset cannot be told from chance")],
     ]
 
 

@@ -176,12 +176,12 @@ def next_actions(document: Document, budgets: Sequence[JointBudget]) -> list[lis
         urgent = [_WITHOUT_PRIOR]  # what else there is shows without it
     elif any(b.is_useless for b in budgets):
         urgent = [_CHECK_ROBOT]
+    wanted = [
+        f"for the unknown torque at {entry['joint']}, record {entry['experiment']}"
+        for entry in document["unknown"]
+    ]
     of_unknown = [
-        Action(
-            f"For the unknown torque at {entry['joint']}: {entry['experiment']}.",
-            f"for the unknown torque at {entry['joint']}, {entry['experiment']}" if k == 0 else "",
-        )
-        for k, entry in enumerate(document["unknown"])
+        Action(f"{capitalized(words)}.", "" if k else words) for k, words in enumerate(wanted)
     ]
     discriminating = [_DISCRIMINATE] if any(names[1:] for names in groups) else []
     for names, joints in sorted(groups.items(), key=lambda group: -len(group[0])):

@@ -354,6 +354,16 @@ def test_exchanged_torques_of_a_real_robot_are_named(first, second):
     assert robot.joints[first] in doubt.text and robot.joints[second] in doubt.text
 
 
+def test_gravity_is_not_missed_at_joints_whose_torque_is_zero(simulated):
+    """Their drives stand still within their friction, or nobody measured them."""
+    recording, _ = simulated
+    tau = recording.tau.copy()
+    tau[:, [2, 3]] = 0.0
+    still = dataclasses.replace(recording, tau=tau)
+    remarks = nominal_comparison.compare_with_nominal(still, load("ur5e"))
+    assert RemarkKind.GRAVITY not in {remark.kind for remark in remarks}
+
+
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, -9.81, 0.0)])
 def test_another_mounting_is_named_with_the_gravity_that_is_measured(simulated, gravity):
     recording, _ = simulated

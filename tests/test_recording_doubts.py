@@ -713,6 +713,16 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
             assert RemarkKind.EXCHANGED not in {doubt.kind for doubt in doubts}, path
 
 
+def test_velocities_that_are_not_the_slope_of_the_positions_are_warned_of(tmp_path):
+    """Record the velocity behind a gear of 1 : 10, and the position before it."""
+    columns = two_joint_motion()
+    columns["dq.joint_2"] /= 10.0
+    recording, texts = checked_with_warnings(write_columns(tmp_path / "r.csv", columns), "two_link")
+    (text,) = [text for text in texts if "slope of q" in text]
+    assert "joint_2" in text and "10 times dq" in text and "from q alone" in text
+    assert not any(doubt.kind is RemarkKind.INCONSISTENT for doubt in recording.doubts)
+
+
 # -- diagnosis ------------------------------------------------------------------------------------
 
 

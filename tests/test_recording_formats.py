@@ -32,7 +32,7 @@ REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 # -- formats ---------------------------------------------------------------------------------------
 
 
-@given(seed=st.integers(0, 10**6), separator=st.sampled_from([",", ";", "\t", " ", ", "]))
+@given(seed=st.integers(0, 10**6), separator=st.sampled_from([",", ";", "\t", "|", " ", ", "]))
 def test_csv_round_trip_in_any_separator_and_order(two_link, tmp_path_factory, seed, separator):
     rng = np.random.default_rng(seed)
     columns = two_joint_motion() | {"flag.mode": np.ones(400)}
@@ -95,7 +95,7 @@ def test_plain_and_tolerant_parser_agree(seed, noise, place):
         assert np.array_equal(plain, tolerant)
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+@pytest.mark.parametrize("separator", [",", ";", "\t", "|", " "])
 def test_numbers_with_plus_signs_are_plain(separator):
     table = np.random.default_rng(0).normal(size=(20, 3))
     lines = (",".join(f"{value:+.17e}" for value in row) for row in table)

@@ -393,7 +393,7 @@ def test_unusable_input_gives_one_line_with_the_remedy(folder, capsys, tmp_path)
             folder / "train.json",
             "-o",
             tmp_path / "x.csv",
-        ): "no recording but JSON",
+        ): "write the rows that it holds as CSV",
     }
     for words, part in cases.items():
         assert part in error_line(capsys, *words), words

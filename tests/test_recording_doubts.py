@@ -15,7 +15,12 @@ import pytest
 from conftest import BUILTIN, document, link
 from conftest import joint as joint_element
 from diagnosis_cases import PSI, SUBJECT, recordings_of
-from recording_fixtures import read_with_warnings, two_joint_motion, write_columns
+from recording_fixtures import (
+    read_with_warnings,
+    remark_kinds,
+    two_joint_motion,
+    write_columns,
+)
 from shared_inputs import INPUTS, needs_inputs
 from slow_tests import slow
 from synthetic_recordings import random_fourier, synthetic_recording, write_recording
@@ -113,7 +118,38 @@ def test_unix_times_are_legible_in_remarks(two_link, tmp_path):
     columns["t"] += 1_765_000_000.0
     columns["q.joint_1"][250] = 2.5
     _, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
-    assert "at 1765000002.5 s) are removed as glitches" in texts[0]
+    assert "at 1765000002.5 s) is removed as glitch" in texts[0]
+
+
+def test_a_single_wrong_reading_of_a_joint_at_rest_is_a_glitch(two_link, tmp_path):
+    columns = two_joint_motion()
+    columns["q.joint_2"][:] = 0.25
+    columns["q.joint_2"][250] = -3.0
+    recording, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert "joint_2" in texts[0] and "removed as glitch" in texts[0]
+    assert np.ptp(recording.q[:, 1]) == 0.0
+
+
+def test_steps_of_a_coarse_encoder_are_no_glitches(two_link, tmp_path):
+    """Alternate between two values at rest: a step every third row, faster than any motion."""
+    columns = two_joint_motion()
+    columns["q.joint_2"] = 0.25 + 0.5 * (np.arange(400) % 3 == 0)
+    recording, _ = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert RemarkKind.GLITCH not in remark_kinds(recording)
+
+
+def test_a_row_in_which_all_positions_are_wrong_is_removed(two_link, tmp_path):
+    """Write the zeros of a failed reading into one row, as drivers of servos do."""
+    columns = two_joint_motion()
+    whole, _ = read_with_warnings(write_columns(tmp_path / "whole.csv", columns), two_link)
+    for name, values in columns.items():
+        if name != "t":
+            values[250] = -np.pi if name.startswith("q.") else 0.0
+    recording, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert "1 row (the first at 2.5 s) is removed as failed" in texts[0]
+    assert sum("removed" in text for text in texts) == 1
+    assert len(recording.t) == len(whole.t)
+    assert np.abs(recording.tau[250] - whole.tau[250]).max() < 0.05
 
 
 def test_degrees_are_neither_unwrapped_nor_glitches(two_link, tmp_path):
@@ -316,6 +352,16 @@ def test_exchanged_torques_of_a_real_robot_are_named(first, second):
         (doubt,) = torque_check.check_torque(changed, robot, resolve(robot)).doubts
     assert doubt.kind is RemarkKind.EXCHANGED
     assert robot.joints[first] in doubt.text and robot.joints[second] in doubt.text
+
+
+def test_gravity_is_not_missed_at_joints_whose_torque_is_zero(simulated):
+    """Their drives stand still within their friction, or nobody measured them."""
+    recording, _ = simulated
+    tau = recording.tau.copy()
+    tau[:, [2, 3]] = 0.0
+    still = dataclasses.replace(recording, tau=tau)
+    remarks = nominal_comparison.compare_with_nominal(still, load("ur5e"))
+    assert RemarkKind.GRAVITY not in {remark.kind for remark in remarks}
 
 
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, -9.81, 0.0)])
@@ -665,6 +711,16 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
             assert not remarks or expected, path
             doubts = torque_check.check_torque(recording, robot, resolve(robot)).doubts
             assert RemarkKind.EXCHANGED not in {doubt.kind for doubt in doubts}, path
+
+
+def test_velocities_that_are_not_the_slope_of_the_positions_are_warned_of(tmp_path):
+    """Record the velocity behind a gear of 1 : 10, and the position before it."""
+    columns = two_joint_motion()
+    columns["dq.joint_2"] /= 10.0
+    recording, texts = checked_with_warnings(write_columns(tmp_path / "r.csv", columns), "two_link")
+    (text,) = [text for text in texts if "slope of q" in text]
+    assert "joint_2" in text and "10 times dq" in text and "from q alone" in text
+    assert not any(doubt.kind is RemarkKind.INCONSISTENT for doubt in recording.doubts)
 
 
 # -- diagnosis ------------------------------------------------------------------------------------

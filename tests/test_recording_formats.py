@@ -32,7 +32,7 @@ REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 # -- formats ---------------------------------------------------------------------------------------
 
 
-@given(seed=st.integers(0, 10**6), separator=st.sampled_from([",", ";", "\t", " ", ", "]))
+@given(seed=st.integers(0, 10**6), separator=st.sampled_from([",", ";", "\t", "|", " ", ", "]))
 def test_csv_round_trip_in_any_separator_and_order(two_link, tmp_path_factory, seed, separator):
     rng = np.random.default_rng(seed)
     columns = two_joint_motion() | {"flag.mode": np.ones(400)}
@@ -95,7 +95,7 @@ def test_plain_and_tolerant_parser_agree(seed, noise, place):
         assert np.array_equal(plain, tolerant)
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+@pytest.mark.parametrize("separator", [",", ";", "\t", "|", " "])
 def test_numbers_with_plus_signs_are_plain(separator):
     table = np.random.default_rng(0).normal(size=(20, 3))
     lines = (",".join(f"{value:+.17e}" for value in row) for row in table)
@@ -754,3 +754,22 @@ def test_a_text_that_begins_like_a_comment_is_a_cell(two_link, tmp_path):
     numbered = [f"#{k},{line}" for k, line in enumerate(lines[1:])]
     path.write_text("\n".join([f"id,{lines[0]}", *numbered]))
     assert len(recordings.read(path, two_link)) == 400
+
+
+def test_words_of_motor_drivers_are_read_where_no_other_column_holds_their_quantity(tmp_path):
+    robot = loaded(pendulum())
+    t = np.arange(200) / 100.0
+    rows = np.column_stack([1000.0 * t, np.sin(3.0 * t), np.cos(2.0 * t), np.cos(5.0 * t)])
+
+    def read(header: str) -> recordings.Recording:
+        lines = [header, *(",".join(map(repr, map(float, row))) for row in rows)]
+        path = tmp_path / "r.csv"
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return recordings.read(path, robot)
+
+    recording = read("time (millisec),angle,q_current,d_current")
+    np.testing.assert_allclose(recording.q[:, 0], rows[:, 1])
+    assert recording.current is not None and recording.rate == pytest.approx(100.0)
+    np.testing.assert_allclose(recording.current[:, 0], rows[:, 2])
+    recording = read("time_ms,angle,position,current")  # that of another sensor
+    np.testing.assert_allclose(recording.q[:, 0], rows[:, 2])

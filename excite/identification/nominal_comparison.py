@@ -135,14 +135,15 @@ class NominalComparison:
     def gravity_slopes(self) -> tuple[FloatArray, BoolArray]:
         """Return g, and where gravity would show if it is in the torque. Shapes (n,).
 
-        It shows where it is a part of the nominal torque, and g and h explain the measured torque.
+        It shows where it is a part of the nominal torque, and g and h explain the measured torque,
+        which is not the case of a torque of zero, as that of a joint at rest.
         A torque that is explained better by s · τ_nominal than by h · τ_motion contains gravity,
         whatever its scale.
         """
         n = self.measured.shape[1]
         slope, explained = np.zeros(n), np.zeros(n)
-        power = np.maximum(np.sum(self.measured**2, axis=0), 1e-300)
-        for j in range(n):
+        power = np.sum(self.measured**2, axis=0)
+        for j in np.flatnonzero(power > 0.0).tolist():
             columns = np.column_stack([self.gravity[:, j], self.motion[:, j]])
             fitted = np.linalg.lstsq(columns, self.measured[:, j], rcond=None)[0]
             slope[j] = fitted[0]

@@ -4,8 +4,8 @@ the torque that the nominal model expects (`nominal_comparison`).
 A fit absorbs such faults in part: torque with an inverted sign gives masses near 0 and no error
 message. Each finding is a doubt of the recording and a warning that states the figure it rests
 on. Clipped torque is a warning only: that of a drive at its limit is as it was measured. So are
-torque of one repeated value, as a drive may have a dead band, and torque beyond a limit that cannot
-hold the robot.
+torque of one repeated value, as a drive may have a dead band, torque beyond a limit that cannot
+hold the robot, and velocities that are not the slope of the positions, as they are not fitted.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from ..robot.samples import Samples
 from . import nominal_comparison
 from .exchanged_torque import find_exchange
 
-WARNED_KINDS = (RemarkKind.CLIPPED, RemarkKind.REPEATED_TORQUE)
-"""Remarks of `signal_checks` that are given as warnings."""
+WARNED_KINDS = (RemarkKind.CLIPPED, RemarkKind.REPEATED_TORQUE, RemarkKind.INCONSISTENT)
+"""Remarks on the columns of a recording that are given as warnings."""
 MAX_TORQUE_RATIO = 3.0
 """Largest |torque| over the torque limit without a remark. Recordings of ten real machines reach
 0.9."""
@@ -46,7 +46,7 @@ def check_torque(
 
     Returns:
         The recording with a remark for each finding. Each is also given as a warning, as are
-        earlier doubts, clipped torque and torque of one repeated value.
+        earlier doubts, clipped torque, torque of one repeated value and inconsistent velocities.
 
     Raises:
         UnusableInput: The torque of every joint is constant, or a joint has none.

@@ -37,7 +37,7 @@ from .time_cells import DATE, DateColumn, epoch_unit
 
 CHUNK_SIZE = 1 << 23
 """Part of a file that is parsed at once [bytes]."""
-SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks"}
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 """Separators of cells, in the order in which a header is searched for them, and their names."""
 MAX_LINE = 1 << 20
 """Longest line of a file, its header included [bytes]: 10,000 columns of 100 bytes."""
@@ -541,7 +541,7 @@ def parse_numbers(
 
     Args:
         text: The lines.
-        separator: ",", ";" or a tab (commas are then decimal points), or " " for any blanks.
+        separator: ",", ";", "|" or a tab (commas are then decimal points), or " " for any blanks.
         width: Number of cells in a line; further ones are allowed where they are empty.
         columns: Indices of the columns to return.
         unnamed: Number of further cells that a line may have, with anything in them.
@@ -553,7 +553,7 @@ def parse_numbers(
         ValueError: A cell is no number or a line has another number of cells; the message ends in
             "at row R, column C", counted from 0.
     """
-    if separator in (";", "\t"):
+    if separator in (";", "\t", "|"):
         _require_no_thousands(text)
         text = text.replace(b",", b".").replace(separator.encode(), b",")
     elif separator == " ":

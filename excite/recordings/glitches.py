@@ -7,6 +7,7 @@ import numpy as np
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import UnusableInput
 from ..robot.limits import Limits
+from ..robot.parameter_names import plural
 from ..robot.robot import Robot
 from .block import Block
 from .missing_values import true_runs
@@ -37,11 +38,13 @@ RESOLUTION_STEPS = 2.0
 def mask_glitches(
     source: str, block: Block, robot: Robot, limits: Limits | None
 ) -> tuple[Block, list[Remark]]:
-    """Replace glitches by missing values.
+    """Replace glitches by missing values, and remove rows that hold nothing else.
 
     A position is a glitch if the joint would have to move at more than twice its velocity limit to
     reach it from the rows before and behind; wrapped positions are not. A torque is one if it
-    exceeds three times its limit in few rows.
+    exceeds three times its limit in few rows. Where the positions of all of several joints are
+    glitches, the reading failed: its torques and velocities are no measurements either, and the
+    row is removed.
 
     Args:
         source: Name of the recording, for messages.
@@ -56,25 +59,47 @@ def mask_glitches(
         UnusableInput: More than MAX_GLITCH_SHARE of a joint's positions are glitches, as where two
             publishers are mixed.
     """
-    values = dict(block.values)
-    remarks: list[Remark] = []
+    t, positions = block.t, block.values["q"]
+    wrong, remarks = np.zeros(positions.shape, bool), list[Remark]()
     for i, joint in enumerate(robot.joints):
-        q = block.values["q"][:, i]
-        velocity = robot.entries[i].velocity if limits is None else float(limits.velocity[i])
-        if velocity is not None and np.isfinite(velocity) and is_plausible(q, robot, i, limits):
+        velocity, q = _velocity_limit(robot, limits, i), positions[:, i]
+        if np.isfinite(velocity) and is_plausible(q, robot, i, limits):
             is_angle = robot.entries[i].kind != "prismatic"
-            wrong, jumps = _position_glitches(block.t, q, velocity, is_angle)
-            if wrong.mean() > MAX_GLITCH_SHARE or len(jumps):
-                wrong, jumps = _position_glitches(block.t, q, velocity, is_angle, MAX_TIMING_ERROR)
-            remarks += _mask(source, values, "q", i, joint, block.t, wrong, velocity)
-            remarks += _jump_remarks(joint, block.t, q, jumps, velocity)
+            wrong[:, i], jumps = _position_glitches(t, q, velocity, is_angle)
+            if wrong[:, i].mean() > MAX_GLITCH_SHARE or len(jumps):
+                wrong[:, i], jumps = _position_glitches(t, q, velocity, is_angle, MAX_TIMING_ERROR)
+            remarks += _jump_remarks(joint, t, q, jumps, velocity)
+    failed = np.asarray(wrong.all(axis=1)) if robot.n > 1 else np.zeros(len(t), bool)
+    if 0 < failed.sum() <= MAX_GLITCH_SHARE * len(failed):
+        remarks.append(_failed_remark(t[failed]))
+        block, wrong = block.rows(~failed), wrong[~failed]
+    values = dict(block.values)
+    for i, joint in enumerate(robot.joints):
+        velocity = _velocity_limit(robot, limits, i)
+        remarks += _mask(source, values, "q", i, joint, block.t, wrong[:, i], velocity)
         torque = robot.entries[i].torque if limits is None else float(limits.torque[i])
         if torque is not None and np.isfinite(torque) and "tau" in values:
             with np.errstate(invalid="ignore"):
-                wrong = np.abs(block.values["tau"][:, i]) > MAX_TORQUE_RATIO * torque
-            if 0 < wrong.sum() <= MAX_GLITCH_SHARE * len(wrong):
-                remarks += _mask(source, values, "tau", i, joint, block.t, wrong, torque)
+                is_beyond = np.abs(block.values["tau"][:, i]) > MAX_TORQUE_RATIO * torque
+            if 0 < is_beyond.sum() <= MAX_GLITCH_SHARE * len(is_beyond):
+                remarks += _mask(source, values, "tau", i, joint, block.t, is_beyond, torque)
     return (Block(block.t, values, block.remarks), remarks) if remarks else (block, [])
+
+
+def _velocity_limit(robot: Robot, limits: Limits | None, i: int) -> float:
+    """Return the velocity limit of a joint, NaN without one [rad/s or m/s]."""
+    velocity = robot.entries[i].velocity if limits is None else float(limits.velocity[i])
+    return np.nan if velocity is None else velocity
+
+
+def _failed_remark(t: FloatArray) -> Remark:
+    """Remark rows in which the positions of all joints are glitches."""
+    text = (
+        f"{plural(len(t), 'row')} (the first at {shown_time(t[0])} s) "
+        f"{'is' if len(t) == 1 else 'are'} removed as failed: no motion below {MAX_SPEED_RATIO:g} "
+        "times the velocity limits reaches the position of any joint in them"
+    )
+    return Remark(RemarkKind.GLITCH, text, None, float(t[0]), float(t[-1]), repaired=True)
 
 
 def _position_glitches(
@@ -98,8 +123,7 @@ def _position_glitches(
     if len(known) < 2:
         return out, np.array(jumps, int)
     change = _distance(q[known[1:]], q[known[:-1]], is_angle)
-    smallest = float(change[change > 0.0].min(initial=np.inf))
-    slack = RESOLUTION_STEPS * smallest if np.isfinite(smallest) else 0.0
+    slack = RESOLUTION_STEPS * _smallest_step(q[known], change, is_angle)
     steps = np.diff(t[known])
     usual = float(np.median(steps))
     slack += MAX_SPEED_RATIO * velocity * timing_error * usual
@@ -129,6 +153,32 @@ def _position_glitches(
             else:
                 out[rows] = True
     return out, np.array(sorted(jumps), int)
+
+
+def _smallest_step(q: FloatArray, change: FloatArray, is_angle: bool) -> float:
+    """Return the smallest change of a position that is not one to a possible glitch.
+
+    A few readings between two equal ones may be wrong, as a single zero of a joint at rest, and
+    tell nothing of the resolution; where they are many, they are its steps.
+
+    Args:
+        q: Positions. Shape (N,) [rad or m].
+        change: Distances of successive positions. Shape (N − 1,) [rad or m].
+        is_angle: True if whole turns do not count.
+
+    Returns:
+        0 if there is none [rad or m].
+    """
+    starts = np.concatenate([[0], np.flatnonzero(change > 0.0) + 1])
+    lengths = np.diff([*starts, len(q)])
+    most = MAX_GLITCH_SHARE * len(q)
+    returns = np.zeros(len(starts), bool)
+    returns[1:-1] = _distance(q[starts[2:]], q[starts[:-2]], is_angle) == 0.0
+    returns &= lengths <= most
+    steps = change[starts[1:] - 1]
+    if lengths[returns].sum() <= most:
+        steps = steps[~(returns[1:] | returns[:-1])]
+    return float(steps.min()) if len(steps) else 0.0
 
 
 def _jump_remarks(
@@ -177,19 +227,23 @@ def _mask(
     runs = true_runs(wrong)
     sample = float(values[name][runs[0, 0], i])
     reason = (
-        f"no motion below {MAX_SPEED_RATIO:g} times the velocity limit {limit:.4g} reaches them"
+        f"beyond any motion below {MAX_SPEED_RATIO:g} times the velocity limit {limit:.4g}"
         if name == "q"
-        else f"they exceed {MAX_TORQUE_RATIO:g} times the torque limit {limit:.4g}"
+        else f"beyond {MAX_TORQUE_RATIO:g} times the torque limit {limit:.4g}"
     )
-    place = f"{count} readings of {name} (the first {sample:.4g} at {shown_time(t[runs[0, 0]])} s)"
+    first_one = f"the first {sample:.4g} at {shown_time(t[runs[0, 0]])} s"
+    place = f"{plural(count, 'reading')} of {name} ({first_one})"
     if count > MAX_GLITCH_SHARE * len(wrong):
         raise UnusableInput(
-            f"{source}: joint '{joint}': {place} of {len(wrong)} are impossible, as {reason}; "
+            f"{source}: joint '{joint}': {place} of {len(wrong)} are impossible: {reason}; "
             "record one publisher alone, or correct the velocity limit with --limits"
         )
     values[name] = np.where(
         (np.arange(values[name].shape[1]) == i) & wrong[:, None], np.nan, values[name]
     )
-    text = f"joint '{joint}': {place} are removed as glitches: {reason}"
+    verb = "is" if count == 1 else "are"
+    text = (
+        f"joint '{joint}': {place} {verb} removed as glitch{'' if count == 1 else 'es'}: {reason}"
+    )
     first, last = np.flatnonzero(wrong)[[0, -1]]
     return [Remark(RemarkKind.GLITCH, text, joint, float(t[first]), float(t[last]), repaired=True)]

@@ -174,7 +174,8 @@ def _read_blocks(
         raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
     if path.suffix == ".json":
         raise UnusableInput(
-            f"{path}: is no recording but JSON; give the recording of that name: {FORMATS}"
+            f"{path}: is no recording but JSON; give the recording whose metadata it holds, or "
+            f"write the rows that it holds as CSV, with the columns t,q.<joint>,…: {FORMATS}"
         )
     columns = context.columns
     row, holds_current = 1, context.sidecar.effort == "current"

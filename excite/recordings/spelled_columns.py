@@ -2,10 +2,10 @@
 
 | column | examples |
 |---|---|
-| time | `time`, `timestamp`, `stamp`, `elapsed_time`, `time_s`, `t [ms]` |
+| time | `time`, `timestamp`, `stamp`, `elapsed_time`, `time_s`, `t [ms]`, `time (millisec)` |
 | quantity and joint | `q_elbow`, `elbow_pos`, `elbow/velocity`, `tau[elbow]`, `eff_elbow` |
 | quantity and number, by the order of the robot | `q1`, `dq_1`, `tau[0]`, `joint1_torque` |
-| quantity alone, of a robot with a single joint | `position`, `torque` |
+| quantity alone, of a robot with a single joint | `position`, `torque`, `q_current` |
 | the same behind a topic | `/joint_states/elbow/position`, `joint_states.effort.elbow` |
 
 They are renamed only if all positions and the time are found so, all behind the same topic. A unit
@@ -43,9 +43,22 @@ WORDS = {
     "current": "i",
     "temp": "temp",
     "temperature": "temp",
+    "angle": "q",
+    "iq": "i",
+    "i_q": "i",
+    "q_current": "i",
 }
 """Words for a quantity, with the prefixes of its columns; that of an effort differs by file."""
-_TIME_UNIT = r"(?:[ _]*[\[(]?(s|sec|ms|us|ns)[\])]?)?"
+SECOND_WORDS = {"angle", "iq", "i_q", "q_current"}
+"""Words that are read only where no column has another word for their quantity: angles of other
+sensors, or several currents of a motor, may stand next to it."""
+SECONDS = {
+    **{"s": 1.0, "sec": 1.0, "seconds": 1.0},
+    **{"ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "millisec": 1e-3, "milliseconds": 1e-3},
+    **{"us": 1e-6, "micros": 1e-6, "microseconds": 1e-6, "ns": 1e-9, "nanoseconds": 1e-9},
+}
+"""Spellings of units of time, with their seconds."""
+_TIME_UNIT = rf"(?:[ _]*[\[(]?({'|'.join(SECONDS)})[\])]?)?"
 TIMES = tuple(
     re.compile(names + _TIME_UNIT, re.I)
     for names in (
@@ -55,7 +68,6 @@ TIMES = tuple(
 )
 """A column of time, with its unit, and names that are taken where there is none of the first: the
 stamp of a message, or the duration of a loop, may stand next to the time."""
-SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 SI_UNITS = {
     "q": {"rad", "m"},
     "dq": {"rad/s", "m/s"},
@@ -194,7 +206,8 @@ def _find_columns(
         return None
     time, match = next((entry for entry in times if entry[0] == "t"), times[0])
     joints = [*robot.joints, *(joint.name for joint in robot.locked)]
-    places = {name: place for name in names if (place := _of_joint(name, joints, effort))}
+    candidates = _without_second_words(names, joints, effort)
+    places = {name: place for name in candidates if (place := _of_joint(name, joints, effort))}
     numbered: tuple[str, ...] = ()
     columns = {column for column, _ in places.values()}
     if not set(positions) <= columns:
@@ -202,10 +215,10 @@ def _find_columns(
             return None  # the name of another joint is misspelled
         # a log of all joints has numbers of those that are locked as well
         joints = [*robot.joints]
-        if not (places := _of_number(names, joints, effort)):
+        if not (places := _of_number(candidates, joints, effort)):
             joints = [*robot.all_joints] or joints
-            places = _of_number(names, joints, effort)
-        numbers = _numbers(_read_numbers(names, joints, effort))
+            places = _of_number(candidates, joints, effort)
+        numbers = _numbers(_read_numbers(candidates, joints, effort))
         if places and (fault := surplus_fault(numbers, len(joints))):
             raise UnusableInput(f"{source}: {fault}; {surplus_remedy(robot)}")
         names_of = {column: name for name, (column, _) in places.items()}
@@ -241,6 +254,34 @@ def time_columns(names: Sequence[str]) -> list[tuple[str, re.Match[str]]]:
     return [
         (name, match) for kind in TIMES for name in names if (match := kind.fullmatch(name.strip()))
     ]
+
+
+def _without_second_words(names: Sequence[str], joints: Sequence[str], effort: str) -> list[str]:
+    """Return the names without those of SECOND_WORDS next to another word for their quantity."""
+    words = {name: word for name in names if (word := _word(name, joints))}
+    known = {_prefix(word, effort) for word in words.values() if word not in SECOND_WORDS}
+    return [
+        name
+        for name in names
+        if words.get(name) not in SECOND_WORDS or WORDS[words[name]] not in known
+    ]
+
+
+def _word(name: str, joints: Sequence[str]) -> str | None:
+    """Return the word for a quantity in the name of a column of a joint or with a number."""
+    text = UNIT.sub("", name.strip())
+    for joint in sorted(joints, key=len, reverse=True):
+        before, middle, behind = text.partition(joint)
+        if not middle:
+            continue
+        word = (before or behind).strip("._/ -[]()").lower()
+        inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/ -"))
+        if word in WORDS or inner is not None:
+            return word if inner is None else inner["word"].lower()
+    match = _NUMBERED.fullmatch(text)
+    if match is not None:
+        return str(match["word"] or match["behind"]).lower()
+    return text.lower() if text.lower() in WORDS else None
 
 
 def _is_si(column: str, unit: str) -> bool:

@@ -308,6 +308,17 @@ def test_a_torque_limit_that_cannot_hold_the_robot_is_no_doubt_about_its_torque(
     assert "times its limit 0.1; check its unit" in err and "do not use this model" in out
 
 
+@pytest.mark.parametrize("flicker", [0.0, 1e-3])
+def test_a_joint_at_rest_may_have_no_torque(flicker, torque_columns, two_link, tmp_path):
+    torque_columns["q.joint_2"] = np.full(len(torque_columns["t"]), 0.3)
+    torque_columns["q.joint_2"][100:110] += flicker
+    torque_columns["dq.joint_2"] = torque_columns["tau.joint_2"] = 0.0 * torque_columns["t"]
+    recording = recordings.read(write_columns(tmp_path / "r.csv", torque_columns), two_link)
+    with pytest.warns(ExciteWarning, match="torque is 0 in all .*; the joint is at rest"):
+        checked = torque_check.check_torque(recording, two_link, resolve(two_link))
+    assert RemarkKind.FROZEN not in [remark.kind for remark in checked.doubts]
+
+
 @pytest.mark.parametrize("value", [0.0, 1.234])
 @pytest.mark.parametrize("rows", [slice(0, 200), slice(150, 400)])
 def test_torque_that_is_frozen_while_the_joint_reverses_is_doubted(

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from regression_columns import columns_on_all_joints
 from scipy import optimize
 
+from excite.diagnosis import joint_model
 from excite.diagnosis.regression import CandidateBatch, Columns, JointRegression, independent_share
 
 
@@ -36,6 +37,18 @@ def test_solution_without_constraints_is_least_squares(seed):
     np.testing.assert_allclose(regression.solution.coefficients, expected, rtol=1e-6, atol=1e-8)
     objective = 0.5 * np.sum((rows @ expected - target) ** 2)
     assert regression.solution.objective == pytest.approx(objective)
+
+
+def test_a_joint_without_torque_has_a_finite_weight():
+    """As one at rest, which friction holds: its residual is zero."""
+    rng = np.random.default_rng(0)
+    base, torque = rng.normal(size=(60, 2, 3)), rng.normal(size=(60, 2))
+    base[:, 1], torque[:, 1] = 0.0, 0.0
+    regression = JointRegression.of_base(
+        torque, np.ones((60, 2), bool), base, (np.zeros(3), np.eye(3)), np.ones(2), 0.7
+    )
+    joint_model.reweight(regression)
+    assert np.isfinite(regression.weights).all()
 
 
 @given(seed=st.integers(0, 1000))

@@ -30,6 +30,7 @@ from ..effects.stribeck import STRIBECK
 from ..identification import consistency
 from ..identification.consistency import ConsistentEstimate
 from ..identification.dissipation import friction_powers
+from ..identification.estimators import torque_resolution
 from ..identification.identification import Identification
 from ..identification.segments import RecordingSegment
 from ..schemas.effects import FORM_ERROR_STD
@@ -484,7 +485,9 @@ def base_model(
     moving = np.concatenate([motion.moving for motion in motions])
     if previous is None:
         residual = np.concatenate([motion.residual for motion in motions])
-        error, share = rms(residual, moving), independent_share(residual, moving)
+        resolution = torque_resolution(np.concatenate([motion.torque for motion in motions]))
+        error = np.hypot(rms(residual, moving), resolution)
+        share = independent_share(residual, moving)
         change_scale, modelled = np.ones(len(level)), [motion.motor_torque for motion in motions]
     else:
         error, share = previous.regression.sigma, previous.regression.independent_share
@@ -528,12 +531,12 @@ def reweight(regression: JointRegression, transient: BoolArray | None = None) ->
         lasting = moving & ~transient[:, None]
         moving = np.where(lasting.any(axis=0), lasting, moving)
     rows = np.maximum(moving.sum(axis=0), 1)
+    resolution = torque_resolution(regression.torque)
     for _ in range(2):
         residual = regression.residual()
         freedom = np.maximum(rows - regression.fitted_per_joint(), MIN_FREEDOM * rows)
-        regression.reweighted(
-            rms(residual, moving) * np.sqrt(rows / freedom), independent_share(residual, moving)
-        )
+        sigma = np.hypot(rms(residual, moving) * np.sqrt(rows / freedom), resolution)
+        regression.reweighted(sigma, independent_share(residual, moving))
 
 
 def transient_rows(

@@ -125,12 +125,12 @@ class LeastSquaresFit:
     hidden: FloatArray
 
 
-def torque_resolution(equations: TorqueEquations) -> FloatArray:
+def torque_resolution(torque: FloatArray) -> FloatArray:
     """Return the smallest standard deviation of each joint's torque error. Shape (n,) [N m].
 
-    A joint whose torque is 0 throughout has that of the joint with the largest torque.
+    A joint whose `torque` (N, n) is 0 throughout has that of the joint with the largest torque.
     """
-    largest = np.abs(equations.torque).max(axis=0)
+    largest = np.abs(torque).max(axis=0)
     return TORQUE_RESOLUTION * np.where(largest > 0.0, largest, largest.max() or 1.0)
 
 
@@ -302,7 +302,7 @@ def estimate(
             instruments = np.concatenate([instruments, nuisance], axis=2)
         return _marginal(estimate(extended, method, instruments=instruments), equations)
     equations = equations.without_standstill()
-    resolution = torque_resolution(equations)
+    resolution = torque_resolution(equations.torque)
     fit, noise_root = _reweighted(
         joint_triangular_factors(equations),
         0 if method is Method.OLS else VARIANCE_ITERATIONS,
@@ -368,7 +368,7 @@ def _assembled(
     """Estimate with its sandwich covariance H S Hᵀ/slope², as A = slope · 1 in coordinates H."""
     regressor = whiten(equations.regressor @ fit.half, noise_root)
     spectrum, spread = noise_spectrum(
-        equations, score, regressor, noise_root, resolution=torque_resolution(equations)
+        equations, score, regressor, noise_root, resolution=torque_resolution(equations.torque)
     )
     spread = spread / slope**2
     residual = equations.torque - equations.predicted(theta)
@@ -390,7 +390,7 @@ def with_unidentified_variances(covariance: FloatArray, fit: LeastSquaresFit) ->
 
 def _huber(equations: TorqueEquations, fit: LeastSquaresFit, noise_root: FloatArray) -> Estimate:
     """Huber's estimator by reweighting, with deviations by the median, which resists outliers."""
-    theta, resolution = fit.theta, torque_resolution(equations)
+    theta, resolution = fit.theta, torque_resolution(equations.torque)
     for _ in range(MAX_HUBER_ITERATIONS):
         residual = whiten(equations.torque - equations.predicted(theta), noise_root)
         size = np.where(equations.moving, np.abs(residual), np.nan)
@@ -436,7 +436,7 @@ def _instrumental(
     theta = fit.half @ np.linalg.solve(product, np.einsum("tip,ti->p", Z, torque, optimize=True))
     white = whiten(equations.torque - equations.predicted(theta), noise_root)
     spectrum, scores = noise_spectrum(
-        equations, white, regressor, noise_root, Z, resolution=torque_resolution(equations)
+        equations, white, regressor, noise_root, Z, resolution=torque_resolution(equations.torque)
     )
     inverse = np.linalg.inv(product)
     spread = inverse @ scores @ inverse.T

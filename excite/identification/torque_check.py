@@ -21,12 +21,14 @@ from ..errors import ExciteWarning, UnusableInput
 from ..recordings import Recording, Remark, RemarkKind
 from ..robot.limits import URDF, Limits
 from ..robot.robot import Robot
-from ..robot.samples import Samples
+from ..robot.samples import MIN_TRAVEL, Samples
 from . import nominal_comparison
 from .exchanged_torque import find_exchange
 
 WARNED_KINDS = (RemarkKind.CLIPPED, RemarkKind.REPEATED_TORQUE, RemarkKind.INCONSISTENT)
 """Remarks on the columns of a recording that are given as warnings."""
+REST_STEPS = 2.0
+"""Range of a position at rest, over the step of its encoder, at most [1]."""
 MAX_TORQUE_RATIO = 3.0
 """Largest |torque| over the torque limit without a remark. Recordings of ten real machines reach
 0.9."""
@@ -97,14 +99,17 @@ def _exchanged_torque(recording: Recording, robot: Robot) -> Iterator[Remark]:
 def _constant_torque(
     recording: Recording, torque: FloatArray, constant: BoolArray
 ) -> Iterator[Remark]:
-    """Yield a remark for each joint whose torque is constant."""
+    """Yield a remark for each joint whose torque is constant.
+
+    It is a doubt where the joint moves: friction holds a joint at rest, with or without a torque.
+    """
+    step = np.sqrt(12.0) * recording.quantization_noise
+    moves = np.ptp(recording.q, axis=0) > np.maximum(REST_STEPS * step, MIN_TRAVEL)
     for i in np.flatnonzero(constant).tolist():
         joint = recording.joints[i]
-        text = (
-            f"joint '{joint}': torque is {torque[0, i]:g} in all {len(torque)} rows; "
-            "check that it was measured"
-        )
-        yield Remark(RemarkKind.FROZEN, text, joint, doubt=True)
+        text = f"joint '{joint}': torque is {torque[0, i]:g} in all {len(torque)} rows; "
+        text += "check that it was measured" if moves[i] else "the joint is at rest"
+        yield Remark(RemarkKind.FROZEN, text, joint, doubt=bool(moves[i]))
 
 
 def _excessive_torque(

@@ -176,7 +176,7 @@ def build_equations(
     if not parts:
         longest = max(segments, key=lambda segment: len(segment) / segment.rate)
         needed = 2.0 * longest.band(hertz).margin / longest.rate
-        raise too_short(longest.source, needed, hertz)
+        raise too_short(longest.source, needed, hertz, longest)
     return TorqueEquations(
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),

@@ -106,18 +106,27 @@ def usable_segments(
     return out
 
 
-def too_short(source: str, needed: float, hertz: float) -> UnusableInput:
+def too_short(
+    source: str, needed: float, hertz: float, longest: RecordingSegment | None = None
+) -> UnusableInput:
     """Return the error for recordings of which the low-pass filter leaves nothing.
 
     Args:
         source: Name of the recordings.
-        needed: Length of a stretch of which the filter leaves something [s].
+        needed: Length of a stretch of which the filter leaves something [s]; it is inversely
+            proportional to the cutoff frequency.
         hertz: Cutoff frequency [Hz].
+        longest: The longest stretch, if there is one.
     """
     rounded = np.ceil(100.0 * needed) / 100.0
+    remedy = "record for longer"
+    if longest is not None:
+        least = 1.1 * hertz * needed * longest.rate / len(longest)
+        if least < 0.5 * longest.rate:
+            remedy += f", or give a higher --band: at least {np.ceil(least):.0f} Hz"
     return UnusableInput(
         f"{source}: no gap-free stretch is longer than the {rounded:g} s that a band of "
-        f"{hertz:.3g} Hz needs; record for longer or give a higher --band"
+        f"{hertz:.3g} Hz needs; {remedy}"
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._types import FloatArray
 from ..errors import UnusableInput
+from ..robot.parameter_names import plural
 from .block import Block
 from .remark import Remark, RemarkKind, shown_time
 
@@ -283,7 +284,8 @@ def resample(block: Block, grid: TimeGrid) -> tuple[Block, list[Remark]]:
     missing = int(np.round(steps.sum() / grid.step)) - len(steps)
     steps_range = f"{steps.min():.4g} to {steps.max():.4g} s"
     text = f"time steps from {steps_range} are resampled on an even grid of {grid.step:.6g} s"
-    text += f"; {missing} missing rows are filled" if missing > 0 else ""
+    if missing > 0:
+        text += f"; {plural(missing, 'missing row')} {'is' if missing == 1 else 'are'} filled"
     is_short = np.diff(block.t) <= (MAX_FILLED_STEPS + 0.5) * grid.step
     start, end = block.t[:-1][is_short][uneven[[0, -1]]]
     remarks.append(

@@ -34,4 +34,3 @@ from .api import simulate_standing as simulate_standing
 from .api import verify as verify
 
 __version__: str
-__all__: list[str]

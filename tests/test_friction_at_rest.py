@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from functools import cache
 
@@ -24,9 +25,12 @@ from synthetic_recordings import pinocchio_model, rest_to_rest, rnea_torque
 
 from excite._types import FloatArray
 from excite.diagnosis.diagnosis import Diagnosis
+from excite.diagnosis.diagnosis_file import document
 from excite.identification.segments import RecordingSegment
 from excite.identification.standstill import LargestMotion, far_from_rest, moving_rows
 from excite.recordings import Recording
+from excite.report import diagnosis_page, verdict
+from excite.report.torque_budget import joint_budgets
 
 MOVES = 14
 """Moves of a recording, each followed by a dwell."""
@@ -156,3 +160,20 @@ def test_rows_far_from_rest_are_those_without_a_reversal_nearby():
     reversals = np.array([0, 200, 400, 600, 799])
     distance = np.abs(np.arange(len(q))[:, None] - reversals).min(axis=1)
     assert np.all(far[distance > reach + 4]) and not np.any(far[distance < reach - 4])
+
+
+def test_a_joint_at_rest_without_torque_is_no_error():
+    """Friction holds it, and its motor gives no torque: there is nothing to predict."""
+
+    def held(recording: Recording) -> Recording:
+        q, tau = recording.q.copy(), recording.torque.copy()
+        q[:, 1], tau[:, 1] = 0.3, 0.0
+        return dataclasses.replace(recording, q=q, tau=tau)
+
+    result = diagnose([held(recording_of(None, seed)) for seed in (2, 5, 7)])
+    stated = document(result)
+    budget = joint_budgets(stated, SUBJECT.robot)[1]
+    assert budget.is_explained and not (budget.is_useless or budget.is_poor or budget.is_worse)
+    assert "joint_2" not in verdict.verdict_words(stated, [budget])
+    page = diagnosis_page(result, stated)
+    assert "the measured torque is zero" in page

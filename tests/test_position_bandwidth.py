@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_fixtures import two_joint_motion, write_columns
 
 from excite import api
 from excite.errors import UnusableInput
@@ -67,6 +68,17 @@ def test_the_filter_leaves_half_of_a_short_recording(two_link):
     assert chosen > carried
     assert 2 * short.band(chosen).margin <= 0.51 * len(short)
     assert segments.torque_spectra([short], 1.5, lambda _: carried).hertz == 1.5
+
+
+@pytest.mark.filterwarnings("ignore::excite.errors.ExciteWarning")
+@pytest.mark.parametrize("seconds", [0.1, 0.2, 0.3])
+def test_the_band_that_a_short_recording_permits_is_named(seconds, tmp_path):
+    motion = two_joint_motion(round(500.0 * seconds), 500.0)
+    path = write_columns(tmp_path / "r.csv", motion)
+    with pytest.raises(UnusableInput, match=r"higher --band: at least [0-9]+ Hz") as refusal:
+        api.identify("two_link", path)
+    band = float(str(refusal.value).split()[-2])
+    assert api.identify("two_link", path, band=band).identification.spectra.hertz == band
 
 
 @pytest.mark.filterwarnings("ignore::excite.errors.ExciteWarning")

@@ -773,3 +773,8 @@ def test_words_of_motor_drivers_are_read_where_no_other_column_holds_their_quant
     np.testing.assert_allclose(recording.current[:, 0], rows[:, 2])
     recording = read("time_ms,angle,position,current")  # that of another sensor
     np.testing.assert_allclose(recording.q[:, 0], rows[:, 2])
+    recording = read("time_ms,position,torque,iq_mA")  # a torque needs no current
+    np.testing.assert_allclose(recording.torque[:, 0], rows[:, 2])
+    recording = read("time_ms,i,position,iq")  # `i` counts rows
+    assert recording.current is not None
+    np.testing.assert_allclose(recording.current[:, 0], rows[:, 3])

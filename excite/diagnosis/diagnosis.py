@@ -233,7 +233,8 @@ def _motions(
     if not motions:
         longest = max(pieces, key=lambda segment: len(segment) / segment.rate)
         needed = recorded_motion.needed_samples(longest.band(hertz)) / longest.rate
-        raise segments.too_short(longest.source, needed, hertz, longest)
+        rows = recorded_motion.MIN_KEPT_ROWS
+        raise segments.too_short(longest.source, needed, hertz, longest, rows)
     return motions
 
 

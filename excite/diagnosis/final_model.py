@@ -129,8 +129,9 @@ class HeldOutErrors:
 
     @property
     def is_useless(self) -> BoolArray:
-        """Joints of which neither model predicts more than no torque would, shape (n,)."""
-        return np.asarray(np.minimum(self.rmse_before, self.rmse_after) > self.torque_rms)
+        """Joints with torque of which neither model predicts more than none would, shape (n,)."""
+        torque = self.torque_rms
+        return np.asarray((np.minimum(self.rmse_before, self.rmse_after) > torque) & (torque > 0.0))
 
 
 def fit(

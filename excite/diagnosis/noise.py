@@ -16,6 +16,7 @@ from scipy import special
 from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import Motions, RecordedMotion, split_by_motion
 from ..identification import segments
+from ..identification.estimators import torque_resolution
 from ..identification.lowpass import Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
 from ..recordings import Recording, encoder_resolution, periodicity
@@ -60,7 +61,8 @@ class NoiseEstimate:
 
     Attributes:
         floor: RMS √(s² + e²) that a right model leaves, of noise s, which differs from period to
-            period, and of quantisation e, which does not [N m], shape (n,).
+            period, and of quantisation e, which does not [N m], shape (n,); the resolution of
+            torque where it is 0 throughout.
         method: "periods" if it was found by repetition, else "differences", the contract's name of
             an estimate by the spectral density above the motion.
         steps: RMS e of the residual by quantisation of positions and torque [N m], shape (n,).
@@ -110,6 +112,8 @@ def estimate_noise(
     # the density may be larger above the motion than below, as of positions recorded in steps
     largest = np.maximum(rms(np.concatenate(residuals), moving), 1e-12)
     floor = np.where(is_repeated, floor, np.minimum(floor, largest))
+    torque = np.concatenate([motion.torque for motion in motions])
+    floor = np.where(torque.any(axis=0), floor, torque_resolution(torque))
     return NoiseEstimate(floor, "periods" if squares else "differences", steps, periods)
 
 

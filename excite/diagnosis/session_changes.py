@@ -220,9 +220,9 @@ def changes(motions: Motions, residual: FloatArray, moving: BoolArray) -> list[S
         of_source = [part for part in by_motion if part[0].segment.source == source]
         for j in range(motions[0].n):
             blocks, power = [], 0.0
-            for motion, actuator, left, counted in of_source:
+            for motion, actuator, errors, counted in of_source:
                 rows = counted[:, j]
-                x, y, block = actuator[rows, j], left[rows, j], block_numbers(motion.time)[rows]
+                x, y, block = actuator[rows, j], errors[rows, j], block_numbers(motion.time)[rows]
                 blocks += [(x[block == k], y[block == k]) for k in np.unique(block)]
                 power += float(y @ y)
             if not blocks:

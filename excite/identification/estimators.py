@@ -17,7 +17,7 @@ import numpy as np
 from .._types import FloatArray, IntArray
 from ..errors import UnusableInput
 from .noise_spectrum import NoiseSpectrum, covariance_root, noise_spectrum
-from .regression import TorqueEquations
+from .regression import MIN_NOISE_FREEDOM, TorqueEquations
 
 HUBER_THRESHOLD = 1.345
 """Residual in standard deviations above which its loss grows linearly: 95 % efficient for normal
@@ -40,9 +40,6 @@ TORQUE_RESOLUTION = 2.0**-16 / np.sqrt(12.0)
 """Smallest standard deviation of a joint's torque error over its largest torque: the quantisation
 error of 16 bits. A constant torque, as of a joint at rest or where it was not measured, has no
 deviation by which its rows could be weighted."""
-MIN_NOISE_FREEDOM = 2
-"""Degrees of freedom ν of the residual of a joint, on average, that must be exceeded: up to 2, the
-mean of 1/σ̂², a joint's weight, is infinite for σ̂² ~ σ² χ²_ν/ν."""
 BLOCK_ROWS = 4096
 """Number of rows that are orthogonalised at a time."""
 CONFIDENCE_LEVEL = 0.95

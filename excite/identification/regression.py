@@ -21,6 +21,9 @@ from .standstill import MIN_STANDSTILL_COARSE, LargestMotion, moving_rows
 
 BLOCK_ROWS = 4096
 """Number of samples whose regressor is held in memory at a time."""
+MIN_NOISE_FREEDOM = 2
+"""Degrees of freedom ν of the residual of a joint, on average, that must be exceeded: up to 2, the
+mean of 1/σ̂², a joint's weight, is infinite for σ̂² ~ σ² χ²_ν/ν."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,9 @@ def build_equations(
     if not parts:
         longest = max(segments, key=lambda segment: len(segment) / segment.rate)
         needed = 2.0 * longest.band(hertz).margin / longest.rate
-        raise too_short(longest.source, needed, hertz, longest)
+        # base parameters, and the width of each joint's Coulomb friction
+        rows = model.base.count // model.robot.n + 1 + MIN_NOISE_FREEDOM + 1
+        raise too_short(longest.source, needed, hertz, longest, rows)
     return TorqueEquations(
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),

@@ -17,7 +17,7 @@ from .._types import BoolArray, FloatArray
 from ..errors import UnusableInput
 from ..recordings import Recording
 from ..recordings.recording import MIN_ROWS
-from .lowpass import LowPassFilter, settling_time
+from .lowpass import Grid, LowPassFilter, settling_time
 
 DEFAULT_BAND_HZ = 20.0
 """Cutoff frequency unless the data ask for another [Hz]."""
@@ -107,23 +107,25 @@ def usable_segments(
 
 
 def too_short(
-    source: str, needed: float, hertz: float, longest: RecordingSegment | None = None
+    source: str, needed: float, hertz: float, longest: RecordingSegment | None = None, rows: int = 0
 ) -> UnusableInput:
     """Return the error for recordings of which the low-pass filter leaves nothing.
 
     Args:
         source: Name of the recordings.
-        needed: Length of a stretch of which the filter leaves something [s]; it is inversely
-            proportional to the cutoff frequency.
+        needed: Length of a stretch of which the filter leaves something [s].
         hertz: Cutoff frequency [Hz].
         longest: The longest stretch, if there is one.
+        rows: Rows that a fit needs.
     """
     rounded = np.ceil(100.0 * needed) / 100.0
     remedy = "record for longer"
     if longest is not None:
-        least = 1.1 * hertz * needed * longest.rate / len(longest)
-        if least < 0.5 * longest.rate:
-            remedy += f", or give a higher --band: at least {np.ceil(least):.0f} Hz"
+        higher = range(int(hertz) + 1, int(np.ceil(0.5 * longest.rate)))
+        bands = map(longest.band, map(float, higher))
+        fitting = (b for b in bands if 2 * b.margin + rows * b.steps(Grid.KEPT) <= len(longest))
+        if least := next(fitting, None):
+            remedy += f", or give a higher --band: at least {least.hertz:.0f} Hz"
     return UnusableInput(
         f"{source}: no gap-free stretch is longer than the {rounded:g} s that a band of "
         f"{hertz:.3g} Hz needs; {remedy}"

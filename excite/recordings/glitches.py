@@ -231,8 +231,8 @@ def _mask(
         if name == "q"
         else f"beyond {MAX_TORQUE_RATIO:g} times the torque limit {limit:.4g}"
     )
-    first_one = f"the first {sample:.4g} at {shown_time(t[runs[0, 0]])} s"
-    place = f"{plural(count, 'reading')} of {name} ({first_one})"
+    example = f"the first {sample:.4g} at {shown_time(t[runs[0, 0]])} s"
+    place = f"{plural(count, 'reading')} of {name} ({example})"
     if count > MAX_GLITCH_SHARE * len(wrong):
         raise UnusableInput(
             f"{source}: joint '{joint}': {place} of {len(wrong)} are impossible: {reason}; "

@@ -50,8 +50,8 @@ WORDS = {
 }
 """Words for a quantity, with the prefixes of its columns; that of an effort differs by file."""
 SECOND_WORDS = {"angle", "iq", "i_q", "q_current"}
-"""Words that are read only where no column has another word for their quantity: angles of other
-sensors, or several currents of a motor, may stand next to it."""
+"""Words that are read only where no other column holds their quantity, or a torque instead of the
+current: angles of other sensors, or several currents of a motor, may stand next to it."""
 SECONDS = {
     **{"s": 1.0, "sec": 1.0, "seconds": 1.0},
     **{"ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "millisec": 1e-3, "milliseconds": 1e-3},
@@ -257,9 +257,17 @@ def time_columns(names: Sequence[str]) -> list[tuple[str, re.Match[str]]]:
 
 
 def _without_second_words(names: Sequence[str], joints: Sequence[str], effort: str) -> list[str]:
-    """Return the names without those of SECOND_WORDS next to another word for their quantity."""
+    """Return the names without those of SECOND_WORDS next to another column of their quantity.
+
+    A current is not needed next to a torque.
+    """
     words = {name: word for name in names if (word := _word(name, joints))}
-    known = {_prefix(word, effort) for word in words.values() if word not in SECOND_WORDS}
+    others = [name for name in names if words.get(name) not in SECOND_WORDS]
+    known = {prefix for prefix, _ in _read_numbers(others, joints, effort).values()}
+    of_joints = (_of_joint(name, joints, effort) for name in others)
+    known |= {place[0].partition(".")[0] for place in of_joints if place}
+    if "tau" in known:
+        known.add("i")
     return [
         name
         for name in names

@@ -185,10 +185,11 @@ def check_velocities(source: str, block: Block, robot: Robot) -> list[Remark]:
                     f"{source}: joint '{joint}': the slope of q is {ratio:.4g} times dq; {remedy}"
                 )
         if not PLAUSIBLE_RATIOS[0] < ratio < PLAUSIBLE_RATIOS[1]:
-            text = (
-                f"joint '{joint}': the slope of q is {ratio:.4g} times dq; torque is computed from "
-                "q alone: check its unit, and that it is not the position on the motor's side of "
-                "the gear"
+            text = f"joint '{joint}': the slope of q is {ratio:.4g} times dq; " + (
+                "check the signs of q and dq"
+                if ratio < 0.0
+                else "check the units of q and dq, and that both are of the same side of the gear"
             )
+            text += "; torque is computed from q alone"
             remarks.append(Remark(RemarkKind.INCONSISTENT, text, joint))
     return remarks

@@ -169,9 +169,14 @@ class JointBudget:
         return 1.0 - self.after / max(self.before, 1e-300)
 
     @property
+    def has_torque(self) -> bool:
+        """False if no torque was measured that could be predicted, as of a joint at rest."""
+        return self.torque > 0.0
+
+    @property
     def is_explained(self) -> bool:
         """True if the error is near that of noise."""
-        return self.noise_ratio <= EXPLAINED_RMSE_RATIO
+        return self.noise_ratio <= EXPLAINED_RMSE_RATIO or not self.has_torque
 
     @property
     def is_extrapolated(self) -> bool:
@@ -216,7 +221,7 @@ class JointBudget:
     @property
     def is_worse(self) -> bool:
         """True if the saved model predicts notably worse than the base model."""
-        return self.after > (1.0 + MIN_SHARE) * self.before
+        return self.after > (1.0 + MIN_SHARE) * self.before and self.has_torque
 
     @property
     def is_spoiled(self) -> bool:
@@ -238,12 +243,13 @@ class JointBudget:
     @property
     def is_poor(self) -> bool:
         """True if its error is a large part of the torque."""
-        return self.relative_error > FAIR_RELATIVE_ERROR
+        return self.relative_error > FAIR_RELATIVE_ERROR and self.has_torque
 
     @property
     def is_useless(self) -> bool:
         """True if a prediction of no torque would have a smaller error than either model."""
-        return min(self.before, self.after) > self.torque and not self.is_noise
+        is_more = min(self.before, self.after) > self.torque
+        return is_more and self.has_torque and not self.is_noise
 
     @property
     def is_noise(self) -> bool:
@@ -261,6 +267,8 @@ class JointBudget:
     @property
     def causes(self) -> str:
         """Effects that remove the error, by how much of it, and causes of the remaining error."""
+        if not self.has_torque:
+            return "the measured torque is zero"
         if self.is_withheld:
             return "findings are withheld"
         texts = [*self._removed(), *self._remaining()]

@@ -343,7 +343,7 @@ def test_a_short_recording_is_refused():
 
 def test_a_stretch_of_more_than_the_stated_length_is_used():
     identified, segment = diagnosed(None).identified, motions()[0].segment
-    needed = recorded_motion.needed_samples(segment.band(10.0))
+    needed = segment.band(10.0).needed_samples(recorded_motion.MIN_KEPT_ROWS)
     for count, used in ((needed, 0), (needed + 1, 1)):
         parts = joint_model.identified_motions(identified, [segment.head(count)], 10.0)
         assert len(parts) == used

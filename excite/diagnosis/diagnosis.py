@@ -232,8 +232,8 @@ def _motions(
     motions = joint_model.identified_motions(identified, pieces, hertz)
     if not motions:
         longest = max(pieces, key=lambda segment: len(segment) / segment.rate)
-        needed = recorded_motion.needed_samples(longest.band(hertz)) / longest.rate
         rows = recorded_motion.MIN_KEPT_ROWS
+        needed = longest.band(hertz).needed_samples(rows) / longest.rate
         raise segments.too_short(longest.source, needed, hertz, longest, rows)
     return motions
 

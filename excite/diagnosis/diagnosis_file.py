@@ -10,12 +10,7 @@ from scipy import special
 
 from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME
-from ..effects.recorded_motion import (
-    MIN_SPEED,
-    Motions,
-    split_by_motion,
-    stands_still,
-)
+from ..effects.recorded_motion import MIN_SPEED, Motions, split_by_motion, stands_still
 from ..robot.parameter_names import percent
 from . import effect_curves, rival_evidence, session_changes, unmodelled
 from .decisions import Decisions

@@ -476,7 +476,8 @@ def base_model(
             and the measured torque of the motions; the base model does if None.
     """
     free = free_parameters(identified)
-    deviation = np.concatenate([motion.torque for motion in motions]).std(axis=0)
+    torque = np.concatenate([motion.torque for motion in motions])
+    deviation = torque.std(axis=0)
     level = friction_level(motions, deviation)
     fixed = np.delete(np.arange(identified.model.base.count), free)
     known = np.concatenate(
@@ -485,8 +486,7 @@ def base_model(
     moving = np.concatenate([motion.moving for motion in motions])
     if previous is None:
         residual = np.concatenate([motion.residual for motion in motions])
-        resolution = torque_resolution(np.concatenate([motion.torque for motion in motions]))
-        error = np.hypot(rms(residual, moving), resolution)
+        error = np.hypot(rms(residual, moving), torque_resolution(torque))
         share = independent_share(residual, moving)
         change_scale, modelled = np.ones(len(level)), [motion.motor_torque for motion in motions]
     else:
@@ -498,7 +498,7 @@ def base_model(
     changes = session_changes.columns(motions, in_mean)
     of_width = level if identified.options.widths is None else np.zeros_like(level)
     regression = JointRegression.of_base(
-        np.concatenate([motion.torque for motion in motions]) - known,
+        torque - known,
         moving,
         _base_columns(motions, of_width, free, modelled, chain, changes),
         prior,

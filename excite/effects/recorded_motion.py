@@ -463,11 +463,6 @@ def split_by_motion(rows: Rows, motions: Motions) -> list[Rows]:
     return np.split(rows, np.cumsum([len(motion) for motion in motions])[:-1])
 
 
-def needed_samples(band: LowPassFilter) -> int:
-    """Return the samples of an aperiodic segment of which the filter leaves enough rows."""
-    return 2 * band.margin + MIN_KEPT_ROWS * band.steps(Grid.KEPT)
-
-
 def recorded_motions(
     model: IdentificationModel,
     psi: FloatArray,
@@ -485,7 +480,7 @@ def recorded_motions(
     motions = [
         RecordedMotion(segment, band, fitted, model.widths, theta)
         for segment, band in bands
-        if len(segment) > needed_samples(band)
+        if len(segment) > band.needed_samples(MIN_KEPT_ROWS)
     ]
     if not motions:
         return []

@@ -139,6 +139,10 @@ class LowPassFilter:
             else int(np.ceil(settling_time(self.hertz) * self.rate / step)) * step
         )
 
+    def needed_samples(self, rows: int) -> int:
+        """Return the samples of an aperiodic stretch of which some rows are kept."""
+        return 2 * self.margin + rows * self.steps(Grid.KEPT)
+
     def gain(self, frequencies: NDArray[np.floating[Any]], hertz: float) -> FloatArray:
         """Return the gain at frequencies [Hz] for a cutoff of `hertz`.
 

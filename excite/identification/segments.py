@@ -17,7 +17,7 @@ from .._types import BoolArray, FloatArray
 from ..errors import UnusableInput
 from ..recordings import Recording
 from ..recordings.recording import MIN_ROWS
-from .lowpass import Grid, LowPassFilter, settling_time
+from .lowpass import LowPassFilter, settling_time
 
 DEFAULT_BAND_HZ = 20.0
 """Cutoff frequency unless the data ask for another [Hz]."""
@@ -123,7 +123,7 @@ def too_short(
     if longest is not None:
         higher = range(int(hertz) + 1, int(np.ceil(0.5 * longest.rate)))
         bands = map(longest.band, map(float, higher))
-        fitting = (b for b in bands if 2 * b.margin + rows * b.steps(Grid.KEPT) <= len(longest))
+        fitting = (band for band in bands if band.needed_samples(rows) <= len(longest))
         if least := next(fitting, None):
             remedy += f", or give a higher --band: at least {least.hertz:.0f} Hz"
     return UnusableInput(

@@ -29,3 +29,8 @@ def one_or_several(stated: Any) -> tuple[Any, ...]:
     if isinstance(stated, str | os.PathLike) or not isinstance(stated, Iterable):
         return (stated,)
     return tuple(stated)
+
+
+def one_or_several_texts(stated: str | Path | Iterable[str | Path]) -> tuple[str, ...]:
+    """Return texts, and paths as texts, as a tuple; see `one_or_several`."""
+    return tuple(map(str, one_or_several(stated)))

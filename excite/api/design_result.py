@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .. import _json, recordings
-from .._system.one_or_several import one_or_several
+from .._system.one_or_several import one_or_several, one_or_several_texts
 from .._system.progress import Progress, logger
 from .._types import FloatArray, Paths
 from ..collision import clearance_builder, scene_file
@@ -115,7 +115,7 @@ class CellOptions:
     @property
     def package_folders(self) -> tuple[str, ...]:
         """Paths of the folders of `package://` meshes."""
-        return tuple(map(str, one_or_several(self.packages)))
+        return one_or_several_texts(self.packages)
 
     def cell(self, robot: Robot, limits: Limits) -> tuple[Cell | None, str]:
         """Build the cell.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .._system.one_or_several import one_or_several
+from .._system.one_or_several import one_or_several_texts
 from .._types import FloatArray, Paths
 from ..errors import ExciteWarning, LimitFault, UnusableInput
 from ..robot import base_parameters, dynamics, inertial_parameters, urdf
@@ -216,7 +216,7 @@ def check_robot(
     Raises:
         UnusableInput: The file cannot be read, or is no tree of joints.
     """
-    packages = tuple(map(str, one_or_several(packages)))
+    packages = one_or_several_texts(packages)
     with warnings.catch_warnings(record=True) as recorded:
         warnings.simplefilter("always", ExciteWarning)
         inertias = None

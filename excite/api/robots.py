@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from .._system.one_or_several import one_or_several
+from .._system.one_or_several import one_or_several_texts
 from .._types import Paths
 from ..robot.limits import Limits, resolve
 from ..robot.robot import GRAVITY, Payload, Robot, load
@@ -46,7 +46,7 @@ def load_robot(
     if mass is not None:
         from ..collision.nominal_inertia import nominal_inertias  # slow to import
 
-        inertias = nominal_inertias(str(source), mass, tuple(map(str, one_or_several(packages))))
+        inertias = nominal_inertias(str(source), mass, one_or_several_texts(packages))
     return load(
         str(source),
         joints=joints,

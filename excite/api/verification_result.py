@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import _json, exporters
-from .._system.one_or_several import one_or_several
+from .._system.one_or_several import one_or_several_texts
 from .._system.output_files import output_files, output_folder
 from .._types import Paths
 from ..collision.scene_file import files_of_cell
@@ -123,7 +123,7 @@ def verify(
     Raises:
         UnusableInput: A file is missing or malformed.
     """
-    packages = tuple(map(str, one_or_several(packages)))
+    packages = one_or_several_texts(packages)
     path = Path(trajectory)
     content = read_document(path)
     if stated_schema(content) != SUPPORT_SCHEMA:
@@ -232,7 +232,7 @@ def export(
             "trajectory.csv of its folder, which has positions, torques and wrenches of the feet"
         )
     certificate, motion, loaded, truth = _verify_arm(
-        document, path_of_motion, robot, limits, tuple(map(str, one_or_several(packages)))
+        document, path_of_motion, robot, limits, one_or_several_texts(packages)
     )
     cell = motion.design.get(CELL_KEY)
     files = [*limits_files(loaded, truth), *([] if cell is None else files_of_cell(cell))]

@@ -289,7 +289,7 @@ def _held_out_errors(
     moving = np.concatenate([motion.moving for motion in motions])
     saved = fitted_effects.read_back(document)
     residual = fitted_effects.residuals(saved, validate, measured)
-    plain = final_model.renewed(final.identified, motions)
+    plain = final_model.with_identified_base(final.identified, motions)
     beyond_known = np.concatenate([motion.torque for motion in motions])
     predicted = recorded_motion.split_by_motion(beyond_known - residual, plain)
     present = (

@@ -127,7 +127,7 @@ class FilterFits:
         """Return the frictions with a recording chain and widths of Coulomb friction."""
         psi = joint_model.initial_parameters(self.identified)
         moved = [chain.without_delay(motion) for motion in self.motions]
-        present = joint_model.renewed(self.identified, moved, psi, widths)
+        present = joint_model.with_parameters(self.identified, moved, psi, widths)
         model = joint_model.base_model(self.identified, present, psi, chain)
         frictions = joint_model.dense_models(present)
         return model.with_effects(

@@ -187,7 +187,9 @@ def fit(
     refitted = dataclasses.replace(refitted, fits=identified.fits)
     motions = [
         new.with_modelled_torque(old.measured_torque, old.motor_torque)
-        for new, old in zip(renewed(refitted, model.motions), model.motions, strict=True)
+        for new, old in zip(
+            with_identified_base(refitted, model.motions), model.motions, strict=True
+        )
     ]
     torque = np.concatenate([m.torque - model.chain.passed(m, m.gamma @ m.theta) for m in motions])
     changes = session_changes.prior_std(motions, model.change_scale)
@@ -262,7 +264,7 @@ def _cleaned(
     return dataclasses.replace(recording, tau=tau)
 
 
-def renewed(identified: Identification, motions: Motions) -> list[RecordedMotion]:
+def with_identified_base(identified: Identification, motions: Motions) -> list[RecordedMotion]:
     """Return motions with an identified base model."""
     psi = joint_model.initial_parameters(identified)
-    return joint_model.renewed(identified, motions, psi, identified.model.widths)
+    return joint_model.with_parameters(identified, motions, psi, identified.model.widths)

@@ -322,7 +322,9 @@ def fit(
         present = [
             motion.with_modelled_torque(torque)
             for motion, torque in zip(
-                renewed(identified, moved, psi, widths), modelled_torque(fitted), strict=True
+                with_parameters(identified, moved, psi, widths),
+                modelled_torque(fitted),
+                strict=True,
             )
         ]
         fitted = base_model(identified, present, psi, chain, fitted)
@@ -667,7 +669,7 @@ def _dissipated(identified: Identification, free: IntArray, count: int) -> BoolA
     return out
 
 
-def renewed(
+def with_parameters(
     identified: Identification,
     motions: Sequence[RecordedMotion],
     psi: FloatArray,

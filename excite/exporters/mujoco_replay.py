@@ -174,8 +174,7 @@ def recording_delay(model: IdentifiedModel) -> FloatArray:
     delay = np.zeros(model.robot.n)
     for effect in model.effects:
         if effect.effect == "delay" and not is_recording_filter(effect.values):
-            chosen = slice(None) if effect.joint is None else model.robot.joints.index(effect.joint)
-            delay[chosen] += max(float(effect.coefficients[0]), 0.0)
+            delay[effect.joint_index(model.robot.joints)] += max(float(effect.coefficients[0]), 0.0)
     return delay
 
 

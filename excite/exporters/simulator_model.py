@@ -463,8 +463,7 @@ def _add_delay(model: IdentifiedModel, effect: EffectDocument, out: JointTorques
     seconds = float(effect.coefficients[0])
     if seconds >= 0.0:
         return None
-    chosen = slice(None) if effect.joint is None else model.robot.joints.index(effect.joint)
-    out.actuator_delay[chosen] -= seconds
+    out.actuator_delay[effect.joint_index(model.robot.joints)] -= seconds
     return Held.ACTUATOR_DELAY
 
 

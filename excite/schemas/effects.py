@@ -6,7 +6,7 @@ every candidate model of the catalogue with them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
@@ -300,6 +300,10 @@ class EffectDocument(msgspec.Struct):
             raise ValueError(
                 "time: should be [start, end] with start < end, of a recording that is named"
             )
+
+    def joint_index(self, joints: Sequence[str]) -> int | slice:
+        """Return the index of its joint among those of a robot; of all joints if it has none."""
+        return slice(None) if self.joint is None else joints.index(self.joint)
 
 
 def _form(effect: str, values: Values) -> EffectForm:

@@ -20,8 +20,9 @@ from synthetic_recordings import (
 )
 
 from excite._types import FloatArray
+from excite.diagnosis import fitted_effects
 from excite.errors import UnusableInput
-from excite.identification import consistency, identification
+from excite.identification import consistency, identification, identified_model
 from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.inertia_distance import Distance
 from excite.identification.regression import IdentificationModel
@@ -128,6 +129,14 @@ def test_a_torque_delay_is_estimated_and_compensated(model, truth):
     unaligned, aligned = identify(model, delayed), identify(model, delayed, align=True)
     assert np.allclose(unaligned.delay.seconds, 0.004, atol=6e-4)
     assert np.all(aligned.data.noise < unaligned.data.noise)
+    # the saved model predicts the torque as it was recorded
+    document = identified_model.model_document(aligned, [delayed])
+    predicted = fitted_effects.predict(fitted_effects.read_back(document), delayed)[1]
+    shifts, inside = np.arange(-0.006, 0.0065, 0.001), slice(100, -100)
+    for joint in range(model.robot.n):
+        shifted = [np.interp(delayed.t + d, delayed.t, predicted[:, joint]) for d in shifts]
+        errors = [np.std((torque - delayed.torque[:, joint])[inside]) for torque in shifted]
+        assert abs(shifts[np.argmin(errors)]) < 0.0011
 
 
 def test_evidence_gives_a_correct_nominal_robot_more_weight(model):

@@ -817,7 +817,9 @@ def _identify(commands: Commands) -> None:
     )
     _recording_options(group)
     group.add_argument(
-        "--align", action="store_true", help="compensate the estimated torque delay of each joint"
+        "--align",
+        action="store_true",
+        help="remove the estimated delay of each joint's torque, which the model then states",
     )
     group = sub.add_argument_group("estimation")
     group.add_argument(

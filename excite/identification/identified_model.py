@@ -324,9 +324,19 @@ def model_document(
         "simulation": None
         if identification.simulation is None
         else _simulation_summary(identification.simulation, robot.joints),
-        "effects": [],
+        # the equations are those of torque without its delay, recordings have it
+        "effects": _delays(robot, delay.seconds) if identification.options.align else [],
         "versions": trajectory_file.package_versions(),
     }
+
+
+def _delays(robot: Robot, seconds: FloatArray) -> list[dict[str, Any]]:
+    """Return the delay of the torque of each joint, shape (n,) [s], as effects of a model."""
+    effect = {"effect": "delay", "from": None, "time": None, "recording": None}
+    return [
+        {**effect, "joint": joint, "values": {"measured": 1.0}, "coefficients": [float(delay)]}
+        for joint, delay in zip(robot.joints, seconds, strict=True)
+    ]
 
 
 def robot_entry(robot: Robot) -> dict[str, Any]:

@@ -364,6 +364,22 @@ def test_gravity_is_not_missed_at_joints_whose_torque_is_zero(simulated):
     assert RemarkKind.GRAVITY not in {remark.kind for remark in remarks}
 
 
+def test_torque_without_its_sign_is_warned_of(simulated):
+    """Servos state the magnitude of their current; a load holds one joint, but not all."""
+    recording, robot = simulated
+    limits, magnitude = resolve(robot), np.abs(recording.torque)
+    without_sign = dataclasses.replace(recording, tau=magnitude)
+    held = recording.torque.copy()
+    held[:, 1] = magnitude[:, 1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        kinds = [
+            {r.kind for r in torque_check.check_torque(r, robot, limits).remarks}
+            for r in (without_sign, dataclasses.replace(recording, tau=held), recording)
+        ]
+    assert [RemarkKind.MAGNITUDE in kind for kind in kinds] == [True, False, False]
+
+
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, -9.81, 0.0)])
 def test_another_mounting_is_named_with_the_gravity_that_is_measured(simulated, gravity):
     recording, _ = simulated

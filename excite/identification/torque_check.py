@@ -4,8 +4,9 @@ the torque that the nominal model expects (`nominal_comparison`).
 A fit absorbs such faults in part: torque with an inverted sign gives masses near 0 and no error
 message. Each finding is a doubt of the recording and a warning that states the figure it rests
 on. Clipped torque is a warning only: that of a drive at its limit is as it was measured. So are
-torque of one repeated value, as a drive may have a dead band, torque beyond a limit that cannot
-hold the robot, and velocities that are not the slope of the positions, as they are not fitted.
+torque of one repeated value, as a drive may have a dead band, torque of one sign, as a load may be
+held throughout, torque beyond a limit that cannot hold the robot, and velocities that are not the
+slope of the positions, as they are not fitted.
 """
 
 from __future__ import annotations
@@ -64,6 +65,7 @@ def check_torque(
     planned = [remark for remark in recording.doubts if remark.kind is RemarkKind.PLANNED]
     remarks = [
         *_constant_torque(recording, torque, constant),
+        *_magnitudes(recording, torque),
         *_excessive_torque(recording, torque, limits, robot),
         *(() if planned else nominal_comparison.compare_with_nominal(recording, robot)),
     ]
@@ -103,13 +105,40 @@ def _constant_torque(
 
     It is a doubt where the joint moves: friction holds a joint at rest, with or without a torque.
     """
-    step = np.sqrt(12.0) * recording.quantization_noise
-    moves = np.ptp(recording.q, axis=0) > np.maximum(REST_STEPS * step, MIN_TRAVEL)
+    moves = np.ptp(recording.q, axis=0) > _range_at_rest(recording)
     for i in np.flatnonzero(constant).tolist():
         joint = recording.joints[i]
         text = f"joint '{joint}': torque is {torque[0, i]:g} in all {len(torque)} rows; "
         text += "check that it was measured" if moves[i] else "the joint is at rest"
         yield Remark(RemarkKind.FROZEN, text, joint, doubt=bool(moves[i]))
+
+
+def _magnitudes(recording: Recording, torque: FloatArray) -> Iterator[Remark]:
+    """Yield a remark if no joint that moves in both directions has torque of both signs.
+
+    Friction has the sign of the motion: such torque is that of a load that is held throughout, or
+    the magnitude of a current. Of several joints, a load rarely holds all.
+    """
+    q, least = recording.q, _range_at_rest(recording)
+    rises = (q - np.minimum.accumulate(q)).max(axis=0) > least
+    falls = (np.maximum.accumulate(q) - q).max(axis=0) > least
+    both_ways = np.flatnonzero(rises & falls & (np.ptp(torque, axis=0) > 0.0)).tolist()
+    values = torque[:, both_ways]
+    if not both_ways or (np.any(values > 0.0, axis=0) & np.any(values < 0.0, axis=0)).any():
+        return
+    joints = ", ".join(f"'{recording.joints[i]}'" for i in both_ways)
+    text = (
+        f"{'joint' if len(both_ways) == 1 else 'joints'} {joints}: torque has one sign in both "
+        "directions of motion, as that of a load that is held throughout; check that it is not "
+        "the magnitude of a current, and record its sign"
+    )
+    yield Remark(RemarkKind.MAGNITUDE, text, recording.joints[both_ways[0]])
+
+
+def _range_at_rest(recording: Recording) -> FloatArray:
+    """Return the range of positions up to which a joint is at rest, shape (n,) [rad or m]."""
+    step = np.sqrt(12.0) * recording.quantization_noise
+    return np.maximum(REST_STEPS * step, MIN_TRAVEL)
 
 
 def _excessive_torque(

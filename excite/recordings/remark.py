@@ -39,6 +39,7 @@ class RemarkKind(Enum):
     PLANNED = "planned"
     NUMBERED = "numbered joints"
     TORQUE_SIGN = "torque sign"
+    MAGNITUDE = "torque magnitude"
     TORQUE_SCALE = "torque scale"
     TORQUE_LIMIT = "torque limit"
     WEIGHT = "weight"

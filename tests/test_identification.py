@@ -139,6 +139,18 @@ def test_a_torque_delay_is_estimated_and_compensated(model, truth):
         assert abs(shifts[np.argmin(errors)]) < 0.0011
 
 
+def test_motors_that_brake_are_not_said_to_have_inverted_torque(model, truth):
+    recording = synthetic_recording(model, truth, random_fourier(2), 2, 0.0)
+    speed = np.gradient(recording.q, recording.t, axis=0)
+    noise = 0.01 * np.random.default_rng(1).normal(size=speed.shape)
+    braking = dataclasses.replace(recording, tau=-0.5 * speed + noise)
+    with pytest.raises(UnusableInput, match="feeds in .*; if motors brake what something else"):
+        identify(model, braking)
+    inverted = dataclasses.replace(recording, tau=-recording.torque + noise)
+    with pytest.raises(UnusableInput, match="the sign of the torque is inverted, turn it"):
+        identify(model, inverted)
+
+
 def test_evidence_gives_a_correct_nominal_robot_more_weight(model):
     right = perturbed_parameters(model.parameters, np.random.default_rng(0), size=1e-3)
     wrong = perturbed_parameters(model.parameters, np.random.default_rng(0), size=0.15)

@@ -33,6 +33,10 @@ def require_dissipation(
     a joint that turns in one direction only does not distinguish it from Coulomb friction, and
     for an oscillating joint E[q̇] = 0.
 
+    Inverted torque turns the torque of the links and rotors as well. Where these do not oppose
+    those of the nominal robot as clearly, a motor that brakes may do the same: its torque follows
+    the speed of a joint that something else moves.
+
     A joint whose sign the comparison with the nominal model already doubts is not judged again: the
     user has been warned of it, with the remedy.
 
@@ -67,11 +71,31 @@ def require_dissipation(
     )
     if len(negative) >= MAX_NEGATIVE_SHARE * model.robot.n:
         joints = f"{len(negative)} of {model.robot.n} joints"
-        raise UnusableInput(
-            f"{text}, and so at {joints}; the sign of the torque is inverted, turn it and read "
-            "again"
+        is_inverted = any(_opposes_nominal(model, equations, data, j) for j in negative)
+        cause = (
+            "the sign of the torque is inverted, turn it and read again"
+            if is_inverted
+            else "turn the sign of the torque if it is inverted; if motors brake what something "
+            "else moves, record a motion that the motors drive"
         )
+        raise UnusableInput(f"{text}, and so at {joints}; {cause}")
     warnings.warn(f"{text}; check the sign of its torque", ExciteWarning, stacklevel=3)
+
+
+def _opposes_nominal(
+    model: IdentificationModel, equations: TorqueEquations, data: Estimate, joint: int
+) -> bool:
+    """Tell whether the torque of links and rotors at a joint is clearly opposite to the nominal."""
+    parameters, independent = model.parameters, np.asarray(model.base.independent)
+    psi, rigid = parameters.nominal.copy(), np.ones(len(independent), bool)
+    for kind in {"viscous", "coulomb", "offset"} & set(parameters.drive):
+        block = parameters.block(kind)
+        psi[block] = 0.0
+        rigid &= (independent < block.start) | (independent >= block.stop)
+    columns = equations.regressor[:, joint]
+    weight = np.where(rigid, columns.T @ (columns @ (model.base.matrix @ psi)), 0.0)
+    product, deviation = _combination(weight, data)
+    return product < -CLEARLY_NEGATIVE * deviation
 
 
 def friction_powers(
@@ -98,9 +122,17 @@ def friction_powers(
                 weight = weights.setdefault(j, np.zeros(len(data.theta)))
                 weight[k] = float(np.mean(column * equations.motion.dq[:, j]))
     for j, weight in weights.items():
-        used = np.flatnonzero(weight)
-        covariance = data.covariance[np.ix_(used, used)]
-        if len(used) and np.isfinite(covariance).all():
-            variance = float(weight[used] @ covariance @ weight[used])
-            out[j] = float(weight @ data.theta), float(np.sqrt(max(variance, 0.0)))
+        power, deviation = _combination(weight, data)
+        if deviation < np.inf:
+            out[j] = power, deviation
     return out
+
+
+def _combination(weight: FloatArray, data: Estimate) -> tuple[float, float]:
+    """Return w·θ̂ of weights w, and its standard error, ∞ where the data do not determine it."""
+    used = np.flatnonzero(weight)
+    covariance = data.covariance[np.ix_(used, used)]
+    if not len(used) or not np.isfinite(covariance).all():
+        return 0.0, np.inf
+    variance = float(weight[used] @ covariance @ weight[used])
+    return float(weight @ data.theta), float(np.sqrt(max(variance, 0.0)))

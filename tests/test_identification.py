@@ -144,7 +144,7 @@ def test_motors_that_brake_are_not_said_to_have_inverted_torque(model, truth):
     speed = np.gradient(recording.q, recording.t, axis=0)
     noise = 0.01 * np.random.default_rng(1).normal(size=speed.shape)
     braking = dataclasses.replace(recording, tau=-0.5 * speed + noise)
-    with pytest.raises(UnusableInput, match="feeds in .*; if motors brake what something else"):
+    with pytest.raises(UnusableInput, match=r"feeds in .*; if motors brake what something else"):
         identify(model, braking)
     inverted = dataclasses.replace(recording, tau=-recording.torque + noise)
     with pytest.raises(UnusableInput, match="the sign of the torque is inverted, turn it"):

@@ -402,7 +402,7 @@ def test_text_of_the_command() -> None:
     lines = diagnosis_text(document(result), result.identified.model.robot, [Path("report.html")])
     verdict, summary, *parts = lines.split("\n\n")
     assert verdict == f"verdict: {document(result)['verdict']}"
-    assert summary.startswith("The effects below explain") and "\nNext: " in summary
+    assert summary.startswith("Stribeck friction (joint_2) explains") and "\nNext: " in summary
     joints, findings = (part.splitlines()[1:] for part in parts[:2])
     assert [line.split()[0] for line in joints] == ["joint_1", "joint_2"]
     stated = {(f["joint"] or "whole") for f in document(result)["findings"]}

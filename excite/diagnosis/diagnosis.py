@@ -170,7 +170,6 @@ def diagnose(
     )
     identified = identification.identify(robot, parameters, base, train, (), settings, progress)
     motions = [_motions(identified, group, hertz) for group in pieces]
-    identified = joint_model.with_weak_friction_prior(identified, motions[0])
     errors = PositionErrors(identified, motions[0])
     progress("fitting all frictions jointly, then rare effects")
     model, rare, small = selection.find_rare_effects(identified, motions[0], errors, progress)
@@ -194,9 +193,8 @@ def diagnose(
         progress("base model without the trusted parameters")
         free = replace(settings, trusted={}, widths=None)
         refit = identification.identify(robot, parameters, base, train, (), free, progress)
-        considered = estimates.with_doubts_about_prior(
-            considered, residual_rms, _rmse(_motions(refit, pieces[0], hertz))
-        )
+        rmse = _rmse(_motions(refit, pieces[0], hertz))
+        considered = estimates.with_doubts_about_prior(considered, residual_rms, rmse)
     effects = estimates.with_unmodelled(considered, model, remaining)
     progress("base model of the recordings without the effects")
     savable, probabilities = _savable(identified, model, rare, in_model)

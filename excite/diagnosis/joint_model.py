@@ -566,35 +566,6 @@ def friction_level(motions: Sequence[RecordedMotion], deviation: FloatArray) -> 
     return np.maximum(coulomb, np.maximum(least, MIN_TORQUE_SHARE * deviation))
 
 
-def with_weak_friction_prior(
-    identified: Identification, motions: Sequence[RecordedMotion]
-) -> Identification:
-    """Return an identification whose prior leaves friction and offset as free as effects are.
-
-    The scales of unknown friction are those of the limits of torque and velocity, and their weights
-    those of torque that may lie behind the motion: an effect could stand for friction that such a
-    prior keeps small. The standard deviations are at least the friction level, for viscous friction
-    at the RMS speed of the recorded motion.
-    """
-    deviation = np.concatenate([motion.torque for motion in motions]).std(axis=0)
-    level = friction_level(motions, deviation)
-    speed = rms(
-        np.concatenate([motion.at_rows(motion.samples.dq) for motion in motions]),
-        np.concatenate([motion.moving for motion in motions]),
-    )
-    speed = np.where(speed > 0.0, speed, np.inf)  # nothing shows the friction of a joint at rest
-    parameters, prior = identified.model.parameters, identified.prior
-    edge, weights = 10 * parameters.bodies, prior.joint_weights.copy()
-    for kind, torque_per_unit in (("coulomb", 1.0), ("offset", 1.0), ("viscous", speed)):
-        if kind in parameters.drive:
-            of_kind = slice(parameters.block(kind).start - edge, parameters.block(kind).stop - edge)
-            weakest = 0.5 * (prior.joint_scales[of_kind] * torque_per_unit / level) ** 2
-            weights[of_kind] = np.minimum(weights[of_kind], weakest)
-    stated = [place - edge for place in identified.options.trusted if place >= edge]
-    weights[stated] = prior.joint_weights[stated]
-    return replace(identified, prior=replace(prior, joint_weights=weights))
-
-
 def free_parameters(identified: Identification) -> IntArray:
     """Return the base parameters that are refit, shape (p,): all that no trusted prior states."""
     base, trusted = identified.model.base, identified.options.trusted

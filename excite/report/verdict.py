@@ -20,10 +20,12 @@ from .torque_budget import (
 
 SURE_PROBABILITY = 0.9
 """Probability from which no experiment to confirm a finding is proposed."""
+MAX_NAMED_FINDINGS = 3
+"""Findings that the verdict names; of more it states the number."""
 _VERDICTS = {
     "no-mismatch": "the base model lacks nothing that these recordings show",
-    "explained": "the effects below explain what the base model lacks",
-    "partly-explained": "the effects below explain a part of what the base model lacks",
+    "explained": "{effects} what the base model lacks",
+    "partly-explained": "{effects} a part of what the base model lacks",
     "unexplained": "the base model lacks something that no known effect explains",
 }
 _ONE_SESSION = (
@@ -63,7 +65,7 @@ _DISCRIMINATE = Action(
 def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     """Say whether the base model lacks something, and what of the error is not explained."""
     verdict = document["verdict"]
-    text = _VERDICTS[verdict]
+    text = _VERDICTS[verdict].format(effects=_effects_explain(document))
     unknown = list(dict.fromkeys(entry["joint"] for entry in document["unknown"]))
     if verdict == "no-mismatch" and not all(b.is_explained for b in budgets):
         text = "no effect is found that the base model lacks"
@@ -89,6 +91,21 @@ def verdict_words(document: Document, budgets: Sequence[JointBudget]) -> str:
     if useless := places_where(budgets, lambda b: b.is_useless):
         text += f"; no model fits {useless}: a prediction of no torque would be better"
     return text
+
+
+def _effects_explain(document: Document) -> str:
+    """Name the findings, if they are few, with the verb of which they are the subject."""
+    findings = sorted_findings(document)
+    if len(findings) > MAX_NAMED_FINDINGS:
+        return f"{len(findings)} effects explain"
+    several = len(document["joints"]) > 1
+    words = [
+        f"{effect_words(f['effect'])} ({f['joint'] or 'the whole robot'})"
+        if several
+        else effect_words(f["effect"])
+        for f in findings
+    ]
+    return f"{listed(words)} explain{'' if words[1:] else 's'}" if words else ""
 
 
 def tone(document: Document, budgets: Sequence[JointBudget]) -> str:

@@ -3,8 +3,11 @@ row."""
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import io
 import json
+import lzma
 import os
 import pickle
 import re
@@ -165,8 +168,7 @@ ROWS = b"".join(b"%f,%f,%f\n" % (k / 100, k / 50, k / 70) for k in range(40))
     ("content", "parts"),
     [
         (csv().replace(b"\n", b"\r"), ["row 1", "carriage return"]),
-        (csv().decode().encode("utf-16"), ["UTF-8"]),
-        (csv().decode().encode("utf-32"), ["UTF-8"]),
+        (csv().decode().encode("utf-16")[:-1], ["UTF-8"]),
         (b"\x00" + csv(), ["no column 't'"]),
         (HEADER + ROWS.replace(b"0.5", b"0.\x00"), ["row"]),
         (HEADER + ROWS.replace(b"0.5", b'"0.5'), ["row"]),
@@ -174,7 +176,7 @@ ROWS = b"".join(b"%f,%f,%f\n" % (k / 100, k / 50, k / 70) for k in range(40))
         (b"\xff" + HEADER + ROWS, ["UTF-8"]),
         (HEADER + ROWS + b"\xff\xfe\n", ["row"]),
         (HEADER, ["no rows"]),
-        (HEADER + ROWS[:20], ["rows"]),
+        (HEADER + ROWS[:20], ["1 row "]),
         (HEADER + b"1,2\n" + ROWS, ["row 2", "2 cells instead of 3"]),
         (HEADER + ROWS + b"1,2,3,4\n", ["row 42", "4 cells instead of 3"]),
         (HEADER + ROWS + b"1,2,off\n", ["row 42"]),
@@ -202,12 +204,27 @@ def test_text_that_is_no_table_is_refused(content, parts, two_link, tmp_path):
         lambda text: b"# " + text,
         lambda text: text + b"\n\n\n",
         lambda text: text[:-1],
+        lambda text: text.decode().encode("utf-16"),
+        lambda text: text.decode().encode("utf-32"),
+        gzip.compress,
+        bz2.compress,
+        lzma.compress,
     ],
 )
 def test_tables_of_other_programs_are_read(change, two_link, tmp_path):
     plain = recordings.read(written(tmp_path / "a.csv", csv()), two_link)
     again = recordings.read(written(tmp_path / "b.csv", change(csv())), two_link)
     assert np.array_equal(plain.q, again.q) and np.array_equal(plain.tau, again.tau)
+
+
+def test_a_compressed_table_has_its_sidecar_and_must_be_complete(two_link, tmp_path):
+    content = gzip.compress(csv())
+    (tmp_path / "run.json").write_text('{"schema": "excite.recording/1", "notes": "warm"}')
+    recording = recordings.read(written(tmp_path / "run.csv.gz", content), two_link)
+    assert recording.sidecar.notes == "warm"
+    for damaged in (content[:-100], content[:50] + bytes(20) + content[70:]):
+        path = written(tmp_path / "cut.csv.gz", damaged)
+        assert_refused(path, two_link, "cannot be decompressed")
 
 
 @pytest.mark.parametrize("kind", ["folder", "fifo", "absent", "long name"])

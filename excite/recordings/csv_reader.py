@@ -33,6 +33,7 @@ from .block import Block
 from .column_names import ColumnLayout, find_columns
 from .export_formats import Header, recognise
 from .remark import Remark, RemarkKind
+from .text_file import open_text
 from .time_cells import DATE, DateColumn, epoch_unit
 
 CHUNK_SIZE = 1 << 23
@@ -109,7 +110,7 @@ def read_column_names(path: Path) -> list[str]:
     Raises:
         UnusableInput: It is no text, or its header cannot be read.
     """
-    with path.open("rb") as stream:
+    with open_text(path) as stream:
         line, _ = _skip_comments(stream)
         return _read_header(path, line)[1]
 
@@ -139,7 +140,7 @@ def read_blocks(
     Raises:
         UnusableInput: The header lacks a column of the robot, or a cell is no number.
     """
-    with path.open("rb") as stream:
+    with open_text(path) as stream:
         line, row = _skip_comments(stream)
         separator, with_unnamed = _read_header(path, line)
         cells = _without_empty_end(with_unnamed)

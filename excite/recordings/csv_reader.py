@@ -30,8 +30,10 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
-from .column_names import ColumnLayout, find_columns
+from .column_names import ColumnLayout, find_columns, numbered_remarks
 from .export_formats import Header, recognise
+from .long_tables import LongColumns, find_long_columns, pivot
+from .magnitudes import check_cells
 from .remark import Remark, RemarkKind
 from .text_file import open_text
 from .time_cells import DATE, DateColumn, epoch_unit
@@ -151,6 +153,16 @@ def read_blocks(
             behind, row = stream.tell(), row + 1
             first_line = stream.readline(MAX_LINE)
             first_row = _without_empty_end(_cells(separator, first_line))
+        long = None
+        if set(columns) <= {"t"}:
+            names = ["t" if name == columns.get("t") else name for name in cells]
+            long = find_long_columns(str(path), names, first_row, robot, separator, effort)
+        if long is not None:
+            stream.seek(behind)
+            rows = _LongTable(path, separator, long, row + 1)
+            rows.header_line = line.rstrip(b"\r\n")
+            yield rows.block_of(stream, robot, effort)
+            return
         header = recognise(str(path), cells, first_row, robot, columns, separator, topic, effort)
         unnamed = len(with_unnamed) - len(cells)
         _require_names(path, header.names, robot, separator, unnamed)
@@ -167,22 +179,11 @@ def read_blocks(
         )
         table = _Table(path, separator, header, layout, unnamed)
         table.header_line = line.rstrip(b"\r\n") if header.has_line else None
-        table.remarks += (*_planned(cells, robot), *_numbered(header.numbered, robot))
+        table.remarks += (*_planned(cells, robot), *numbered_remarks(header.numbered, robot))
         table.row = row + 1 if header.has_line else 1
         if b'"' not in first_line and not first_line.startswith(COMMENTS):
             table.separators = first_line.count(separator.encode())
-        remainder = b""
-        while chunk := stream.read(CHUNK_SIZE):
-            text, newline, remainder = (remainder + chunk).rpartition(b"\n")
-            if len(remainder) > MAX_LINE:
-                raise UnusableInput(
-                    f"{path}: after row {table.row + text.count(newline or b' ')}: a line is "
-                    f"longer than {MAX_LINE} bytes; give a CSV"
-                )
-            if newline:
-                yield table.block(text + newline)
-        if remainder.strip():
-            yield table.last_block(remainder)
+        yield from map(table.block, table.parts(stream))
 
 
 class _Table:
@@ -192,6 +193,8 @@ class _Table:
         unnamed: Number of columns without a name behind the others.
         header_line: The line with the names; None: there is none.
         separators: Number of separators in the first row, if it has no quotes.
+        width: Number of cells in a row of the file.
+        may_be_shorter: True if a row may have fewer.
         row: Number of the next row in the file, as users count.
         remarks: Remarks that the next block carries.
     """
@@ -207,13 +210,37 @@ class _Table:
         self.dates: DateColumn | None = None
         self.has_times = False
         self.separators = 0
+        self.width, self.may_be_shorter = len(header.names), header.rewrite is not None
         self.row = 1
         self.remarks: tuple[Remark, ...] = ()
         self.remarked: set[str] = set()
 
+    def parts(self, stream: BinaryIO) -> Iterator[bytes]:
+        """Yield the complete lines of a stream, CHUNK_SIZE bytes at a time."""
+        remainder = b""
+        while chunk := stream.read(CHUNK_SIZE):
+            text, newline, remainder = (remainder + chunk).rpartition(b"\n")
+            if len(remainder) > MAX_LINE:
+                raise UnusableInput(
+                    f"{self.path}: after row {self.row + text.count(newline or b' ')}: a line is "
+                    f"longer than {MAX_LINE} bytes; give a CSV"
+                )
+            if newline:
+                yield text + newline
+        if remainder.strip():
+            yield self._last_line(remainder)
+
     def block(self, text: bytes) -> Block:
         """Parse complete lines."""
-        count, first = text.count(b"\n"), self.row
+        first, table = self.row, self.numbers(text)
+        block = self.layout.block(table, self.origin)
+        out = dataclasses.replace(block, remarks=self.remarks, row=first)
+        self.remarks = ()
+        return out
+
+    def numbers(self, text: bytes) -> FloatArray:
+        """Parse complete lines. Shape (rows, columns of the layout)."""
+        count = text.count(b"\n")
         text = self._without_comments(self._without_repeated_headers(text))
         if self.header.rewrite is not None:
             text, left_out = self.header.rewrite(text)
@@ -237,22 +264,17 @@ class _Table:
             self.has_times = True
             self._find_epoch(clock)
             self.origin = clock[0].copy() if self.layout.from_first else None
-        block = self.layout.block(table, self.origin)
-        out = dataclasses.replace(block, remarks=self.remarks, row=first)
-        self.remarks = ()
-        return out
+        return table
 
-    def last_block(self, line: bytes) -> Block:
-        """Parse a last line that does not end in a newline; it may be cut short."""
-        missing = len(_cells(self.separator, line)) < len(self.header.names)
+    def _last_line(self, line: bytes) -> bytes:
+        """Return a last line that does not end in a newline; it may be cut short."""
+        missing = len(_cells(self.separator, line)) < self.width
         if self.separator != " " and b'"' not in line:  # the separator at the end of lines as well
             missing |= line.count(self.separator.encode()) < self.separators
-        if self._is_comment(line):
-            return self.block(line + b"\n")
-        if missing and self.header.rewrite is None:
+        if missing and not self._is_comment(line) and not self.may_be_shorter:
             self._remark(f"row {self.row}, the last one, is cut short and left out")
-            return self.block(b"")
-        return self.block(line + b"\n")
+            return b""
+        return line + b"\n"
 
     def _without_repeated_headers(self, text: bytes) -> bytes:
         """Lines without those that repeat the header, as where a log was continued."""
@@ -311,7 +333,7 @@ class _Table:
         """Return True for a comment, and no row whose first cell is a text that is not read."""
         if not line.startswith(COMMENTS):
             return False
-        widths = len(self.header.names), len(self.header.names) + self.unnamed
+        widths = self.width, self.width + self.unnamed
         return 0 in self.places or len(_cells(self.separator, line)) not in widths
 
     def _without_empty_rows(self, table: FloatArray) -> FloatArray:
@@ -328,6 +350,40 @@ class _Table:
         if kind not in self.remarked:
             self.remarked.add(kind)
             self.remarks += (Remark(RemarkKind.SKIPPED, text, repaired=True),)
+
+
+class _LongTable(_Table):
+    """The rows of a long table, which are put together when all are read."""
+
+    def __init__(self, path: Path, separator: str, long: LongColumns, row: int) -> None:
+        header = Header(long.names, (("t", long.factor),), rewrite=long.rewrite)
+        # values of one joint, whatever they are, and the code behind them
+        places = tuple(("q", k) for k in range(len(long.values)))
+        layout = ColumnLayout(long.names, places, len(places), (long.factor,))
+        super().__init__(path, separator, header, layout, 0)
+        self.long, self.row, long.row = long, row, row
+        self.width, self.may_be_shorter = long.width, False
+
+    def block_of(self, stream: BinaryIO, robot: Robot, effort: str) -> Block:
+        """Read the rows of a stream and return them as a wide table."""
+        tables, quantities = (
+            list[FloatArray](),
+            [f"value of {p or 'all'}" for p in self.long.values.values()],
+        )
+        for text in self.parts(stream):
+            first, table = self.row, self.numbers(text)
+            check_cells(
+                str(self.path), table[:, 0], dict(zip(quantities, table.T[1:], strict=False)), first
+            )
+            tables.append(table)
+        table = np.concatenate(tables) if tables else np.empty((0, len(self.long.names)))
+        factor = self.layout.time_factors[0]
+        t = factor * (table[:, 0] - (0.0 if self.origin is None else self.origin[0]))
+        codes = table[:, -1].astype(int)
+        wide = pivot(self.long, t, table[:, 1:-1], codes, robot, effort)
+        layout = find_columns(str(self.path), wide.names, robot)
+        block = layout.block(wide.table[:, [wide.names.index(name) for name in layout.names]])
+        return dataclasses.replace(block, remarks=(*self.remarks, *wide.remarks))
 
 
 def _skip_comments(stream: BinaryIO) -> tuple[bytes, int]:
@@ -413,15 +469,6 @@ def _planned(header: Sequence[str], robot: Robot) -> tuple[Remark, ...]:
         "nominal model, which a fit to it returns"
     )
     return (Remark(RemarkKind.PLANNED, text, doubt=True),)
-
-
-def _numbered(columns: Sequence[str], robot: Robot) -> tuple[Remark, ...]:
-    """Remark columns that name joints by their numbers: the order is that of the robot."""
-    if not columns:
-        return ()
-    pairs = zip(columns, robot.joints, strict=True)
-    text = f"its joints have numbers and no names; they are {', '.join(map(' = '.join, pairs))}"
-    return (Remark(RemarkKind.NUMBERED, text, repaired=True),)
 
 
 def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:

@@ -122,7 +122,7 @@ def stream(
     glitches, the period, joints that never move, locked joints that move, timestamp jitter,
     quantization, coarse or clipped signals and torques that jump to one value. A fault is warned of
     where it first occurs; numbers in a remark may include up to 32 rows around the block. Memory is
-    bounded for CSV, bags and .npz, except 2-D arrays in Fortran order.
+    bounded for CSV, bags and .npz, except long tables and 2-D arrays in Fortran order.
 
     Args:
         path: As of `read`.

@@ -58,6 +58,8 @@ SECONDS = {
     **{"us": 1e-6, "micros": 1e-6, "microseconds": 1e-6, "ns": 1e-9, "nanoseconds": 1e-9},
 }
 """Spellings of units of time, with their seconds."""
+NO_JOINT = "\0"
+"""Name of the joint of a file whose columns hold none; no name contains it."""
 _TIME_UNIT = rf"(?:[ _]*[\[(]?({'|'.join(SECONDS)})[\])]?)?"
 TIMES = tuple(
     re.compile(names + _TIME_UNIT, re.I)
@@ -227,24 +229,7 @@ def _find_columns(
         ordered = tuple(names_of[column] for column in positions)
         if len(joints) > 1 and not all(map(holds_name, ordered, robot.joints)):
             numbered = ordered
-    # a column with the standard name, as of --columns, precedes
-    places = {
-        name: place for name, place in places.items() if name == place[0] or place[0] not in names
-    }
-    places = _in_si_units(places)
-    first: dict[str, str] = {}
-    for name, (column, unit) in places.items():
-        if first.setdefault(column, name) != name:
-            raise UnusableInput(
-                f"{source}: columns '{first[column]}' and '{name}' are both {column}; choose one "
-                f"with --columns {column}=COLUMN"
-            )
-        if not _is_si(column, unit):
-            expected = SI_UNITS[column.partition(".")[0]]
-            raise UnusableInput(
-                f"{source}: column '{name}' is in {unit}; convert it to SI units, "
-                f"{' or '.join(sorted(expected, reverse=True))}, and name it {column}"
-            )
+    places = distinct_columns(source, names, places)
     renamed = tuple(places[name][0] if name in places else name for name in names)
     return SpelledColumns(renamed, (time, SECONDS[(match[1] or "s").lower()]), numbered)
 
@@ -272,6 +257,57 @@ def _without_second_words(names: Sequence[str], joints: Sequence[str], effort: s
         for name in names
         if words.get(name) not in SECOND_WORDS or WORDS[words[name]] not in known
     ]
+
+
+def columns_of_one_joint(names: Sequence[str], effort: str) -> dict[str, tuple[str, str]]:
+    """Return the prefixes of columns whose names hold no joint and no number, and their units.
+
+    Args:
+        names: Names of all columns, as `position` or `torque [Nm]`.
+        effort: Prefix of an effort, "tau" for torque or "i" for current.
+    """
+    candidates = _without_second_words(names, (NO_JOINT,), effort)
+    readings = {name: _read_number(name, is_single=True) for name in candidates}
+    return {
+        name: (reading.prefix(effort), reading.unit)
+        for name, reading in readings.items()
+        if reading is not None and reading.number is None
+    }
+
+
+def distinct_columns(
+    source: str, names: Sequence[str], places: Mapping[str, tuple[str, str]]
+) -> dict[str, tuple[str, str]]:
+    """Return columns without further ones of the same quantity, all in SI units.
+
+    A column with the standard name, as of --columns, precedes, then one in SI units.
+
+    Args:
+        source: Name of the file, for messages.
+        names: Names of all columns.
+        places: Standard names and units of columns.
+
+    Raises:
+        UnusableInput: Two columns hold the same quantity, or one is in another unit.
+    """
+    places = _in_si_units(
+        {name: place for name, place in places.items() if name == place[0] or place[0] not in names}
+    )
+    first: dict[str, str] = {}
+    for name, (column, unit) in places.items():
+        if first.setdefault(column, name) != name:
+            remedy = f"choose one with --columns {column}=COLUMN"
+            raise UnusableInput(
+                f"{source}: columns '{first[column]}' and '{name}' are both {column}; "
+                f"{remedy if '.' in column else 'rename the other'}"
+            )
+        if not _is_si(column, unit):
+            expected = SI_UNITS[column.partition(".")[0]]
+            raise UnusableInput(
+                f"{source}: column '{name}' is in {unit}; convert it to SI units, "
+                f"{' or '.join(sorted(expected, reverse=True))}, and name it {column}"
+            )
+    return places
 
 
 def _is_si(column: str, unit: str) -> bool:
@@ -355,7 +391,7 @@ def _readings(name: str, joints: Sequence[str]) -> list[_Reading]:
     """Return the ways in which a name can be read: by the name of a joint, by a number."""
     return [
         reading
-        for reading in (_read_joint(name, joints), _read_number(name, len(joints) == 1))
+        for reading in (_read_joint(name, joints), _read_number(name, is_single=len(joints) == 1))
         if reading is not None
     ]
 
@@ -380,7 +416,7 @@ def _read_joint(name: str, joints: Sequence[str]) -> _Reading | None:
     return None
 
 
-def _read_number(name: str, is_single: bool) -> _Reading | None:
+def _read_number(name: str, *, is_single: bool) -> _Reading | None:
     """Take the name of a column with a quantity and a number apart; None of others.
 
     A single joint needs no number, except for a current `i`, which may be the number of a row.
@@ -471,7 +507,9 @@ def _of_number(
     Numbers start from 0 or 1, those of each quantity for themselves.
     """
     readings = {
-        name: reading for name in names if (reading := _read_number(name, len(joints) == 1))
+        name: reading
+        for name in names
+        if (reading := _read_number(name, is_single=len(joints) == 1))
     }
     columns = _numbers(_read_numbers(names, joints, effort))
     if "q" in columns and not are_joint_numbers(columns["q"], len(joints)):
@@ -557,7 +595,7 @@ def _read_numbers(
 
     The number is None for a quantity alone, of a single joint.
     """
-    readings = {name: _read_number(name, len(joints) == 1) for name in names}
+    readings = {name: _read_number(name, is_single=len(joints) == 1) for name in names}
     return {
         name: (reading.prefix(effort), reading.number)
         for name, reading in readings.items()

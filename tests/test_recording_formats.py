@@ -787,3 +787,19 @@ def test_second_words_of_a_joint_whose_name_ends_like_a_unit(tmp_path):
     columns = {"t": t, "angle_arm_nm": np.cos(t), "q_arm_nm [rad]": np.sin(3.0 * t)}
     recording = recordings.read(write_columns(tmp_path / "r.csv", columns), robot)
     np.testing.assert_array_equal(recording.q[:, 0], columns["q_arm_nm [rad]"])
+
+
+@pytest.mark.parametrize("pattern", ["{}|{}", "|{}.{}|", "{}_{}[rad,rad/s,Nm]"])
+def test_names_may_contain_separators_that_the_rows_do_not_have(pattern, two_link, tmp_path):
+    """Blanks separate the cells, and one name holds a vertical bar or a comma."""
+    columns = two_joint_motion()
+    columns["error"] = columns["t"]
+    path = write_columns(tmp_path / "r.csv", columns, " ")
+    names = list(columns)
+    if pattern == "{}|{}":
+        names = [name.replace(".", "|") for name in names]
+    names[-1] = pattern.format("position", "error")
+    path.write_text(" ".join(names) + "\n" + path.read_text().partition("\n")[2])
+    recording, texts = read_with_warnings(path, two_link)
+    assert not texts
+    np.testing.assert_array_equal(recording.q[:, 1], columns["q.joint_2"])

@@ -114,7 +114,7 @@ def read_column_names(path: Path) -> list[str]:
     """
     with open_text(path) as stream:
         line, _ = _skip_comments(stream)
-        return _read_header(path, line)[1]
+        return _read_header(path, line, stream.readline(MAX_LINE))[1]
 
 
 def read_blocks(
@@ -144,10 +144,10 @@ def read_blocks(
     """
     with open_text(path) as stream:
         line, row = _skip_comments(stream)
-        separator, with_unnamed = _read_header(path, line)
-        cells = _without_empty_end(with_unnamed)
         behind = stream.tell()
         first_line = stream.readline(MAX_LINE)
+        separator, with_unnamed = _read_header(path, line, first_line)
+        cells = _without_empty_end(with_unnamed)
         first_row = _without_empty_end(_cells(separator, first_line))
         if _is_row_of_units(path, row + 1, cells, first_row):
             behind, row = stream.tell(), row + 1
@@ -471,8 +471,17 @@ def _planned(header: Sequence[str], robot: Robot) -> tuple[Remark, ...]:
     return (Remark(RemarkKind.PLANNED, text, doubt=True),)
 
 
-def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
-    """Find the separator of a file and the names in its first line."""
+def _read_header(path: Path, line: bytes, following: bytes) -> tuple[str, list[str]]:
+    """Find the separator of a file and the names in its first line.
+
+    Args:
+        path: The file, for messages.
+        line: The line.
+        following: The line below.
+
+    Raises:
+        UnusableInput: The line cannot be read.
+    """
     if b"\r" in line.removesuffix(b"\n").removesuffix(b"\r"):
         raise UnusableInput(
             f"{path}: row 1: its line ends in a carriage return alone; save it with line ends LF "
@@ -489,7 +498,7 @@ def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
             f"{path}: is no UTF-8 text; give a CSV in UTF-8 with a header t,q.<joint>,…, an .npz, "
             "a rosbag2 folder or an .mcap"
         ) from error
-    separator = next((s for s in SEPARATORS if s in text), ",")
+    separator = _separator(text, following)
     if separator == " ":
         return separator, [cell.strip('"') for cell in text.split()]
     try:
@@ -499,6 +508,24 @@ def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
             f"{path}: its header cannot be read ({error}); the first row should name the columns"
         ) from error
     return separator, [cell.strip() for cell in cells]
+
+
+def _separator(text: str, following: bytes) -> str:
+    """Return the separator in a line of names: the first one in it, unless another fits the row.
+
+    A name may contain `|`, or a comma in its unit, where blanks separate cells.
+
+    Args:
+        text: The line of names.
+        following: The row below.
+    """
+    occurring = [separator for separator in SEPARATORS if separator in text]
+    for separator in occurring:
+        names = _without_empty_end(_cells(separator, text.encode()))
+        cells = _without_empty_end(_cells(separator, following))
+        if len(names) == len(cells) > 1 and (separator == occurring[0] or _is_number(cells[0])):
+            return separator
+    return occurring[0] if occurring else ","
 
 
 def _require_names(

@@ -100,9 +100,9 @@ the motor position `q_m`; `A` is one behind a current alone."""
 WORD_AND_UNIT = re.compile(rf"(?P<word>{_WORD})[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?", re.I)
 """A quantity with its unit, in front of or behind a joint."""
 _NUMBERED = re.compile(
-    rf"(?P<word>{_WORD})(?:[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?(?=[._ /-]))?"
-    r"[._ /-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
-    rf"|(?:joint|axis|j)[._ -]*(?P<first>\d+)[._ /-]+(?P<behind>{_WORD})",
+    rf"(?P<word>{_WORD})(?:[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?(?=[._ /|-]))?"
+    r"[._ /|-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
+    rf"|(?:joint|axis|j)[._ -]*(?P<first>\d+)[._ /|-]+(?P<behind>{_WORD})",
     re.I,
 )
 KNOWN_ELSEWHERE = re.compile(
@@ -407,10 +407,10 @@ def _read_joint(name: str, joints: Sequence[str]) -> _Reading | None:
             before, middle, behind = text.partition(joint)
             if not middle or (before and behind.strip("[]()")):
                 continue
-            word = (before or behind).strip("._/ -[]()").lower()
+            word = (before or behind).strip("._/| -[]()").lower()
             if word in WORDS:
                 return _Reading(word, unit, joint)
-            inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/ -"))
+            inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/| -"))
             if inner is not None and not unit and _is_unit(inner):
                 return _Reading(inner["word"].lower(), inner["unit"], joint)
     return None

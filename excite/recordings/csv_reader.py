@@ -84,10 +84,17 @@ OTHER_UNITS = frozenset(
 """Units in a row below the header that have to be converted, in small letters."""
 UNIT_CELL = re.compile(r"[^0-9+.\-].{0,15}|-")
 """Cell that may name a unit: no number."""
+NAME_CELL = re.compile(r"[^\W\d][\w ./-]*")
+"""Cell that may be the name of a column."""
 SEPARATOR_LINE = re.compile(rb"sep=.\r?\n", re.IGNORECASE)
 """First line by which spreadsheets state the separator of cells."""
-MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \t]*(?![^,\n])')
-"""Cell that says that nothing was measured."""
+MISSING_CELL = re.compile(
+    r'(?im)(?<![^,\n])[ \t]*(?:"[ \t]*"|"?(?:n/?a|#n/a|null|none|missing|-{1,3}|\?'
+    r'|[+-]?1\.#(?:qnan|snan|ind)0*|[+-]?nan\(s?(?:nan|ind)\))"?)[ \t]*(?![^,\n])'
+)
+"""Cell that says that nothing was measured; the last two are those of Microsoft's C library."""
+DECIMAL_COMMA = re.compile(r"'[+-]?\d+,\d+'")
+"""Number with one comma in the message of a parser."""
 BLANK_CELL = re.compile(r"(?:^|,)\s*(?:,|$)")
 """Cell without a value in a line."""
 WHOLE_CELL = re.compile(r"\s*[+-]?\d+\s*")
@@ -153,6 +160,7 @@ def read_blocks(
             behind, row = stream.tell(), row + 1
             first_line = stream.readline(MAX_LINE)
             first_row = _without_empty_end(_cells(separator, first_line))
+        _require_one_row_of_names(path, row + 1, cells, first_row)
         long = None
         if set(columns) <= {"t"}:
             names = ["t" if name == columns.get("t") else name for name in cells]
@@ -447,6 +455,25 @@ def _is_row_of_units(path: Path, row: int, header: Sequence[str], cells: Sequenc
     return True
 
 
+def _require_one_row_of_names(
+    path: Path, row: int, header: Sequence[str], cells: Sequence[str]
+) -> None:
+    """Check that the line below the header, with that number, is no second line of names.
+
+    Tables with two levels of names have one, as of `pandas`: the quantities above the joints.
+    """
+    texts = [cell.strip() for cell in cells if cell.strip()]
+    if len(texts) < 2 or len(cells) != len(header) or not all(map(NAME_CELL.fullmatch, texts)):
+        return
+    if all(map(MISSING_CELL.fullmatch, texts)) or any(map(_is_number, texts)):
+        return
+    first = next(k for k, name in enumerate(cells) if k and name.strip())
+    raise UnusableInput(
+        f"{path}: row {row}: it holds names and no numbers; join both rows of names to one "
+        f"('{header[first]}' and '{cells[first].strip()}'), with the columns t,q.<joint>,…"
+    )
+
+
 def _cells(separator: str, line: bytes) -> list[str]:
     """Cells of a line of data; empty where it is no text."""
     try:
@@ -598,6 +625,8 @@ def _parse_rows(
         reason = match[1] if match else str(error)
         if GROUPED.search(reason):
             reason += " (if it has separators of thousands, remove them)"
+        elif DECIMAL_COMMA.search(reason):
+            reason += " (if its comma is a decimal point, write a point)"
         if DATE_CELL.search(reason):
             raise UnusableInput(
                 f"{path}: {place}: {reason.split(' to float')[0]}, a date or a time of day; write "

@@ -45,6 +45,25 @@ CONTEXT_ROWS = 32
 spline decays over fewer."""
 FORMATS = "CSV, .npz, rosbag2 folder, .mcap, .db3, .bag or text of ros2 topic echo"
 
+_AS_CSV = "write its table as CSV, as with pandas: {}(…).to_csv('run.csv', index=False)"
+FOREIGN = (
+    (b"PAR1", "a Parquet file", _AS_CSV.format("read_parquet")),
+    (b"ARROW1", "a Feather file", _AS_CSV.format("read_feather")),
+    (
+        b"PK\x03\x04",
+        "an archive or a spreadsheet",
+        "extract the CSV or save it as one; NumPy's has the suffix .npz",
+    ),
+    (b"MATLAB 5.0", "a MAT-file", "write CSV with writetable, with the names t,q.<joint>,…"),
+    (b"\x89HDF", "an HDF5 or MAT-file", "write its table as CSV, with the names t,q.<joint>,…"),
+    (b"\x93NUMPY", "an array without names", "save t and q.<joint>, … with numpy.savez as .npz"),
+    *(
+        (sign, "JSON", "write the rows that it holds as CSV, with the columns t,q.<joint>,…")
+        for sign in (b'{"', b'[{"', b"[\n", b"{\n")
+    ),
+)
+"""First bytes of files of other formats, their names and the remedies."""
+
 
 class FileFormat(enum.Enum):
     """Formats of recordings, one for each reader."""
@@ -241,6 +260,11 @@ def _file_format(path: Path) -> FileFormat:
     if path.suffix == ".npz":
         return FileFormat.ARCHIVE
     try:
+        with path.open("rb") as stream:
+            head = stream.read(16)
+        for sign, name, remedy in FOREIGN:
+            if head.startswith(sign):
+                raise UnusableInput(f"{path}: is {name}; {remedy}")
         return FileFormat.ECHO if echo_reader.is_echo(path) else FileFormat.TABLE
     except OSError as error:
         raise _unreadable(path, error) from error

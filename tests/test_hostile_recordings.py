@@ -3,8 +3,11 @@ row."""
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import io
 import json
+import lzma
 import os
 import pickle
 import re
@@ -165,8 +168,7 @@ ROWS = b"".join(b"%f,%f,%f\n" % (k / 100, k / 50, k / 70) for k in range(40))
     ("content", "parts"),
     [
         (csv().replace(b"\n", b"\r"), ["row 1", "carriage return"]),
-        (csv().decode().encode("utf-16"), ["UTF-8"]),
-        (csv().decode().encode("utf-32"), ["UTF-8"]),
+        (csv().decode().encode("utf-16")[:-1], ["UTF-8"]),
         (b"\x00" + csv(), ["no column 't'"]),
         (HEADER + ROWS.replace(b"0.5", b"0.\x00"), ["row"]),
         (HEADER + ROWS.replace(b"0.5", b'"0.5'), ["row"]),
@@ -174,7 +176,7 @@ ROWS = b"".join(b"%f,%f,%f\n" % (k / 100, k / 50, k / 70) for k in range(40))
         (b"\xff" + HEADER + ROWS, ["UTF-8"]),
         (HEADER + ROWS + b"\xff\xfe\n", ["row"]),
         (HEADER, ["no rows"]),
-        (HEADER + ROWS[:20], ["rows"]),
+        (HEADER + ROWS[:20], ["1 row "]),
         (HEADER + b"1,2\n" + ROWS, ["row 2", "2 cells instead of 3"]),
         (HEADER + ROWS + b"1,2,3,4\n", ["row 42", "4 cells instead of 3"]),
         (HEADER + ROWS + b"1,2,off\n", ["row 42"]),
@@ -202,12 +204,78 @@ def test_text_that_is_no_table_is_refused(content, parts, two_link, tmp_path):
         lambda text: b"# " + text,
         lambda text: text + b"\n\n\n",
         lambda text: text[:-1],
+        lambda text: text.decode().encode("utf-16"),
+        lambda text: text.decode().encode("utf-32"),
+        gzip.compress,
+        bz2.compress,
+        lzma.compress,
     ],
 )
 def test_tables_of_other_programs_are_read(change, two_link, tmp_path):
     plain = recordings.read(written(tmp_path / "a.csv", csv()), two_link)
     again = recordings.read(written(tmp_path / "b.csv", change(csv())), two_link)
     assert np.array_equal(plain.q, again.q) and np.array_equal(plain.tau, again.tau)
+
+
+@pytest.mark.parametrize(
+    "cell", ["-", "--", "?", "missing", "N/A", '""', "nan", "1.#QNAN", "-nan(ind)"]
+)
+def test_cells_without_a_measurement_are_missing_values(cell, two_link, tmp_path):
+    lines = csv().decode().split("\n")
+    cells = lines[50].split(",")
+    lines[50] = ",".join([*cells[:-1], cell])
+    path = written(tmp_path / "r.csv", "\n".join(lines).encode())
+    with pytest.warns(ExciteWarning, match="1 missing value of tau, 1 interpolated"):
+        assert len(recordings.read(path, two_link)) == 400
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "parts"),
+    [
+        ("r.parquet", b"PAR1", ["Parquet", "read_parquet", "to_csv"]),
+        ("r.feather", b"ARROW1\x00\x00", ["Feather", "read_feather"]),
+        ("r.xlsx", b"PK\x03\x04", ["spreadsheet", "CSV"]),
+        ("r.mat", b"MATLAB 5.0 MAT-file", ["MAT-file", "writetable"]),
+        ("r.h5", b"\x89HDF\r\n", ["HDF5", "CSV"]),
+        ("r.npy", b"\x93NUMPY\x01\x00", ["savez"]),
+        ("r.jsonl", b'{"t": 0.0, "q.joint_1": 0.1}\n', ["JSON", "CSV"]),
+    ],
+)
+def test_files_of_other_formats_are_refused_by_their_name(name, head, parts, two_link, tmp_path):
+    assert_refused(written(tmp_path / name, head + bytes(100)), two_link, *parts)
+
+
+def test_two_rows_of_names_are_refused(two_link, tmp_path):
+    text = csv().decode()
+    first = text.partition("\n")[0]
+    upper = ",".join(name.partition(".")[0] for name in first.split(","))
+    lower = ",".join(name.partition(".")[2] for name in first.split(","))
+    path = written(tmp_path / "r.csv", text.replace(first, f"{upper}\n{lower}").encode())
+    assert_refused(path, two_link, "row 2", "names and no numbers", "join")
+
+
+def test_decimal_commas_in_quotes_are_named(two_link, tmp_path):
+    lines = csv().decode().split("\n")
+    quoted = [",".join(f'"{c}"'.replace(".", ",") for c in line.split(",")) for line in lines[1:-1]]
+    path = written(tmp_path / "r.csv", "\n".join([lines[0], *quoted]).encode())
+    assert_refused(path, two_link, "row 2", "decimal point")
+
+
+def test_an_archive_with_other_names_gets_a_remedy_for_archives(two_link, tmp_path):
+    path = tmp_path / "r.npz"
+    np.savez(path, time=np.arange(9.0), position=np.zeros((9, 2)))
+    line = assert_refused(path, two_link, "'t'", "save t and q.<joint>")
+    assert "--columns" not in line
+
+
+def test_a_compressed_table_has_its_sidecar_and_must_be_complete(two_link, tmp_path):
+    content = gzip.compress(csv())
+    (tmp_path / "run.json").write_text('{"schema": "excite.recording/1", "notes": "warm"}')
+    recording = recordings.read(written(tmp_path / "run.csv.gz", content), two_link)
+    assert recording.sidecar.notes == "warm"
+    for damaged in (content[:-100], content[:50] + bytes(20) + content[70:]):
+        path = written(tmp_path / "cut.csv.gz", damaged)
+        assert_refused(path, two_link, "cannot be decompressed")
 
 
 @pytest.mark.parametrize("kind", ["folder", "fifo", "absent", "long name"])

@@ -138,6 +138,33 @@ def test_steps_of_a_coarse_encoder_are_no_glitches(two_link, tmp_path):
     assert RemarkKind.GLITCH not in remark_kinds(recording)
 
 
+@pytest.mark.parametrize("directions", [(1,), (1, -1)])
+@pytest.mark.parametrize("count", [4, 8])
+def test_flickers_by_one_step_of_an_encoder_are_no_glitches(count, directions, two_link, tmp_path):
+    """A joint at rest between two steps of 9 bits a turn, at 1 kHz: 12 rad/s from row to row."""
+    columns = two_joint_motion(4000, 1000.0)
+    step = 2.0 * np.pi / 512
+    columns["q.joint_2"][:] = 40 * step
+    columns["dq.joint_2"][:] = 0.0
+    rows = np.random.default_rng(count).choice(np.arange(10, 3990, 3), count, replace=False)
+    columns["q.joint_2"][rows] += step * np.resize(directions, count)
+    recording, _ = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert RemarkKind.GLITCH not in remark_kinds(recording)
+    columns["q.joint_2"][rows[0]] = -1.0  # a wrong reading among them
+    _, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert any("joint 'joint_2': 1 reading of q (the first -1" in text for text in texts)
+
+
+@pytest.mark.parametrize(("position", "wrong"), [(0.01, 0.0), (0.25, 0.75)])
+def test_wrong_readings_of_one_value_are_glitches(position, wrong, two_link, tmp_path):
+    columns = two_joint_motion(4000, 1000.0)
+    columns["q.joint_2"][:] = position
+    columns["dq.joint_2"][:] = 0.0
+    columns["q.joint_2"][[500, 1500, 2500, 3500]] = wrong
+    _, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert any("4 readings" in text and "glitches" in text for text in texts)
+
+
 def test_a_row_in_which_all_positions_are_wrong_is_removed(two_link, tmp_path):
     """Write the zeros of a failed reading into one row, as drivers of servos do."""
     columns = two_joint_motion()

@@ -277,7 +277,7 @@ def test_files_that_are_no_recordings_are_refused(two_link, tmp_path):
         ("binary.csv", b"\xff\xfe\x00\x81", "is no UTF-8 text"),
         ("other.csv", b"time,angle\n0,1\n", "'time', 'angle'"),
         ("header.csv", b"t,q.joint_1,q.joint_2\n", "has no rows"),
-        ("one.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n", "has 1 rows"),
+        ("one.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n", "has 1 row "),
         (
             "short.csv",
             b"t,q.joint_1,q.joint_2\n"
@@ -778,3 +778,28 @@ def test_words_of_motor_drivers_are_read_where_no_other_column_holds_their_quant
     recording = read("time_ms,i,position,iq")  # `i` counts rows
     assert recording.current is not None
     np.testing.assert_allclose(recording.current[:, 0], rows[:, 3])
+
+
+def test_second_words_of_a_joint_whose_name_ends_like_a_unit(tmp_path):
+    """`arm_nm` is the joint, and no joint `arm` in N m: its angle gives way to its position."""
+    robot = loaded(pendulum().replace("swing", "arm_nm"))
+    t = np.arange(200) / 100.0
+    columns = {"t": t, "angle_arm_nm": np.cos(t), "q_arm_nm [rad]": np.sin(3.0 * t)}
+    recording = recordings.read(write_columns(tmp_path / "r.csv", columns), robot)
+    np.testing.assert_array_equal(recording.q[:, 0], columns["q_arm_nm [rad]"])
+
+
+@pytest.mark.parametrize("pattern", ["{}|{}", "|{}.{}|", "{}_{}[rad,rad/s,Nm]"])
+def test_names_may_contain_separators_that_the_rows_do_not_have(pattern, two_link, tmp_path):
+    """Blanks separate the cells, and one name holds a vertical bar or a comma."""
+    columns = two_joint_motion()
+    columns["error"] = columns["t"]
+    path = write_columns(tmp_path / "r.csv", columns, " ")
+    names = list(columns)
+    if pattern == "{}|{}":
+        names = [name.replace(".", "|") for name in names]
+    names[-1] = pattern.format("position", "error")
+    path.write_text(" ".join(names) + "\n" + path.read_text().partition("\n")[2])
+    recording, texts = read_with_warnings(path, two_link)
+    assert not texts
+    np.testing.assert_array_equal(recording.q[:, 1], columns["q.joint_2"])

@@ -180,8 +180,8 @@ def read_recording(
     """Read a recording, check it, and repair faults that are safe to repair.
 
     Args:
-        path: CSV, `.npz`, rosbag2 folder, `.mcap` or RTDE file of Universal Robots; a recording is
-            returned unchanged.
+        path: CSV, `.npz`, rosbag2 folder, `.mcap`, text of `ros2 topic echo` or RTDE file of
+            Universal Robots; a recording is returned unchanged.
         robot: The robot that was recorded; joints are matched by name.
         limits: Limits that positions and torques are compared with; None: those of the URDF, if it
             has any.

@@ -49,10 +49,12 @@ RECORDINGS = """recordings:
   and a drive_gain per joint; dq, qref, qlink and temp are read too. CSV files of PlotJuggler, of
   'ros2 topic echo --csv' and of ur_rtde are read as they are, and names such as time, q_<joint>,
   <joint>_pos, /joint_states/<joint>/position, or q1, tau1, … in the order of the robot; --columns
-  names other columns. Times may be dates such as 2025-03-30T01:59:55.008+02:00. A file run.json
-  next to run.csv holds the metadata: {"schema": "excite.recording/1", "period": 6.2, "periodic":
-  [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. --trajectory takes period and window from the motion
-  that was executed. The noise floor is estimated from two or more whole periods in that window.
+  names other columns. Long tables have a row per joint and time: time, joint, position, torque.
+  Times may be dates such as 2025-03-30T01:59:55.008+02:00. The text that 'ros2 topic echo
+  /joint_states' prints is read, too, and text may be compressed (run.csv.gz). A file run.json next
+  to run.csv holds the metadata: {"schema": "excite.recording/1", "period": 6.2, "periodic": [0.8,
+  25.6], "drive_gain": {"elbow": 0.11}}. --trajectory takes period and window from the motion that
+  was executed. The noise floor is estimated from two or more whole periods in that window.
 
 examples:
   excite identify ur10e monday.csv --validate tuesday.csv -o out/model
@@ -774,7 +776,8 @@ def _identify(commands: Commands) -> None:
         metavar="RECORDING",
         nargs="+",
         help=(
-            "recording that the model is fitted to: CSV, .npz, rosbag2 folder, .mcap or ur_rtde CSV"
+            "recording that the model is fitted to: CSV, .npz, rosbag2 folder, .mcap, text of ros2 "
+            "topic echo or ur_rtde CSV"
         ),
     )
     sub.add_argument(

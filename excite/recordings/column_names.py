@@ -13,6 +13,7 @@ from ..errors import UnusableInput
 from ..robot.robot import Robot
 from . import floating_signals, spelled_columns
 from .block import QUANTITIES, Block
+from .remark import Remark, RemarkKind
 
 PREFIXES = {
     "q": "q",
@@ -242,6 +243,20 @@ def _find_rtde_columns(source: str, header: Sequence[str], robot: Robot) -> Colu
     names = [name for name in header if name in places]
     time = "t" if "t" in header else "timestamp"
     return ColumnLayout((time, *names), tuple(places[name] for name in names), robot.n)
+
+
+def numbered_remarks(columns: Sequence[str], robot: Robot) -> list[Remark]:
+    """Remark columns that name joints by their numbers: the order is that of the robot.
+
+    Args:
+        columns: Names of their positions in the file, of each joint of the robot; none otherwise.
+        robot: Robot whose joints are recorded.
+    """
+    if not columns:
+        return []
+    pairs = zip(columns, robot.joints, strict=True)
+    text = f"its joints have numbers and no names; they are {', '.join(map(' = '.join, pairs))}"
+    return [Remark(RemarkKind.NUMBERED, text, repaired=True)]
 
 
 def listed(names: Sequence[str], at_most: int = 8) -> str:

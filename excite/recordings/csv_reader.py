@@ -30,9 +30,12 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
-from .column_names import ColumnLayout, find_columns
+from .column_names import ColumnLayout, find_columns, numbered_remarks
 from .export_formats import Header, recognise
+from .long_tables import LongColumns, find_long_columns, pivot
+from .magnitudes import check_cells
 from .remark import Remark, RemarkKind
+from .text_file import open_text
 from .time_cells import DATE, DateColumn, epoch_unit
 
 CHUNK_SIZE = 1 << 23
@@ -81,10 +84,17 @@ OTHER_UNITS = frozenset(
 """Units in a row below the header that have to be converted, in small letters."""
 UNIT_CELL = re.compile(r"[^0-9+.\-].{0,15}|-")
 """Cell that may name a unit: no number."""
+NAME_CELL = re.compile(r"[^\W\d][\w ./-]*")
+"""Cell that may be the name of a column."""
 SEPARATOR_LINE = re.compile(rb"sep=.\r?\n", re.IGNORECASE)
 """First line by which spreadsheets state the separator of cells."""
-MISSING_CELL = re.compile(r'(?im)(?<![^,\n])[ \t]*"?(?:n/?a|#n/a|null|none)"?[ \t]*(?![^,\n])')
-"""Cell that says that nothing was measured."""
+MISSING_CELL = re.compile(
+    r'(?im)(?<![^,\n])[ \t]*(?:"[ \t]*"|"?(?:n/?a|#n/a|null|none|missing|-{1,3}|\?'
+    r'|[+-]?1\.#(?:qnan|snan|ind)0*|[+-]?nan\(s?(?:nan|ind)\))"?)[ \t]*(?![^,\n])'
+)
+"""Cell that says that nothing was measured; the last two are those of Microsoft's C library."""
+DECIMAL_COMMA = re.compile(r"'[+-]?\d+,\d+'")
+"""Number with one comma in the message of a parser."""
 BLANK_CELL = re.compile(r"(?:^|,)\s*(?:,|$)")
 """Cell without a value in a line."""
 WHOLE_CELL = re.compile(r"\s*[+-]?\d+\s*")
@@ -109,9 +119,9 @@ def read_column_names(path: Path) -> list[str]:
     Raises:
         UnusableInput: It is no text, or its header cannot be read.
     """
-    with path.open("rb") as stream:
+    with open_text(path) as stream:
         line, _ = _skip_comments(stream)
-        return _read_header(path, line)[1]
+        return _read_header(path, line, stream.readline(MAX_LINE))[1]
 
 
 def read_blocks(
@@ -139,17 +149,28 @@ def read_blocks(
     Raises:
         UnusableInput: The header lacks a column of the robot, or a cell is no number.
     """
-    with path.open("rb") as stream:
+    with open_text(path) as stream:
         line, row = _skip_comments(stream)
-        separator, with_unnamed = _read_header(path, line)
-        cells = _without_empty_end(with_unnamed)
         behind = stream.tell()
         first_line = stream.readline(MAX_LINE)
+        separator, with_unnamed = _read_header(path, line, first_line)
+        cells = _without_empty_end(with_unnamed)
         first_row = _without_empty_end(_cells(separator, first_line))
         if _is_row_of_units(path, row + 1, cells, first_row):
             behind, row = stream.tell(), row + 1
             first_line = stream.readline(MAX_LINE)
             first_row = _without_empty_end(_cells(separator, first_line))
+        _require_one_row_of_names(path, row + 1, cells, first_row)
+        long = None
+        if set(columns) <= {"t"}:
+            names = ["t" if name == columns.get("t") else name for name in cells]
+            long = find_long_columns(str(path), names, first_row, robot, separator, effort)
+        if long is not None:
+            stream.seek(behind)
+            rows = _LongTable(path, separator, long, row + 1)
+            rows.header_line = line.rstrip(b"\r\n")
+            yield rows.block_of(stream, robot, effort)
+            return
         header = recognise(str(path), cells, first_row, robot, columns, separator, topic, effort)
         unnamed = len(with_unnamed) - len(cells)
         _require_names(path, header.names, robot, separator, unnamed)
@@ -166,22 +187,11 @@ def read_blocks(
         )
         table = _Table(path, separator, header, layout, unnamed)
         table.header_line = line.rstrip(b"\r\n") if header.has_line else None
-        table.remarks += (*_planned(cells, robot), *_numbered(header.numbered, robot))
+        table.remarks += (*_planned(cells, robot), *numbered_remarks(header.numbered, robot))
         table.row = row + 1 if header.has_line else 1
         if b'"' not in first_line and not first_line.startswith(COMMENTS):
             table.separators = first_line.count(separator.encode())
-        remainder = b""
-        while chunk := stream.read(CHUNK_SIZE):
-            text, newline, remainder = (remainder + chunk).rpartition(b"\n")
-            if len(remainder) > MAX_LINE:
-                raise UnusableInput(
-                    f"{path}: after row {table.row + text.count(newline or b' ')}: a line is "
-                    f"longer than {MAX_LINE} bytes; give a CSV"
-                )
-            if newline:
-                yield table.block(text + newline)
-        if remainder.strip():
-            yield table.last_block(remainder)
+        yield from map(table.block, table.parts(stream))
 
 
 class _Table:
@@ -191,6 +201,8 @@ class _Table:
         unnamed: Number of columns without a name behind the others.
         header_line: The line with the names; None: there is none.
         separators: Number of separators in the first row, if it has no quotes.
+        width: Number of cells in a row of the file.
+        may_be_shorter: True if a row may have fewer.
         row: Number of the next row in the file, as users count.
         remarks: Remarks that the next block carries.
     """
@@ -206,13 +218,37 @@ class _Table:
         self.dates: DateColumn | None = None
         self.has_times = False
         self.separators = 0
+        self.width, self.may_be_shorter = len(header.names), header.rewrite is not None
         self.row = 1
         self.remarks: tuple[Remark, ...] = ()
         self.remarked: set[str] = set()
 
+    def parts(self, stream: BinaryIO) -> Iterator[bytes]:
+        """Yield the complete lines of a stream, CHUNK_SIZE bytes at a time."""
+        remainder = b""
+        while chunk := stream.read(CHUNK_SIZE):
+            text, newline, remainder = (remainder + chunk).rpartition(b"\n")
+            if len(remainder) > MAX_LINE:
+                raise UnusableInput(
+                    f"{self.path}: after row {self.row + text.count(newline or b' ')}: a line is "
+                    f"longer than {MAX_LINE} bytes; give a CSV"
+                )
+            if newline:
+                yield text + newline
+        if remainder.strip():
+            yield self._last_line(remainder)
+
     def block(self, text: bytes) -> Block:
         """Parse complete lines."""
-        count, first = text.count(b"\n"), self.row
+        first, table = self.row, self.numbers(text)
+        block = self.layout.block(table, self.origin)
+        out = dataclasses.replace(block, remarks=self.remarks, row=first)
+        self.remarks = ()
+        return out
+
+    def numbers(self, text: bytes) -> FloatArray:
+        """Parse complete lines. Shape (rows, columns of the layout)."""
+        count = text.count(b"\n")
         text = self._without_comments(self._without_repeated_headers(text))
         if self.header.rewrite is not None:
             text, left_out = self.header.rewrite(text)
@@ -236,22 +272,17 @@ class _Table:
             self.has_times = True
             self._find_epoch(clock)
             self.origin = clock[0].copy() if self.layout.from_first else None
-        block = self.layout.block(table, self.origin)
-        out = dataclasses.replace(block, remarks=self.remarks, row=first)
-        self.remarks = ()
-        return out
+        return table
 
-    def last_block(self, line: bytes) -> Block:
-        """Parse a last line that does not end in a newline; it may be cut short."""
-        missing = len(_cells(self.separator, line)) < len(self.header.names)
+    def _last_line(self, line: bytes) -> bytes:
+        """Return a last line that does not end in a newline; it may be cut short."""
+        missing = len(_cells(self.separator, line)) < self.width
         if self.separator != " " and b'"' not in line:  # the separator at the end of lines as well
             missing |= line.count(self.separator.encode()) < self.separators
-        if self._is_comment(line):
-            return self.block(line + b"\n")
-        if missing and self.header.rewrite is None:
+        if missing and not self._is_comment(line) and not self.may_be_shorter:
             self._remark(f"row {self.row}, the last one, is cut short and left out")
-            return self.block(b"")
-        return self.block(line + b"\n")
+            return b""
+        return line + b"\n"
 
     def _without_repeated_headers(self, text: bytes) -> bytes:
         """Lines without those that repeat the header, as where a log was continued."""
@@ -310,7 +341,7 @@ class _Table:
         """Return True for a comment, and no row whose first cell is a text that is not read."""
         if not line.startswith(COMMENTS):
             return False
-        widths = len(self.header.names), len(self.header.names) + self.unnamed
+        widths = self.width, self.width + self.unnamed
         return 0 in self.places or len(_cells(self.separator, line)) not in widths
 
     def _without_empty_rows(self, table: FloatArray) -> FloatArray:
@@ -327,6 +358,40 @@ class _Table:
         if kind not in self.remarked:
             self.remarked.add(kind)
             self.remarks += (Remark(RemarkKind.SKIPPED, text, repaired=True),)
+
+
+class _LongTable(_Table):
+    """The rows of a long table, which are put together when all are read."""
+
+    def __init__(self, path: Path, separator: str, long: LongColumns, row: int) -> None:
+        header = Header(long.names, (("t", long.factor),), rewrite=long.rewrite)
+        # values of one joint, whatever they are, and the code behind them
+        places = tuple(("q", k) for k in range(len(long.values)))
+        layout = ColumnLayout(long.names, places, len(places), (long.factor,))
+        super().__init__(path, separator, header, layout, 0)
+        self.long, self.row, long.row = long, row, row
+        self.width, self.may_be_shorter = long.width, False
+
+    def block_of(self, stream: BinaryIO, robot: Robot, effort: str) -> Block:
+        """Read the rows of a stream and return them as a wide table."""
+        tables, quantities = (
+            list[FloatArray](),
+            [f"value of {p or 'all'}" for p in self.long.values.values()],
+        )
+        for text in self.parts(stream):
+            first, table = self.row, self.numbers(text)
+            check_cells(
+                str(self.path), table[:, 0], dict(zip(quantities, table.T[1:], strict=False)), first
+            )
+            tables.append(table)
+        table = np.concatenate(tables) if tables else np.empty((0, len(self.long.names)))
+        factor = self.layout.time_factors[0]
+        t = factor * (table[:, 0] - (0.0 if self.origin is None else self.origin[0]))
+        codes = table[:, -1].astype(int)
+        wide = pivot(self.long, t, table[:, 1:-1], codes, robot, effort)
+        layout = find_columns(str(self.path), wide.names, robot)
+        block = layout.block(wide.table[:, [wide.names.index(name) for name in layout.names]])
+        return dataclasses.replace(block, remarks=(*self.remarks, *wide.remarks))
 
 
 def _skip_comments(stream: BinaryIO) -> tuple[bytes, int]:
@@ -390,6 +455,25 @@ def _is_row_of_units(path: Path, row: int, header: Sequence[str], cells: Sequenc
     return True
 
 
+def _require_one_row_of_names(
+    path: Path, row: int, header: Sequence[str], cells: Sequence[str]
+) -> None:
+    """Check that the line below the header, with that number, is no second line of names.
+
+    Tables with two levels of names have one, as of `pandas`: the quantities above the joints.
+    """
+    texts = [cell.strip() for cell in cells if cell.strip()]
+    if len(texts) < 2 or len(cells) != len(header) or not all(map(NAME_CELL.fullmatch, texts)):
+        return
+    if all(map(MISSING_CELL.fullmatch, texts)) or any(map(_is_number, texts)):
+        return
+    first = next(k for k, name in enumerate(cells) if k and name.strip())
+    raise UnusableInput(
+        f"{path}: row {row}: it holds names and no numbers; join both rows of names to one "
+        f"('{header[first]}' and '{cells[first].strip()}'), with the columns t,q.<joint>,…"
+    )
+
+
 def _cells(separator: str, line: bytes) -> list[str]:
     """Cells of a line of data; empty where it is no text."""
     try:
@@ -414,17 +498,17 @@ def _planned(header: Sequence[str], robot: Robot) -> tuple[Remark, ...]:
     return (Remark(RemarkKind.PLANNED, text, doubt=True),)
 
 
-def _numbered(columns: Sequence[str], robot: Robot) -> tuple[Remark, ...]:
-    """Remark columns that name joints by their numbers: the order is that of the robot."""
-    if not columns:
-        return ()
-    pairs = zip(columns, robot.joints, strict=True)
-    text = f"its joints have numbers and no names; they are {', '.join(map(' = '.join, pairs))}"
-    return (Remark(RemarkKind.NUMBERED, text, repaired=True),)
+def _read_header(path: Path, line: bytes, following: bytes) -> tuple[str, list[str]]:
+    """Find the separator of a file and the names in its first line.
 
+    Args:
+        path: The file, for messages.
+        line: The line.
+        following: The line below.
 
-def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
-    """Find the separator of a file and the names in its first line."""
+    Raises:
+        UnusableInput: The line cannot be read.
+    """
     if b"\r" in line.removesuffix(b"\n").removesuffix(b"\r"):
         raise UnusableInput(
             f"{path}: row 1: its line ends in a carriage return alone; save it with line ends LF "
@@ -441,7 +525,7 @@ def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
             f"{path}: is no UTF-8 text; give a CSV in UTF-8 with a header t,q.<joint>,…, an .npz, "
             "a rosbag2 folder or an .mcap"
         ) from error
-    separator = next((s for s in SEPARATORS if s in text), ",")
+    separator = _separator(text, following)
     if separator == " ":
         return separator, [cell.strip('"') for cell in text.split()]
     try:
@@ -451,6 +535,24 @@ def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
             f"{path}: its header cannot be read ({error}); the first row should name the columns"
         ) from error
     return separator, [cell.strip() for cell in cells]
+
+
+def _separator(text: str, following: bytes) -> str:
+    """Return the separator in a line of names: the first one in it, unless another fits the row.
+
+    A name may contain `|`, or a comma in its unit, where blanks separate cells.
+
+    Args:
+        text: The line of names.
+        following: The row below.
+    """
+    occurring = [separator for separator in SEPARATORS if separator in text]
+    for separator in occurring:
+        names = _without_empty_end(_cells(separator, text.encode()))
+        cells = _without_empty_end(_cells(separator, following))
+        if len(names) == len(cells) > 1 and (separator == occurring[0] or _is_number(cells[0])):
+            return separator
+    return occurring[0] if occurring else ","
 
 
 def _require_names(
@@ -523,6 +625,8 @@ def _parse_rows(
         reason = match[1] if match else str(error)
         if GROUPED.search(reason):
             reason += " (if it has separators of thousands, remove them)"
+        elif DECIMAL_COMMA.search(reason):
+            reason += " (if its comma is a decimal point, write a point)"
         if DATE_CELL.search(reason):
             raise UnusableInput(
                 f"{path}: {place}: {reason.split(' to float')[0]}, a date or a time of day; write "

@@ -10,6 +10,7 @@ from ..robot.limits import Limits
 from ..robot.parameter_names import plural
 from ..robot.robot import Robot
 from .block import Block
+from .encoder_resolution import MULTIPLE_TOLERANCE
 from .missing_values import true_runs
 from .position_wraps import TURN, is_plausible
 from .remark import Remark, RemarkKind, shown_time
@@ -31,6 +32,10 @@ SHORT_STEP = 0.7
 MAX_TIMING_ERROR = 1.0
 """Error of the time between two readings over the usual time step [1], where jitter of the stamps
 moves many readings: each is late or early by up to half a step."""
+COARSEST_STEP = TURN / 256
+"""Largest change of a revolute joint at rest that is taken for a step of its encoder where it
+recurs with one size [rad]: 8 bits per turn, of a potentiometer with the coarsest usual converter.
+Larger ones are wrong readings of one value."""
 RESOLUTION_STEPS = 2.0
 """Change of a position that its resolution may cause, over the smallest change [1]."""
 
@@ -159,7 +164,8 @@ def _smallest_step(q: FloatArray, change: FloatArray, is_angle: bool) -> float:
     """Return the smallest change of a position that is not one to a possible glitch.
 
     A few readings between two equal ones may be wrong, as a single zero of a joint at rest, and
-    tell nothing of the resolution; where they are many, they are its steps.
+    tell nothing of the resolution; where they are many, or recur with the size of one step of an
+    encoder, they are its steps.
 
     Args:
         q: Positions. Shape (N,) [rad or m].
@@ -176,9 +182,29 @@ def _smallest_step(q: FloatArray, change: FloatArray, is_angle: bool) -> float:
     returns[1:-1] = _distance(q[starts[2:]], q[starts[:-2]], is_angle) == 0.0
     returns &= lengths <= most
     steps = change[starts[1:] - 1]
-    if lengths[returns].sum() <= most:
+    excursions = starts[returns]
+    if lengths[returns].sum() <= most and not _are_encoder_steps(
+        q[excursions], change[excursions - 1], is_angle
+    ):
         steps = steps[~(returns[1:] | returns[:-1])]
     return float(steps.min()) if len(steps) else 0.0
+
+
+def _are_encoder_steps(readings: FloatArray, sizes: FloatArray, is_angle: bool) -> bool:
+    """Return True if the smallest excursions of an angle recur with the size of an encoder's step.
+
+    Zeros are those of failed readings.
+
+    Args:
+        readings: First reading of each excursion. Shape (E,) [rad or m].
+        sizes: Distance from the reading before. Shape (E,) [rad or m].
+        is_angle: True for a revolute joint.
+    """
+    smallest = float(sizes.min(initial=np.inf))
+    if not is_angle or smallest > COARSEST_STEP:
+        return False
+    is_step = sizes <= (1.0 + MULTIPLE_TOLERANCE) * smallest
+    return bool(is_step.sum() > 1 and readings[is_step].all())
 
 
 def _jump_remarks(

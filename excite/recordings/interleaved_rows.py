@@ -54,7 +54,7 @@ def join_rows(block: Block, robot: Robot) -> tuple[Block, list[Remark]]:
         for i in np.flatnonzero(apart[name]):
             measured = known[name][:, i] & has_time
             is_angle = name in POSITIONS and robot.entries[i].kind != "prismatic"
-            values[name][:, i] = _interpolated(
+            values[name][:, i] = interpolate_signal(
                 block.t[measured], value[measured, i], times, is_angle=is_angle
             )
     if "q" in moved:
@@ -79,7 +79,7 @@ def _is_apart(rows: BoolArray, reference: BoolArray) -> BoolArray:
     return np.asarray((count > 1) & (shared < MAX_SHARED * np.minimum(count, reference.sum())))
 
 
-def _interpolated(
+def interpolate_signal(
     t: FloatArray, values: FloatArray, times: FloatArray, *, is_angle: bool
 ) -> FloatArray:
     """Interpolate a column; NaN outside its stamps and in its gaps. Shape (M,).

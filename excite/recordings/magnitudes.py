@@ -7,6 +7,8 @@ keep squares and sums over all rows finite.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from .._types import FloatArray
@@ -33,28 +35,41 @@ def check_magnitudes(source: str, block: Block, robot: Robot, first_row: int) ->
     Raises:
         UnusableInput: A number exceeds MAX_MAGNITUDE or MAX_TIME.
     """
-    place = _first_beyond(block.t[:, None], MAX_TIME)
-    if place is not None:
-        value = float(block.t[place[0]])
-        raise UnusableInput(_message(source, "t", first_row + place[0], value, MAX_TIME))
+    check_cells(source, block.t, {}, first_row)
     for quantity, values in block.values.items():
-        place = _first_beyond(values, MAX_MAGNITUDE)
-        if place is not None:
-            column = column_of(quantity, place[1], robot.joints)
-            value = float(values[place])
+        columns = {
+            column_of(quantity, i, robot.joints): column for i, column in enumerate(values.T)
+        }
+        check_cells(source, block.t[:0], columns, first_row)
+
+
+def check_cells(
+    source: str, t: FloatArray, columns: Mapping[str, FloatArray], first_row: int
+) -> None:
+    """Check times and columns; see `check_magnitudes`.
+
+    Args:
+        source: Name of the recording, for messages.
+        t: Times. Shape (N,).
+        columns: Columns by name. Shape (N,) each.
+        first_row: Number of the first row in its file, as users count.
+    """
+    for name, column, largest in (
+        ("t", t, MAX_TIME),
+        *((name, column, MAX_MAGNITUDE) for name, column in columns.items()),
+    ):
+        row = _first_beyond(column, largest)
+        if row is not None:
             raise UnusableInput(
-                _message(source, column, first_row + place[0], value, MAX_MAGNITUDE)
+                _message(source, name, first_row + row, float(column[row]), largest)
             )
 
 
-def _first_beyond(values: FloatArray, largest: float) -> tuple[int, int] | None:
-    """Row and column of the first finite number beyond a magnitude."""
+def _first_beyond(column: FloatArray, largest: float) -> int | None:
+    """Row of the first finite number beyond a magnitude."""
     with np.errstate(invalid="ignore"):
-        beyond = np.isfinite(values) & (np.abs(values) > largest)
-    if not beyond.any():
-        return None
-    row, column = np.argwhere(beyond)[0]
-    return int(row), int(column)
+        beyond = np.isfinite(column) & (np.abs(column) > largest)
+    return int(np.argmax(beyond)) if beyond.any() else None
 
 
 def _message(source: str, column: str, row: int, value: float, largest: float) -> str:

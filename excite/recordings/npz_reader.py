@@ -22,7 +22,14 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
-from .column_names import PREFIXES, ColumnLayout, find_columns, listed
+from .column_names import (
+    PREFIXES,
+    RTDE_POSITION,
+    ColumnLayout,
+    find_columns,
+    listed,
+    similar,
+)
 
 BLOCK_ROWS = 50_000
 """Number of rows in a block."""
@@ -112,6 +119,12 @@ def read_blocks(path: Path, robot: Robot) -> Iterator[Block]:
 def _read_columns(
     path: Path, open_member: MemberOpener, names: list[str], robot: Robot
 ) -> Iterator[Block]:
+    missing = [name for name in ("t", *(f"q.{j}" for j in robot.joints)) if name not in names]
+    if missing and f"{RTDE_POSITION}0" not in names:
+        raise UnusableInput(
+            f"{path}: has no column '{missing[0]}' {similar(missing[0], names)}; save t and "
+            "q.<joint> of each joint, or t, joints (names of the columns of q) and q"
+        )
     layout = find_columns(str(path), names, robot)
     members = [open_member(name, 1) for name in layout.names]
     yield from _merge(path, members, layout)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import os
 import warnings
 from collections.abc import Iterator, Mapping
@@ -17,6 +18,7 @@ from ..robot.robot import Robot
 from . import (
     csv_reader,
     data_quality,
+    echo_reader,
     held_values,
     interleaved_rows,
     locked_joints,
@@ -41,7 +43,35 @@ in."""
 CONTEXT_ROWS = 32
 """Rows before and after a block that its repairs take into account; the effect of a row on a cubic
 spline decays over fewer."""
-FORMATS = "CSV, .npz, rosbag2 folder, .mcap, .db3 or .bag"
+FORMATS = "CSV, .npz, rosbag2 folder, .mcap, .db3, .bag or text of ros2 topic echo"
+
+_AS_CSV = "write its table as CSV, as with pandas: {}(…).to_csv('run.csv', index=False)"
+FOREIGN = (
+    (b"PAR1", "a Parquet file", _AS_CSV.format("read_parquet")),
+    (b"ARROW1", "a Feather file", _AS_CSV.format("read_feather")),
+    (
+        b"PK\x03\x04",
+        "an archive or a spreadsheet",
+        "extract the CSV or save it as one; NumPy's has the suffix .npz",
+    ),
+    (b"MATLAB 5.0", "a MAT-file", "write CSV with writetable, with the names t,q.<joint>,…"),
+    (b"\x89HDF", "an HDF5 or MAT-file", "write its table as CSV, with the names t,q.<joint>,…"),
+    (b"\x93NUMPY", "an array without names", "save t and q.<joint>, … with numpy.savez as .npz"),
+    *(
+        (sign, "JSON", "write the rows that it holds as CSV, with the columns t,q.<joint>,…")
+        for sign in (b'{"', b'[{"', b"[\n", b"{\n")
+    ),
+)
+"""First bytes of files of other formats, their names and the remedies."""
+
+
+class FileFormat(enum.Enum):
+    """Formats of recordings, one for each reader."""
+
+    BAG = enum.auto()
+    ARCHIVE = enum.auto()
+    ECHO = enum.auto()
+    TABLE = enum.auto()
 
 
 def read(
@@ -58,7 +88,8 @@ def read(
 
     Args:
         path: A CSV file (columns `q.<joint>`, … or Universal Robots' RTDE), an .npz, a rosbag2
-            folder, an .mcap, .db3 or .bag. A sidecar `<name>.json` in the same folder is read, too.
+            folder, an .mcap, .db3 or .bag, or the text of `ros2 topic echo`. A sidecar
+            `<name>.json` in the same folder is read, too.
         robot: Robot that it records.
         limits: Limits of the robot, by which wrong units are detected; None: those of the URDF.
         columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
@@ -110,7 +141,7 @@ def stream(
     glitches, the period, joints that never move, locked joints that move, timestamp jitter,
     quantization, coarse or clipped signals and torques that jump to one value. A fault is warned of
     where it first occurs; numbers in a remark may include up to 32 rows around the block. Memory is
-    bounded for CSV, bags and .npz, except 2-D arrays in Fortran order.
+    bounded for CSV, bags and .npz, except long tables and 2-D arrays in Fortran order.
 
     Args:
         path: As of `read`.
@@ -168,29 +199,23 @@ def _read_blocks(
     floating: bool = False,
 ) -> Iterator[Block]:
     """Yield blocks as the reader of the file's format returns them."""
-    if not (os.path.isdir(path) or os.path.isfile(path)):
-        if os.path.exists(path):
-            raise UnusableInput(f"{path}: is a pipe or a device; write the recording to a file")
-        raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
-    if path.suffix == ".json":
-        raise UnusableInput(
-            f"{path}: is no recording but JSON; give the recording whose metadata it holds, or "
-            f"write the rows that it holds as CSV, with the columns t,q.<joint>,…: {FORMATS}"
-        )
     columns = context.columns
     row, holds_current = 1, context.sidecar.effort == "current"
-    if columns and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
+    form = _file_format(path)
+    if columns and form is not FileFormat.TABLE:
         raise UnusableInput(f"{path}: has no named columns; leave --columns out")
-    if floating and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
+    if floating and form is not FileFormat.TABLE:
         raise UnusableInput(
             f"{path}: signals of a floating base are read from CSV; give columns t, base.x, … "
             "base.qw, q.<joint>, …, wrench.<frame>.fx, …"
         )
     try:
-        if rosbag_reader.is_bag(path):
+        if form is FileFormat.BAG:
             blocks = rosbag_reader.read_blocks(path, context.robot, context.sidecar)
-        elif path.suffix == ".npz":
+        elif form is FileFormat.ARCHIVE:
             blocks = npz_reader.read_blocks(path, context.robot)
+        elif form is FileFormat.ECHO:
+            blocks = echo_reader.read_blocks(path, context.robot, context.sidecar)
         else:
             blocks = csv_reader.read_blocks(
                 path,
@@ -212,9 +237,42 @@ def _read_blocks(
             row += len(block)
             yield block
     except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _file_format(path: Path) -> FileFormat:
+    """Find the format of a file by its suffix, or the beginning of its text.
+
+    Raises:
+        UnusableInput: There is no file, or it cannot be read.
+    """
+    if not (os.path.isdir(path) or os.path.isfile(path)):
+        if os.path.exists(path):
+            raise UnusableInput(f"{path}: is a pipe or a device; write the recording to a file")
+        raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
+    if path.suffix == ".json":
         raise UnusableInput(
-            f"{path}: cannot be read ({error.strerror}); give a {FORMATS}"
-        ) from error
+            f"{path}: is no recording but JSON; give the recording whose metadata it holds, or "
+            f"write the rows that it holds as CSV, with the columns t,q.<joint>,…: {FORMATS}"
+        )
+    if rosbag_reader.is_bag(path):
+        return FileFormat.BAG
+    if path.suffix == ".npz":
+        return FileFormat.ARCHIVE
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(16)
+        for sign, name, remedy in FOREIGN:
+            if head.startswith(sign):
+                raise UnusableInput(f"{path}: is {name}; {remedy}")
+        return FileFormat.ECHO if echo_reader.is_echo(path) else FileFormat.TABLE
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: OSError) -> UnusableInput:
+    """Return the error of a file that the operating system does not read."""
+    return UnusableInput(f"{path}: cannot be read ({error.strerror}); give a {FORMATS}")
 
 
 def _regrouped(blocks: Iterator[Block], rows: int) -> Iterator[tuple[Block, bool]]:

@@ -11,6 +11,7 @@ from ..errors import UnusableInput
 from ..robot.robot import Robot
 from ..schemas.document_file import DocumentFile
 from ..schemas.recording import SCHEMA, SidecarDocument
+from .text_file import SUFFIXES
 
 KEYS = SidecarDocument.__struct_fields__
 """Keys that a sidecar may have; others are ignored."""
@@ -49,13 +50,14 @@ class Sidecar:
 
 
 def sidecar_path(recording: Path) -> Path:
-    """Return the path of a recording's sidecar: `run.json` for `run.csv` and for the folder
-    `run`."""
+    """Return the path of a recording's sidecar: `run.json` for `run.csv`, for `run.csv.gz` and for
+    the folder `run`."""
     if recording.name in ("", ".."):  # the working folder, or one above it
         recording = recording.resolve()
-    return (
-        recording.parent / f"{recording.name if os.path.isdir(recording) else recording.stem}.json"
-    )
+    if os.path.isdir(recording):
+        return recording.parent / f"{recording.name}.json"
+    content = recording.with_suffix("") if recording.suffix in SUFFIXES else recording
+    return recording.parent / f"{content.stem}.json"
 
 
 def read(recording: Path, robot: Robot) -> Sidecar:

@@ -58,6 +58,8 @@ SECONDS = {
     **{"us": 1e-6, "micros": 1e-6, "microseconds": 1e-6, "ns": 1e-9, "nanoseconds": 1e-9},
 }
 """Spellings of units of time, with their seconds."""
+NO_JOINT = "\0"
+"""Name of the joint of a file whose columns hold none; no name contains it."""
 _TIME_UNIT = rf"(?:[ _]*[\[(]?({'|'.join(SECONDS)})[\])]?)?"
 TIMES = tuple(
     re.compile(names + _TIME_UNIT, re.I)
@@ -98,9 +100,9 @@ the motor position `q_m`; `A` is one behind a current alone."""
 WORD_AND_UNIT = re.compile(rf"(?P<word>{_WORD})[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?", re.I)
 """A quantity with its unit, in front of or behind a joint."""
 _NUMBERED = re.compile(
-    rf"(?P<word>{_WORD})(?:[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?(?=[._ /-]))?"
-    r"[._ /-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
-    rf"|(?:joint|axis|j)[._ -]*(?P<first>\d+)[._ /-]+(?P<behind>{_WORD})",
+    rf"(?P<word>{_WORD})(?:[ _]?[\[(]?(?P<unit>{_INNER_UNIT})[\])]?(?=[._ /|-]))?"
+    r"[._ /|-]*(?:joint|axis|j)?[._ -]*[\[(]?(?P<number>\d+)[\])]?"
+    rf"|(?:joint|axis|j)[._ -]*(?P<first>\d+)[._ /|-]+(?P<behind>{_WORD})",
     re.I,
 )
 KNOWN_ELSEWHERE = re.compile(
@@ -227,24 +229,7 @@ def _find_columns(
         ordered = tuple(names_of[column] for column in positions)
         if len(joints) > 1 and not all(map(holds_name, ordered, robot.joints)):
             numbered = ordered
-    # a column with the standard name, as of --columns, precedes
-    places = {
-        name: place for name, place in places.items() if name == place[0] or place[0] not in names
-    }
-    places = _in_si_units(places)
-    first: dict[str, str] = {}
-    for name, (column, unit) in places.items():
-        if first.setdefault(column, name) != name:
-            raise UnusableInput(
-                f"{source}: columns '{first[column]}' and '{name}' are both {column}; choose one "
-                f"with --columns {column}=COLUMN"
-            )
-        if not _is_si(column, unit):
-            expected = SI_UNITS[column.partition(".")[0]]
-            raise UnusableInput(
-                f"{source}: column '{name}' is in {unit}; convert it to SI units, "
-                f"{' or '.join(sorted(expected, reverse=True))}, and name it {column}"
-            )
+    places = distinct_columns(source, names, places)
     renamed = tuple(places[name][0] if name in places else name for name in names)
     return SpelledColumns(renamed, (time, SECONDS[(match[1] or "s").lower()]), numbered)
 
@@ -261,11 +246,10 @@ def _without_second_words(names: Sequence[str], joints: Sequence[str], effort: s
 
     A current is not needed next to a torque.
     """
-    words = {name: word for name in names if (word := _word(name, joints))}
+    readings = {name: _readings(name, joints) for name in names}
+    words = {name: either[0].word for name, either in readings.items() if either}
     others = [name for name in names if words.get(name) not in SECOND_WORDS]
-    known = {prefix for prefix, _ in _read_numbers(others, joints, effort).values()}
-    of_joints = (_of_joint(name, joints, effort) for name in others)
-    known |= {place[0].partition(".")[0] for place in of_joints if place}
+    known = {reading.prefix(effort) for name in others for reading in readings[name]}
     if "tau" in known:
         known.add("i")
     return [
@@ -275,21 +259,55 @@ def _without_second_words(names: Sequence[str], joints: Sequence[str], effort: s
     ]
 
 
-def _word(name: str, joints: Sequence[str]) -> str | None:
-    """Return the word for a quantity in the name of a column of a joint or with a number."""
-    text = UNIT.sub("", name.strip())
-    for joint in sorted(joints, key=len, reverse=True):
-        before, middle, behind = text.partition(joint)
-        if not middle:
-            continue
-        word = (before or behind).strip("._/ -[]()").lower()
-        inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/ -"))
-        if word in WORDS or inner is not None:
-            return word if inner is None else inner["word"].lower()
-    match = _NUMBERED.fullmatch(text)
-    if match is not None:
-        return str(match["word"] or match["behind"]).lower()
-    return text.lower() if text.lower() in WORDS else None
+def columns_of_one_joint(names: Sequence[str], effort: str) -> dict[str, tuple[str, str]]:
+    """Return the prefixes of columns whose names hold no joint and no number, and their units.
+
+    Args:
+        names: Names of all columns, as `position` or `torque [Nm]`.
+        effort: Prefix of an effort, "tau" for torque or "i" for current.
+    """
+    candidates = _without_second_words(names, (NO_JOINT,), effort)
+    readings = {name: _read_number(name, is_single=True) for name in candidates}
+    return {
+        name: (reading.prefix(effort), reading.unit)
+        for name, reading in readings.items()
+        if reading is not None and reading.number is None
+    }
+
+
+def distinct_columns(
+    source: str, names: Sequence[str], places: Mapping[str, tuple[str, str]]
+) -> dict[str, tuple[str, str]]:
+    """Return columns without further ones of the same quantity, all in SI units.
+
+    A column with the standard name, as of --columns, precedes, then one in SI units.
+
+    Args:
+        source: Name of the file, for messages.
+        names: Names of all columns.
+        places: Standard names and units of columns.
+
+    Raises:
+        UnusableInput: Two columns hold the same quantity, or one is in another unit.
+    """
+    places = _in_si_units(
+        {name: place for name, place in places.items() if name == place[0] or place[0] not in names}
+    )
+    first: dict[str, str] = {}
+    for name, (column, unit) in places.items():
+        if first.setdefault(column, name) != name:
+            remedy = f"choose one with --columns {column}=COLUMN"
+            raise UnusableInput(
+                f"{source}: columns '{first[column]}' and '{name}' are both {column}; "
+                f"{remedy if '.' in column else 'rename the other'}"
+            )
+        if not _is_si(column, unit):
+            expected = SI_UNITS[column.partition(".")[0]]
+            raise UnusableInput(
+                f"{source}: column '{name}' is in {unit}; convert it to SI units, "
+                f"{' or '.join(sorted(expected, reverse=True))}, and name it {column}"
+            )
+    return places
 
 
 def _is_si(column: str, unit: str) -> bool:
@@ -348,41 +366,98 @@ def standard_names(names: Sequence[str], robot: Robot) -> set[str]:
     return {*names, *(by_name or by_number)}
 
 
-def _of_joint(name: str, joints: Sequence[str], effort: str) -> tuple[str, str] | None:
-    """Return the standard name of a column with the name of a joint, and its unit; None of others.
+@dataclass(frozen=True)
+class _Reading:
+    """A name of a column, taken apart.
 
-    The unit is empty without one. A name that is complete without a unit has none, as that of a
-    joint may end like a unit.
+    Attributes:
+        word: Word for its quantity, a key of WORDS.
+        unit: Its unit, empty without one.
+        joint: Name of the joint in it; None: it has a number instead, or neither.
+        number: Number in it; None without one.
+    """
+
+    word: str
+    unit: str
+    joint: str | None = None
+    number: int | None = None
+
+    def prefix(self, effort: str) -> str:
+        """Return the prefix of the columns of the quantity; `effort` is that of an effort."""
+        return effort if WORDS[self.word] == "effort" else WORDS[self.word]
+
+
+def _readings(name: str, joints: Sequence[str]) -> list[_Reading]:
+    """Return the ways in which a name can be read: by the name of a joint, by a number."""
+    return [
+        reading
+        for reading in (_read_joint(name, joints), _read_number(name, is_single=len(joints) == 1))
+        if reading is not None
+    ]
+
+
+def _read_joint(name: str, joints: Sequence[str]) -> _Reading | None:
+    """Take the name of a column of a joint apart; None of others.
+
+    A name that is complete without a unit has none, as that of a joint may end like a unit.
     """
     complete = name.strip()
-    for text, unit in ((complete, ""), (UNIT.sub("", complete), _unit(complete))):
+    for text, unit in ((complete, ""), (UNIT.sub("", complete), _unit_behind(complete))):
         for joint in sorted(joints, key=len, reverse=True):
             before, middle, behind = text.partition(joint)
             if not middle or (before and behind.strip("[]()")):
                 continue
-            word = (before or behind).strip("._/ -[]()").lower()
+            word = (before or behind).strip("._/| -[]()").lower()
             if word in WORDS:
-                return f"{_prefix(word, effort)}.{joint}", unit
-            inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/ -"))
-            if inner is not None and not unit:
-                if inner["unit"].lower() == "a" and not _has_current(inner["word"]):
-                    continue  # a part of the name, as in `q_a_elbow`
-                return f"{_prefix(inner['word'].lower(), effort)}.{joint}", inner["unit"]
+                return _Reading(word, unit, joint)
+            inner = WORD_AND_UNIT.fullmatch((before or behind).strip("._/| -"))
+            if inner is not None and not unit and _is_unit(inner):
+                return _Reading(inner["word"].lower(), inner["unit"], joint)
     return None
 
 
-def _has_current(word: str) -> bool:
-    """Return True if a word is that of a quantity that may be a current."""
-    return WORDS[word.lower()] in ("i", "effort")
+def _read_number(name: str, *, is_single: bool) -> _Reading | None:
+    """Take the name of a column with a quantity and a number apart; None of others.
 
-
-def _unit(name: str) -> str:
-    """Return the unit at the end of a name or behind its quantity, empty without one."""
-    match = UNIT.search(name)
+    A single joint needs no number, except for a current `i`, which may be the number of a row.
+    """
+    complete = name.strip()
+    text, unit = UNIT.sub("", complete), _unit_behind(complete)
+    match = _NUMBERED.fullmatch(text)
     if match is not None:
-        return (match["bracketed"] or match["appended"]).strip()
-    inner = _NUMBERED.fullmatch(name)
-    return inner["unit"] or "" if inner else ""
+        if not _is_unit(match):
+            return None
+        word, number = match["word"] or match["behind"], match["number"] or match["first"]
+        return _Reading(word.lower(), unit or match["unit"] or "", number=int(number))
+    if is_single and text.lower() in WORDS and complete.lower() != "i":
+        return _Reading(text.lower(), unit)
+    return None
+
+
+def _is_unit(match: re.Match[str]) -> bool:
+    """Return False for a letter `a` between a quantity and a joint that is no unit.
+
+    It is one behind a current alone, and a part of the name in `q_a_elbow` and `torque_A_1`.
+    """
+    is_current = WORDS.get((match["word"] or "").lower()) in ("i", "effort")
+    return (match["unit"] or "").lower() != "a" or is_current
+
+
+def _unit_behind(name: str) -> str:
+    """Return the unit at the end of a name, empty without one."""
+    match = UNIT.search(name)
+    return (match["bracketed"] or match["appended"]).strip() if match else ""
+
+
+def _of_joint(name: str, joints: Sequence[str], effort: str) -> tuple[str, str] | None:
+    """Return the standard name of a column with the name of a joint, and its unit; None of others.
+
+    The unit is empty without one.
+    """
+    reading = _read_joint(name, joints)
+    if reading is None:
+        return None
+    return f"{reading.prefix(effort)}.{reading.joint}", reading.unit
 
 
 def are_joint_numbers(numbers: Iterable[int], n: int) -> bool:
@@ -429,22 +504,24 @@ def _of_number(
 ) -> dict[str, tuple[str, str]]:
     """Return the standard names and units of columns with numbers.
 
-    Numbers start from 0 or 1, those of each quantity for themselves. A single joint needs none,
-    except for a current `i`, which may be the number of a row.
+    Numbers start from 0 or 1, those of each quantity for themselves.
     """
-    read = _read_numbers(names, joints, effort)
-    columns = _numbers(read)
+    readings = {
+        name: reading
+        for name in names
+        if (reading := _read_number(name, is_single=len(joints) == 1))
+    }
+    columns = _numbers(_read_numbers(names, joints, effort))
     if "q" in columns and not are_joint_numbers(columns["q"], len(joints)):
         return {}
     firsts = first_numbers(columns, len(joints))
-    return {
-        name: (
-            f"{prefix}.{joints[0 if number is None else number - firsts[prefix]]}",
-            _unit(name.strip()),
-        )
-        for name, (prefix, number) in read.items()
-        if number is None or 0 <= number - firsts[prefix] < len(joints)
-    }
+    places = dict[str, tuple[str, str]]()
+    for name, reading in readings.items():
+        prefix = reading.prefix(effort)
+        place = 0 if reading.number is None else reading.number - firsts[prefix]
+        if 0 <= place < len(joints):
+            places[name] = f"{prefix}.{joints[place]}", reading.unit
+    return places
 
 
 def first_numbers(columns: Numbers, n: int) -> dict[str, int]:
@@ -518,18 +595,12 @@ def _read_numbers(
 
     The number is None for a quantity alone, of a single joint.
     """
-    read: dict[str, tuple[str, int | None]] = {}
-    for name in names:
-        text = UNIT.sub("", name.strip())
-        match = _NUMBERED.fullmatch(text)
-        if match is not None:
-            word = (match["word"] or match["behind"]).lower()
-            if (match["unit"] or "").lower() == "a" and not _has_current(word):
-                continue  # the letter of an axis, as in `torque_A_1`
-            read[name] = _prefix(word, effort), int(match["number"] or match["first"])
-        elif len(joints) == 1 and text.lower() in WORDS and name.strip().lower() != "i":
-            read[name] = _prefix(text.lower(), effort), None
-    return read
+    readings = {name: _read_number(name, is_single=len(joints) == 1) for name in names}
+    return {
+        name: (reading.prefix(effort), reading.number)
+        for name, reading in readings.items()
+        if reading is not None
+    }
 
 
 def holds_name(column: str, joint: str) -> bool:
@@ -539,8 +610,3 @@ def holds_name(column: str, joint: str) -> bool:
     """
     text, name = (re.sub(r"[\W_]", "", t).lower() for t in (UNIT.sub("", column.strip()), joint))
     return text.startswith(name) or text.endswith(name)
-
-
-def _prefix(word: str, effort: str) -> str:
-    """Return the prefix of the columns of a quantity."""
-    return effort if WORDS[word] == "effort" else WORDS[word]

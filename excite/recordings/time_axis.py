@@ -147,7 +147,9 @@ def find_grid(
     """
     steps = np.diff(t)
     if not len(steps):
-        raise UnusableInput(f"{source}: has {len(t)} rows with distinct times; record more")
+        raise UnusableInput(
+            f"{source}: has {plural(len(t), 'row')} with distinct times; record more"
+        )
     usual = float(np.median(steps))
     if usual >= MAX_STEP:
         unit, factor = next((u, f) for u, f, largest in UNITS if usual <= largest)

@@ -773,11 +773,27 @@ def test_words_of_motor_drivers_are_read_where_no_other_column_holds_their_quant
     np.testing.assert_allclose(recording.current[:, 0], rows[:, 2])
     recording = read("time_ms,angle,position,current")  # that of another sensor
     np.testing.assert_allclose(recording.q[:, 0], rows[:, 2])
+    recording = read("time_ms,feedback_angle,present_current,command_angle")
+    assert recording.current is not None
+    np.testing.assert_allclose(recording.current[:, 0], rows[:, 2])
     recording = read("time_ms,position,torque,iq_mA")  # a torque needs no current
     np.testing.assert_allclose(recording.torque[:, 0], rows[:, 2])
     recording = read("time_ms,i,position,iq")  # `i` counts rows
     assert recording.current is not None
     np.testing.assert_allclose(recording.current[:, 0], rows[:, 3])
+
+
+def test_units_of_columns_that_the_user_names(tmp_path):
+    robot, path = loaded(pendulum()), tmp_path / "r.csv"
+    t = np.arange(200) / 100.0
+    columns = {"clock ms": 1000.0 * t, "time_ms": 1000.0 * t, "angle [rad]": np.sin(3.0 * t)}
+    write_columns(path, columns | {"drive_mA": np.cos(2.0 * t)})
+    given = {"t": "time_ms", "q.swing": "angle [rad]"}
+    recording = recordings.read(path, robot, columns=given)
+    assert recording.rate == pytest.approx(100.0)
+    np.testing.assert_array_equal(recording.q[:, 0], columns["angle [rad]"])
+    with pytest.raises(UnusableInput, match="'drive_mA' is in mA; convert it to SI units, A"):
+        recordings.read(path, robot, columns={**given, "i.swing": "drive_mA"})
 
 
 def test_second_words_of_a_joint_whose_name_ends_like_a_unit(tmp_path):

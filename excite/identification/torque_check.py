@@ -117,14 +117,14 @@ def _magnitudes(recording: Recording, torque: FloatArray) -> Iterator[Remark]:
     """Yield a remark if no joint that moves in both directions has torque of both signs.
 
     Friction has the sign of the motion: such torque is that of a load that is held throughout, or
-    the magnitude of a current. Of several joints, a load rarely holds all.
+    the magnitude of a current. The former stays away from zero, the latter comes as near to it as
+    it changes from one row to the next.
     """
     q, least = recording.q, _range_at_rest(recording)
     rises = (q - np.minimum.accumulate(q)).max(axis=0) > least
     falls = (np.maximum.accumulate(q) - q).max(axis=0) > least
     both_ways = np.flatnonzero(rises & falls & (np.ptp(torque, axis=0) > 0.0)).tolist()
-    values = torque[:, both_ways]
-    if not both_ways or (np.any(values > 0.0, axis=0) & np.any(values < 0.0, axis=0)).any():
+    if not both_ways or not all(map(_may_be_magnitude, torque[:, both_ways].T)):
         return
     joints = ", ".join(f"'{recording.joints[i]}'" for i in both_ways)
     text = (
@@ -133,6 +133,15 @@ def _magnitudes(recording: Recording, torque: FloatArray) -> Iterator[Remark]:
         "the magnitude of a current, and record its sign"
     )
     yield Remark(RemarkKind.MAGNITUDE, text, recording.joints[both_ways[0]])
+
+
+def _may_be_magnitude(torque: FloatArray) -> bool:
+    """Tell whether the torque of a joint, shape (N,), has one sign and comes near zero."""
+    if (torque > 0.0).any() and (torque < 0.0).any():
+        return False
+    least = int(np.argmin(np.abs(torque)))
+    changes = np.abs(np.diff(torque[max(least - 1, 0) : least + 2]))
+    return bool(np.abs(torque[least]) <= changes.max())
 
 
 def _range_at_rest(recording: Recording) -> FloatArray:

@@ -23,10 +23,12 @@ from ..robot.robot import Robot
 from .joint_state_cells import ElementColumns, ListCells, Rewrite, is_list
 from .spelled_columns import (
     are_joint_numbers,
+    check_unit,
     find_spelled_columns,
     first_numbers,
     holds_name,
     number_fault,
+    seconds,
     surplus_fault,
     surplus_remedy,
 )
@@ -116,6 +118,7 @@ def recognise(
         if ours in names:
             names[names.index(ours)] = f"({ours})"  # replaced by the one that is given
         names[cells.index(theirs)] = ours
+        check_unit(source, ours, theirs)
     if PLOTJUGGLER_TIME in names:
         time = ((PLOTJUGGLER_TIME, 1.0),)
         return Header(_plotjuggler(source, names, robot, topic, prefixes), time, True)
@@ -129,9 +132,11 @@ def recognise(
         if time_columns is not None:
             return _indexed(source, names, first_row, robot, separator, time_columns, prefixes)
     spelled = find_spelled_columns(source, names, robot, effort, topic)
+    given = ("t", seconds(columns.get("t", "t")))
     if spelled is not None:
-        return Header(spelled.names, (spelled.time,), numbered=spelled.numbered)
-    return Header(tuple(names))
+        stated = given if spelled.time[0] == "t" else spelled.time
+        return Header(spelled.names, (stated,), numbered=spelled.numbered)
+    return Header(tuple(names), (given,))
 
 
 def _is_indexed(names: Sequence[str], robot: Robot) -> bool:

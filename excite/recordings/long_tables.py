@@ -26,12 +26,12 @@ from .column_names import PREFIXES, listed, numbered_remarks, similar
 from .interleaved_rows import interpolate_signal
 from .remark import Remark, RemarkKind
 from .spelled_columns import (
-    SECONDS,
     are_joint_numbers,
     columns_of_one_joint,
     distinct_columns,
     find_spelled_columns,
     number_fault,
+    seconds,
     time_columns,
 )
 from .time_axis import STEP_TOLERANCE
@@ -164,9 +164,9 @@ def find_long_columns(
         raise UnusableInput(
             f"{source}: has no column of time but {listed(names)}; name it with --columns t=COLUMN"
         )
-    time, match = times[0]
-    factor = SECONDS[(match[1] or "s").lower()]
-    return LongColumns(source, separator, len(names), list(names).index(time), factor, keys, values)
+    time = times[0][0]
+    place, factor = list(names).index(time), seconds(time)
+    return LongColumns(source, separator, len(names), place, factor, keys, values)
 
 
 def _may_be_joint(cell: str) -> bool:

@@ -43,6 +43,14 @@ WORDS = {
     "current": "i",
     "temp": "temp",
     "temperature": "temp",
+    **{
+        f"{state}_{word}": prefix
+        for state in ("present", "measured", "feedback")
+        for word, prefix in {
+            **{"pos": "q", "position": "q", "angle": "q", "vel": "dq", "velocity": "dq"},
+            **{"torque": "tau", "current": "i", "temperature": "temp"},
+        }.items()
+    },
     "angle": "q",
     "iq": "i",
     "i_q": "i",
@@ -206,7 +214,7 @@ def _find_columns(
     positions = [f"q.{joint}" for joint in robot.joints]
     if not times or {"t", *positions} <= set(names):
         return None
-    time, match = next((entry for entry in times if entry[0] == "t"), times[0])
+    time = next((name for name, _ in times if name == "t"), times[0][0])
     joints = [*robot.joints, *(joint.name for joint in robot.locked)]
     candidates = _without_second_words(names, joints, effort)
     places = {name: place for name in candidates if (place := _of_joint(name, joints, effort))}
@@ -231,7 +239,7 @@ def _find_columns(
             numbered = ordered
     places = distinct_columns(source, names, places)
     renamed = tuple(places[name][0] if name in places else name for name in names)
-    return SpelledColumns(renamed, (time, SECONDS[(match[1] or "s").lower()]), numbered)
+    return SpelledColumns(renamed, (time, seconds(time)), numbered)
 
 
 def time_columns(names: Sequence[str]) -> list[tuple[str, re.Match[str]]]:
@@ -302,12 +310,43 @@ def distinct_columns(
                 f"{remedy if '.' in column else 'rename the other'}"
             )
         if not _is_si(column, unit):
-            expected = SI_UNITS[column.partition(".")[0]]
-            raise UnusableInput(
-                f"{source}: column '{name}' is in {unit}; convert it to SI units, "
-                f"{' or '.join(sorted(expected, reverse=True))}, and name it {column}"
-            )
+            raise _other_unit(source, name, column, unit)
     return places
+
+
+def check_unit(source: str, column: str, name: str) -> None:
+    """Check that the name of a column that a user gives for a standard one states no other unit.
+
+    Args:
+        source: Name of the file, for messages.
+        column: Standard name, as `i.elbow`.
+        name: Name in the file.
+
+    Raises:
+        UnusableInput: It ends in a unit other than of SI.
+    """
+    match = UNIT.search(name)
+    quantity = column.partition(".")[0]
+    if match is None or quantity not in SI_UNITS:
+        return
+    unit = match["bracketed"] or match["appended"]
+    if not _is_si(column, unit) and (match["bracketed"] or unit.lower() in OTHER_UNITS):
+        raise _other_unit(source, name, column, unit)
+
+
+def seconds(name: str) -> float:
+    """Return the unit of a column of time, which its name may state, 1 without one [s]."""
+    match = next((match for _, match in time_columns([name])), None)
+    return SECONDS[(match[1] or "s").lower()] if match else 1.0
+
+
+def _other_unit(source: str, name: str, column: str, unit: str) -> UnusableInput:
+    """Return the error of a column that is not in SI units."""
+    expected = " or ".join(sorted(SI_UNITS[column.partition(".")[0]], reverse=True))
+    return UnusableInput(
+        f"{source}: column '{name}' is in {unit}; convert it to SI units, {expected}, and name it "
+        f"{column}"
+    )
 
 
 def _is_si(column: str, unit: str) -> bool:

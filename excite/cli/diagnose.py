@@ -84,8 +84,8 @@ def diagnosis_text(document: dict[str, Any], robot: Robot, written: list[Path]) 
         lines += _aligned([HEAD, *rows]) if rows else []
     lines += [
         "",
-        "torque error on the held-out recordings (root mean square, joints in motion), "
-        "and its causes:",
+        f"torque error below {document['band_hz']:.3g} Hz on the held-out recordings (root mean "
+        "square, joints in motion), and its causes:",
     ]
     lines += _aligned([(b.joint, b.error, b.causes) for b in budgets])
     if doubts and (refuted := prior_words(budgets)):

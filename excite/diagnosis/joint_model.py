@@ -304,7 +304,7 @@ def fit(
     """Fit the joint model to recorded motions, from a start by `FilterFits.chosen`."""
     widths, chain = start.motions[0].widths, start.chain
     waves: list[CandidateModel] = []
-    build_ups: Mapping[int, Mapping[str, float]] | None = None
+    build_ups: Mapping[int, Mapping[str, float]] = {}
     fitted = start.with_effects(rare)
     for step in range(ROUNDS - 1):
         reweight(fitted.regression)
@@ -330,7 +330,7 @@ def fit(
         fitted = base_model(identified, present, psi, chain, fitted)
         fitted = fitted.with_effects([*dense_models(present, build_ups, shares), *rare, *waves])
     kept = _build_ups(identified, fitted, build_ups)
-    dropped = [i for j in build_ups or () if j not in kept for i in fitted.built_up(j)]
+    dropped = [i for j in build_ups if j not in kept for i in fitted.built_up(j)]
     if dropped:
         fitted = fitted.keeping([i for i in range(len(fitted.models)) if i not in dropped])
     reweight(fitted.regression)
@@ -343,24 +343,25 @@ def fit(
 def _build_ups(
     identified: Identification,
     fitted: JointModel,
-    candidates: Mapping[int, Mapping[str, float]] | None,
+    candidates: Mapping[int, Mapping[str, float]],
 ) -> dict[int, Mapping[str, float]]:
     """Return how the dry frictions of joints build up, by joint.
 
     Presliding elements must have most of Coulomb friction, with the other frictions built up in
-    them as well, and there must be evidence for that. Joints enter by the first fit alone, in which
-    the weights are the same with and without them (`candidates` is None), and may leave later.
+    them as well, and there must be evidence for that, by the same weights with and without them.
+    `fitted` has those of the `candidates`.
     """
     built_up = _mostly_built_up(_shares_of_elements(identified, fitted))
-    if candidates is None and built_up:
-        candidates = built_up
-        fitted = fitted.with_effects(_built_up_models(fitted.motions, candidates))
+    further = {j: b for j, b in built_up.items() if j not in candidates}
+    if further:
+        candidates = {**candidates, **further}
+        fitted = fitted.with_effects(_built_up_models(fitted.motions, further))
         built_up = _mostly_built_up(_shares_of_elements(identified, fitted))
     at_once = fitted.regression.log_evidence
     return {
         j: build_up
         for j, build_up in built_up.items()
-        if j in (candidates or ())
+        if j in candidates
         and fitted.log_evidence - at_once(fitted.regression.without(fitted.built_up(j)))
         > MIN_ENTRY_EVIDENCE
     }

@@ -63,8 +63,8 @@ class FilterFits:
         return self._refined(self.start)
 
     @cached_property
-    def filtered(self) -> JointModel | None:
-        """The same with the filter of most evidence; None if all have too little."""
+    def filtered(self) -> JointModel:
+        """The same with the filter of most evidence."""
         plain = self.plain
 
         def with_filter(low_pass: LowPass | None) -> tuple[float, JointModel]:
@@ -83,8 +83,6 @@ class FilterFits:
             return highest
 
         fits = [best(of_kind) for of_kind in self.kinds]
-        if max(evidence for evidence, _ in fits) < MIN_ENTRY_EVIDENCE:
-            return None  # a corner between two that are compared explains little more
         fits += [with_filter(renewed_chain(model).filter) for _, model in fits]
         _, model = max(fits, key=lambda fit: fit[0])
         return self._refined(model)
@@ -94,8 +92,7 @@ class FilterFits:
 
         `by_errors` returns the evidence that position errors alone give the filter of a model.
         """
-        # a filter looks like the dynamics of a single joint
-        if self.motions[0].n == 1 or self.filtered is None:
+        if self.motions[0].n == 1:  # a filter looks like the dynamics of a single joint
             return self.start
         plain, filtered = (
             replace(model, regression=model.regression.copy())

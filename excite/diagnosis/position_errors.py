@@ -107,8 +107,6 @@ class PositionErrors:
         if not self._matter(model):
             return 0.0
         fits, regression = self._fits(_kind_of_filter(model)), model.regression
-        if fits.filtered is None:
-            return 0.0
         without, with_ = (
             float(np.sum((m.regression.residual() / regression.sigma)[regression.moving] ** 2))
             for m in (fits.plain, fits.filtered)

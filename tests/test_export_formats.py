@@ -692,10 +692,11 @@ def test_other_times_in_other_units_are_refused(two_link, tmp_path, unit):
     assert_refused(path, two_link, f"is time in {unit}? Divide it by")
 
 
-def test_a_spreadsheet_of_another_program_in_utf_16_is_refused(two_link, tmp_path):
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32"])
+def test_a_table_in_another_encoding_is_read(two_link, tmp_path, encoding):
     path = write(tmp_path / "r.csv", list(COLUMNS), rows(*COLUMNS.values()))
-    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-16")
-    assert_refused(path, two_link, "UTF-8")
+    path.write_text(path.read_text(encoding="utf-8"), encoding=encoding)
+    assert_same_motion(read_with_warnings(path, two_link)[0])
 
 
 @pytest.mark.parametrize("form", ["PlotJuggler", "lists", "elements", "echo"])

@@ -238,6 +238,56 @@ def test_faulty_long_tables_are_refused(change, words, two_link, tmp_path):
     assert_refused(path, two_link, *words)
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("value", "signal"),
+        ("data", "key"),
+        ("joint", "position"),
+        ("motor", "pos"),
+        ("q1", "q2"),
+        ("joint_1_pos", "joint_2_pos"),
+        ("present_position_1", "present_position_2"),
+        ("position.joint_1", "position.joint_2"),
+    ],
+)
+@pytest.mark.parametrize("header", ["{}.{}", "{}_{}"])
+def test_a_table_with_all_positions_is_not_long(names, header, two_link, tmp_path):
+    """Other columns are kept and ignored, whatever their names."""
+    if header != "{}.{}" and names[0] not in ("value", "data", "joint", "motor"):
+        pytest.skip("two columns of the same quantity by names of scripts")
+    columns = two_joint_motion()
+    named = {
+        name if name == "t" else header.format(*name.split(".")): column
+        for name, column in columns.items()
+    }
+    other = 7.0 + np.arange(400.0)
+    path = tmp_path / "r.csv"
+    table = np.column_stack([*named.values(), other, -other])
+    lines = [",".join([*named, *names]), *(",".join(map(repr, row)) for row in table.tolist())]
+    path.write_text("\n".join(lines))
+    assert_motion(read_with_warnings(path, two_link)[0])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace("effort\n", "effort\n\n", 1),
+        lambda text: text.replace("effort\n", "effort\n# recorded on Monday\n", 1),
+        lambda text: text.replace("effort\n", "effort,note\n", 1).replace("\n", ",\n"),
+    ],
+)
+def test_the_first_row_may_be_empty_or_incomplete(change, two_link, tmp_path):
+    path = written(tmp_path / "long.csv", long_rows())
+    path.write_text(change(path.read_text()))
+    assert_motion(read_with_warnings(path, two_link)[0])
+
+
+def test_joints_without_any_position_are_refused(two_link, tmp_path):
+    rows = [f"{0.01 * k},joint_{1 + k % 2},nan,0,0" for k in range(800)]
+    assert_refused(written(tmp_path / "long.csv", rows), two_link, "q.joint_1", "no number")
+
+
 def test_the_column_of_time_can_be_named(two_link, tmp_path):
     path = written(tmp_path / "long.csv", long_rows(), HEADER.replace("time", "clock"))
     recording, _ = read_with_warnings(path, two_link, columns={"t": "clock"})

@@ -398,13 +398,16 @@ def test_torque_without_its_sign_is_warned_of(simulated):
     without_sign = dataclasses.replace(recording, tau=magnitude)
     held = recording.torque.copy()
     held[:, 1] = magnitude[:, 1]
+    loaded = magnitude.copy()
+    loaded[:, 1] += 50.0
+    others = [dataclasses.replace(recording, tau=tau) for tau in (loaded, held)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         kinds = [
             {r.kind for r in torque_check.check_torque(r, robot, limits).remarks}
-            for r in (without_sign, dataclasses.replace(recording, tau=held), recording)
+            for r in (without_sign, *others, recording)
         ]
-    assert [RemarkKind.MAGNITUDE in kind for kind in kinds] == [True, False, False]
+    assert [RemarkKind.MAGNITUDE in kind for kind in kinds] == [True, True, False, False]
 
 
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, -9.81, 0.0)])

@@ -792,6 +792,10 @@ def test_units_of_columns_that_the_user_names(tmp_path):
     recording = recordings.read(path, robot, columns=given)
     assert recording.rate == pytest.approx(100.0)
     np.testing.assert_array_equal(recording.q[:, 0], columns["angle [rad]"])
+    write_columns(path, {"t": t, "angle (enc)": columns["angle [rad]"]})
+    encoder = recordings.read(path, robot, columns={"q.swing": "angle (enc)"})
+    np.testing.assert_array_equal(encoder.q, recording.q)
+    write_columns(path, columns | {"drive_mA": np.cos(2.0 * t)})
     with pytest.raises(UnusableInput, match="'drive_mA' is in mA; convert it to SI units, A"):
         recordings.read(path, robot, columns={**given, "i.swing": "drive_mA"})
 

@@ -18,6 +18,7 @@ from ..errors import ExciteWarning, UnusableInput
 from ..identification.estimators import Method
 from ..identification.identification import IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
+from ..identification.torque_delay import MIN_SIGNIFICANCE
 from ..recordings import Recording
 from ..robot.limits import Limits
 from ..robot.parameter_names import some
@@ -209,7 +210,7 @@ def _text(result: api.IdentificationResult, facts: Sequence[str], written: Seque
         # doubts about the recordings contain the remedy
         lines.append(remark if result.doubts else f"{remark}; {_advice(result, predictions)}")
     common, spread = identification.delay.common
-    if abs(common) > 3.0 * spread and not identification.options.align:
+    if abs(common) > MIN_SIGNIFICANCE * spread and not identification.options.align:
         order = "after" if common > 0 else "before"
         lines.append(
             f"torque fits best {abs(1e3 * common):.3g} ms {order} position on average: a delay of "

@@ -76,7 +76,7 @@ class IdentificationOptions:
         band: Cutoff frequency [Hz]; chosen from the data if None.
         threshold: Largest scale-free variance of a direction that counts as identified.
         bounds: Bounds of masses and centres of mass.
-        align: Shift torque by the estimated delay.
+        align: Shift torque by the estimated delay of each joint, where it is significant.
         trusted: Index in ψ and value of the parameters that are known.
         widths: Widths of Coulomb friction that are known, shape (n,) [rad/s or m/s]; estimated if
             None.
@@ -341,7 +341,7 @@ def identify(
         hertz=equations.hertz,
         psi=posterior.psi,
         nominal=prior.nominal,
-        shift=fit.delay.seconds if options.align else None,
+        shift=fit.delay.significant if options.align else None,
     )
     # equations of a mean period, or of several recordings, are not those of a prediction
     same = equations if not any(equations.periods) and len(recordings) == 1 else None
@@ -441,7 +441,7 @@ def _fit_data(
         data = estimators.estimate(equations, method, nuisance=width_slopes(model, equations))
     delay = torque_delay.estimate_delay(equations, data)
     if options.align:
-        parts = [_aligned(segment, delay.seconds) for segment in parts]
+        parts = [_aligned(segment, delay.significant) for segment in parts]
         equations = regression.build_equations(model, parts, hertz)
         data = estimators.estimate(equations, method, nuisance=width_slopes(model, equations))
     return _DataFit(model, parts, equations, data, delay)

@@ -325,7 +325,7 @@ def model_document(
         if identification.simulation is None
         else _simulation_summary(identification.simulation, robot.joints),
         # the equations are those of torque without its delay, recordings have it
-        "effects": _delays(robot, delay.seconds) if identification.options.align else [],
+        "effects": _delays(robot, delay.significant) if identification.options.align else [],
         "versions": trajectory_file.package_versions(),
     }
 
@@ -336,6 +336,7 @@ def _delays(robot: Robot, seconds: FloatArray) -> list[dict[str, Any]]:
     return [
         {**effect, "joint": joint, "values": {"measured": 1.0}, "coefficients": [float(delay)]}
         for joint, delay in zip(robot.joints, seconds, strict=True)
+        if delay
     ]
 
 

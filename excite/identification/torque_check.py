@@ -118,13 +118,16 @@ def _magnitudes(recording: Recording, torque: FloatArray) -> Iterator[Remark]:
 
     Friction has the sign of the motion: such torque is that of a load that is held throughout, or
     the magnitude of a current. The former stays away from zero, the latter comes as near to it as
-    it changes from one row to the next.
+    it changes from one row to the next, at most joints: some may carry a load as well.
     """
     q, least = recording.q, _range_at_rest(recording)
     rises = (q - np.minimum.accumulate(q)).max(axis=0) > least
     falls = (np.maximum.accumulate(q) - q).max(axis=0) > least
     both_ways = np.flatnonzero(rises & falls & (np.ptp(torque, axis=0) > 0.0)).tolist()
-    if not both_ways or not all(map(_may_be_magnitude, torque[:, both_ways].T)):
+    values = torque[:, both_ways]
+    if ((values > 0.0).any(axis=0) & (values < 0.0).any(axis=0)).any():
+        return
+    if 2 * sum(map(_comes_near_zero, values.T)) <= len(both_ways):
         return
     joints = ", ".join(f"'{recording.joints[i]}'" for i in both_ways)
     text = (
@@ -135,10 +138,8 @@ def _magnitudes(recording: Recording, torque: FloatArray) -> Iterator[Remark]:
     yield Remark(RemarkKind.MAGNITUDE, text, recording.joints[both_ways[0]])
 
 
-def _may_be_magnitude(torque: FloatArray) -> bool:
-    """Tell whether the torque of a joint, shape (N,), has one sign and comes near zero."""
-    if (torque > 0.0).any() and (torque < 0.0).any():
-        return False
+def _comes_near_zero(torque: FloatArray) -> bool:
+    """Tell whether torque of one sign, shape (N,), may have crossed zero between two rows."""
     least = int(np.argmin(np.abs(torque)))
     changes = np.abs(np.diff(torque[max(least - 1, 0) : least + 2]))
     return bool(np.abs(torque[least]) <= changes.max())

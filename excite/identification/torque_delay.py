@@ -17,6 +17,10 @@ MAX_DELAY_ROWS = 20_000
 """Number of rows from which delays are estimated, at most."""
 
 
+MIN_SIGNIFICANCE = 3.0
+"""Standard errors from which a delay is told from none."""
+
+
 @dataclass(frozen=True)
 class TorqueDelay:
     """Delay of the torque signals.
@@ -34,6 +38,12 @@ class TorqueDelay:
         """Weighted mean over the joints and its standard error [s]."""
         weight = 1.0 / np.maximum(self.deviation, 1e-12) ** 2
         return float(weight @ self.seconds / weight.sum()), float(weight.sum() ** -0.5)
+
+    @property
+    def significant(self) -> FloatArray:
+        """Delays that are told from none, 0 elsewhere. Shape (n,) [s]."""
+        is_significant = np.abs(self.seconds) > MIN_SIGNIFICANCE * self.deviation
+        return np.where(is_significant, self.seconds, 0.0)
 
 
 def estimate_delay(equations: TorqueEquations, estimate: Estimate) -> TorqueDelay:

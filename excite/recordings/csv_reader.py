@@ -55,6 +55,8 @@ _CLASSES[list(b"eE")] = _EXPONENT
 _CLASSES[list(b"+-")] = _SIGN
 
 
+HEAD_SIZE = 1 << 16
+"""Part of a file behind its header by which its form is recognised [bytes]."""
 COMMENTS = (b"#", b"//", b"%")
 """First characters of comments."""
 COMMENTED_HEADER = re.compile(r"\A(?:#+|%\s)\s*")
@@ -164,7 +166,8 @@ def read_blocks(
         long = None
         if set(columns) <= {"t"}:
             names = ["t" if name == columns.get("t") else name for name in cells]
-            long = find_long_columns(str(path), names, first_row, robot, separator, effort)
+            rows_of_head = _first_rows(stream, separator, first_line)
+            long = find_long_columns(str(path), names, rows_of_head, robot, separator, effort)
         if long is not None:
             stream.seek(behind)
             rows = _LongTable(path, separator, long, row + 1)
@@ -422,6 +425,18 @@ def _width(line: bytes) -> int:
     text = line.lstrip(b" #/%\t").strip()
     separator = next((s for s in SEPARATORS if s.encode() in text), ",")
     return len(_without_empty_end(_cells(separator, text)))
+
+
+def _first_rows(stream: BinaryIO, separator: str, first_line: bytes) -> list[list[str]]:
+    """Return the cells of the complete rows in the first part of a file, behind its header."""
+    place, head = stream.tell(), stream.read(HEAD_SIZE)
+    stream.seek(place)
+    lines = [first_line, *head.splitlines()[: -1 if len(head) == HEAD_SIZE else None]]
+    return [
+        _cells(separator, line)
+        for line in lines
+        if line.strip() and not line.lstrip().startswith(COMMENTS)
+    ]
 
 
 def _without_empty_end(cells: Sequence[str]) -> list[str]:

@@ -34,11 +34,10 @@ MAX_MESSAGE = 1 << 26
 SUFFIXES = (".yaml", ".yml")
 """Suffixes of files that hold nothing else."""
 BEGINNING = re.compile(
-    rb"^\{?header:[ \t]*(?:\r?$|\{)|^(?:name|position):[ \t]*(?:\r?\n[ \t]*-[ \t]|\[)"
-    rb"|^---[ \t]*\r?$",
+    rb"^\{?header:[ \t]*(?:\r?$|\{)|^(?:name|position):[ \t]*(?:\r?\n[ \t]*-[ \t]|\[)",
     re.M,
 )
-"""Line at which a message begins, or that is between two."""
+"""Line at which a message begins."""
 SEPARATOR = re.compile(rb"^---[ \t]*\r?$", re.M)
 """Line between two messages."""
 STAMP = re.compile(r"\bsecs?:[ \t]*(\d+)[,\s]+n(?:ano)?secs?:[ \t]*(\d+)")

@@ -115,17 +115,19 @@ class LongColumns:
 def find_long_columns(
     source: str,
     names: Sequence[str],
-    first_row: Sequence[str],
+    rows: Sequence[Sequence[str]],
     robot: Robot,
     separator: str,
     effort: str,
 ) -> LongColumns | None:
     """Return the columns of a long table; None for any other table.
 
+    A table whose header names all positions is none, whatever else it holds.
+
     Args:
         source: Name of the file, for messages.
         names: Names of all columns.
-        first_row: Cells of the first row.
+        rows: Cells of the first rows.
         robot: Robot whose joints are recorded.
         separator: Separator of the cells.
         effort: Prefix of an effort, "tau" for torque or "i" for current.
@@ -133,33 +135,28 @@ def find_long_columns(
     Raises:
         UnusableInput: A column has a unit other than of SI, or there is no time.
     """
-    if len(first_row) < len(names):
+    if not rows or {"t", *(f"q.{joint}" for joint in robot.joints)} <= set(names):
         return None
-    times = time_columns(names)
-    joints = {*robot.joints, *(joint.name for joint in robot.locked)}
-    key = next((k for k, cell in enumerate(first_row) if cell.strip() in joints), None)
-    if key is None:
-        key = next(
-            (
-                k
-                for k, name in enumerate(names)
-                if JOINT.fullmatch(name.strip()) and _may_be_joint(first_row[k])
-            ),
-            None,
-        )
+    key, is_long = _column_of_joint(names, rows, robot)
     quantities = columns_of_one_joint(names, effort)
     has_positions = "q" in (prefix for prefix, _ in quantities.values())
     value = next((k for k, name in enumerate(names) if VALUE.fullmatch(name.strip())), None)
     variable = next((k for k, name in enumerate(names) if VARIABLE.fullmatch(name.strip())), None)
+    is_table = key is not None and has_positions
+    is_list = value is not None and variable is not None
+    if not (is_table or is_list):
+        return None
+    if not is_long and find_spelled_columns(source, names, robot, effort) is not None:
+        return None
     if key is not None and has_positions:
         keys: tuple[int, ...] = (key,)
         quantities = distinct_columns(source, names, quantities)
         values = {list(names).index(name): prefix for name, (prefix, _) in quantities.items()}
-    elif value is not None and variable is not None:
+    else:
+        assert value is not None and variable is not None
         keys = (variable,) if key is None or key == variable else (variable, key)
         values = {value: ""}
-    else:
-        return None
+    times = time_columns(names)
     if not times:
         raise UnusableInput(
             f"{source}: has no column of time but {listed(names)}; name it with --columns t=COLUMN"
@@ -169,10 +166,37 @@ def find_long_columns(
     return LongColumns(source, separator, len(names), place, factor, keys, values)
 
 
+def _column_of_joint(
+    names: Sequence[str], rows: Sequence[Sequence[str]], robot: Robot
+) -> tuple[int | None, bool]:
+    """Return the column of the joint, and True if the table is none of a single joint.
+
+    A column that is called so comes first. Where its cells are not the names of the robot's joints,
+    a robot of one joint has none unless a time has several: another property may be called so.
+    """
+    joints = {*robot.joints, *(joint.name for joint in robot.locked)}
+    times = [k for k, name in enumerate(names) if time_columns([name])]
+    called = [k for k, name in enumerate(names) if JOINT.fullmatch(name.strip())]
+    others = [k for k in range(len(names)) if k not in times and k not in called]
+    complete = [
+        [cell.strip().strip("\"'") for cell in row] for row in rows if len(row) >= len(names)
+    ]
+    cells = [{row[k] for row in complete} for k in range(len(names))]
+    for k in (*called, *others):
+        if cells[k] & joints:
+            return k, True
+    for k in called:
+        if cells[k] and all(map(_may_be_joint, cells[k])):
+            if robot.n > 1:
+                return k, False
+            if times and len({(row[times[0]], row[k]) for row in complete}) > len(cells[times[0]]):
+                return k, True
+    return None, False
+
+
 def _may_be_joint(cell: str) -> bool:
     """Return True for a word or a whole number."""
-    text = cell.strip().strip('"')
-    return bool(NUMBERED.fullmatch(text) or re.match(r"[^\W\d]", text))
+    return bool(NUMBERED.fullmatch(cell) or re.match(r"[^\W\d]", cell))
 
 
 @dataclass(frozen=True)
@@ -221,17 +245,17 @@ def pivot(
         wanted, remarks = _columns_of_variables(columns, robot, effort)
     used = np.isin(codes, [code for code, _ in wanted.values()]) & np.isfinite(t)
     t, values, codes = t[used], values[used], codes[used]
-    sample, times, spread = _samples(t, codes)
+    sample, times, are_samples = _samples(t, codes)
     table = np.full((len(times), 1 + len(wanted)), np.nan)
     table[:, 0] = times
     for column, (code, k) in enumerate(wanted.values(), start=1):
         rows = np.flatnonzero(codes == code)
         table[sample[rows], column] = values[rows, k]
-    if spread is not None:
-        table = _interpolated(table, tuple(wanted), robot)
+    if not are_samples:
+        table = _interpolated(columns.source, table, tuple(wanted), robot)
         text = (
-            f"the times of the joints differ by {spread:.3g} s on average within a sample; their "
-            "signals are interpolated at the times of one joint"
+            "the joints are recorded at different times; their signals are interpolated at the "
+            "times of one joint"
         )
         remarks.append(Remark(RemarkKind.MISSING, text, repaired=True))
     return Pivot(("t", *wanted), table, tuple(remarks))
@@ -318,7 +342,7 @@ def _columns_of_variables(
     return {name: (codes[name], 0) for name in known}, numbered_remarks(numbered, robot)
 
 
-def _samples(t: FloatArray, codes: IntArray) -> tuple[IntArray, FloatArray, float | None]:
+def _samples(t: FloatArray, codes: IntArray) -> tuple[IntArray, FloatArray, bool]:
     """Number the samples that rows belong to.
 
     Args:
@@ -326,9 +350,9 @@ def _samples(t: FloatArray, codes: IntArray) -> tuple[IntArray, FloatArray, floa
         codes: Numbers of the joints or variables. Shape (N,).
 
     Returns:
-        Sample of each row, shape (N,); time of each sample, shape (M,) [s]; and the mean difference
-        of times within a sample [s], None where these are taken as one. A sample has one row of a
-        joint: further ones at the same time are a sample of their own.
+        Sample of each row, shape (N,); time of each sample, shape (M,) [s]; and False if the times
+        within a sample differ, so that each is its own. A sample has one row of a joint: further
+        ones at the same time are a sample of their own.
     """
     series = [t[codes == code] for code in np.unique(codes)]
     usual = min((_usual_step(times) for times in series), default=np.inf)
@@ -339,7 +363,7 @@ def _samples(t: FloatArray, codes: IntArray) -> tuple[IntArray, FloatArray, floa
     spread = float(np.mean(stamps[last] - stamps[first])) if len(stamps) else 0.0
     pairs = np.unique(np.column_stack([group, codes]), axis=0)  # rows without repeated ones
     is_single = len(np.unique(np.column_stack([cluster[pairs[:, 0]], pairs[:, 1]]), axis=0))
-    are_samples = spread <= STEP_TOLERANCE * usual and is_single == len(pairs)
+    are_samples = bool(spread <= STEP_TOLERANCE * usual and is_single == len(pairs))
     if are_samples:
         group, stamps = cluster[group], stamps[first]
     repeat = _occurrences(group, codes)
@@ -348,9 +372,9 @@ def _samples(t: FloatArray, codes: IntArray) -> tuple[IntArray, FloatArray, floa
     )
     times = stamps[group[start]]
     if all((np.diff(times_of_joint) >= 0.0).all() for times_of_joint in series):
-        return sample, times, None if are_samples else spread
+        return sample, times, are_samples
     order = np.argsort(start)  # in the order of the file, by which clock restarts show
-    return np.argsort(order)[sample], times[order], None if are_samples else spread
+    return np.argsort(order)[sample], times[order], are_samples
 
 
 def _usual_step(t: FloatArray) -> float:
@@ -370,15 +394,19 @@ def _occurrences(group: IntArray, codes: IntArray) -> IntArray:
     return out
 
 
-def _interpolated(table: FloatArray, names: Sequence[str], robot: Robot) -> FloatArray:
+def _interpolated(source: str, table: FloatArray, names: Sequence[str], robot: Robot) -> FloatArray:
     """Interpolate all columns at the times of the position with the most values.
 
     Rows before the first or behind the last position of a joint are left out.
 
     Args:
+        source: Name of the file, for messages.
         table: Times and columns. Shape (N, 1 + len(names)).
         names: Standard names of the columns.
         robot: Robot whose joints are recorded.
+
+    Raises:
+        UnusableInput: A joint has no position.
     """
     slides = {
         joint
@@ -387,7 +415,12 @@ def _interpolated(table: FloatArray, names: Sequence[str], robot: Robot) -> Floa
     }
     table = table[np.argsort(table[:, 0], kind="stable")]
     known = np.isfinite(table[:, 1:])
-    positions = [k for k, name in enumerate(names) if name.startswith("q.") and known[:, k].any()]
+    positions = [k for k, name in enumerate(names) if name.startswith("q.")]
+    if absent := [names[k] for k in positions if not known[:, k].any()]:
+        raise UnusableInput(
+            f"{source}: {absent[0]} has no number in any row; record the joint, or leave it out "
+            "with --joints"
+        )
     series = [table[known[:, k], 0] for k in positions]
     times = max(series, key=len)
     start, end = max(t.min() for t in series), min(t.max() for t in series)

@@ -43,21 +43,23 @@ WORDS = {
     "current": "i",
     "temp": "temp",
     "temperature": "temp",
-    **{
-        f"{state}_{word}": prefix
-        for state in ("present", "measured", "feedback")
-        for word, prefix in {
-            **{"pos": "q", "position": "q", "angle": "q", "vel": "dq", "velocity": "dq"},
-            **{"torque": "tau", "current": "i", "temperature": "temp"},
-        }.items()
-    },
     "angle": "q",
     "iq": "i",
     "i_q": "i",
     "q_current": "i",
 }
 """Words for a quantity, with the prefixes of its columns; that of an effort differs by file."""
-SECOND_WORDS = {"angle", "iq", "i_q", "q_current"}
+STATE_WORDS = {
+    f"{state}_{word}": prefix
+    for state in ("present", "measured", "feedback")
+    for word, prefix in {
+        **{"pos": "q", "position": "q", "angle": "q", "vel": "dq", "velocity": "dq"},
+        **{"torque": "tau", "current": "i", "temperature": "temp"},
+    }.items()
+}
+"""Words of servos for a measured quantity."""
+WORDS |= STATE_WORDS
+SECOND_WORDS = {"angle", "iq", "i_q", "q_current", *STATE_WORDS}
 """Words that are read only where no other column holds their quantity, or a torque instead of the
 current: angles of other sensors, or several currents of a motor, may stand next to it."""
 SECONDS = {
@@ -92,7 +94,10 @@ SPELLINGS = {
     **{"a": "A", "amp": "A", "amps": "A", "c": "°C", "°c": "°C", "degc": "°C"},
 }
 """Spellings of SI units, in lower case."""
-OTHER_UNITS = ("deg", "deg_s", "deg/s", "degrees", "rpm", "mm", "mm_s", "ma", "mnm", "knm", "kn")
+OTHER_UNITS = (
+    *("deg", "deg_s", "deg/s", "degrees", "°", "°/s", "rpm", "mm", "mm_s", "mm/s"),
+    *("ma", "mnm", "knm", "kn"),
+)
 """Spellings of other units behind an underscore; in brackets there may be any."""
 _APPENDED = "|".join(map(re.escape, sorted((*SPELLINGS, *OTHER_UNITS), key=len, reverse=True)))
 UNIT = re.compile(
@@ -162,6 +167,8 @@ def find_spelled_columns(
         UnusableInput: Two columns hold the same quantity of a joint, two topics all positions, or
             a column has another unit.
     """
+    if {"t", *(f"q.{joint}" for joint in robot.joints)} <= set(names):
+        return None
     columns = _find_columns(source, names, robot, effort)
     if columns is not None:
         return columns
@@ -212,7 +219,7 @@ def _find_columns(
     """Return the columns of a robot whose names have no topic; see `find_spelled_columns`."""
     times = time_columns(names)
     positions = [f"q.{joint}" for joint in robot.joints]
-    if not times or {"t", *positions} <= set(names):
+    if not times:
         return None
     time = next((name for name, _ in times if name == "t"), times[0][0])
     joints = [*robot.joints, *(joint.name for joint in robot.locked)]
@@ -330,7 +337,7 @@ def check_unit(source: str, column: str, name: str) -> None:
     if match is None or quantity not in SI_UNITS:
         return
     unit = match["bracketed"] or match["appended"]
-    if not _is_si(column, unit) and (match["bracketed"] or unit.lower() in OTHER_UNITS):
+    if not _is_si(column, unit) and unit.lower() in OTHER_UNITS:
         raise _other_unit(source, name, column, unit)
 
 

@@ -50,7 +50,9 @@ def open_text(path: Path) -> Iterator[BinaryIO]:
                 yield stream
             else:
                 yield io.BytesIO(stream.read().decode(encoding).encode())
-    except (gzip.BadGzipFile, EOFError, zlib.error, lzma.LZMAError) as error:
+    except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise  # of the operating system, not of damaged data
         raise UnusableInput(
             f"{path}: cannot be decompressed ({error}); copy it again, or give the file that was "
             "compressed"
@@ -71,4 +73,7 @@ def _encoding(head: bytes) -> str | None:
         if head.startswith(sign):
             is_text = head.decode(name, "replace")[:1].isascii()
             return name if is_text else None
-    return None
+    zeros = tuple(byte == 0 for byte in head[:4])  # letters of ASCII without a mark before them
+    if not head.isascii() or zeros not in ((False, True) * 2, (True, False) * 2):
+        return None
+    return "utf-16-be" if zeros[0] else "utf-16-le"

@@ -34,10 +34,11 @@ MAX_MESSAGE = 1 << 26
 SUFFIXES = (".yaml", ".yml")
 """Suffixes of files that hold nothing else."""
 BEGINNING = re.compile(
-    rb"^\{?header:[ \t]*(?:\r?$|\{)|^(?:name|position):[ \t]*(?:\r?\n[ \t]*-[ \t]|\[)",
+    rb"^\{?header:[ \t]*(?:\r?$|\{)|^(?:name|position):[ \t]*(?:\r?\n[ \t]*-[ \t]|\[)"
+    rb"|^-[ \t][^\n]*\n---[ \t]*\r?$",
     re.M,
 )
-"""Line at which a message begins."""
+"""Line at which a message begins, or at which the list of a single field ends."""
 SEPARATOR = re.compile(rb"^---[ \t]*\r?$", re.M)
 """Line between two messages."""
 STAMP = re.compile(r"\bsecs?:[ \t]*(\d+)[,\s]+n(?:ano)?secs?:[ \t]*(\d+)")

@@ -283,6 +283,18 @@ def test_the_first_row_may_be_empty_or_incomplete(change, two_link, tmp_path):
     assert_motion(read_with_warnings(path, two_link)[0])
 
 
+def test_other_units_in_a_column_are_refused(two_link, tmp_path):
+    header, angle = "time,joint,signal,value,unit", "{0},{1},position,{2},"
+    rows = [row.split(",")[:3] for row in long_rows()]
+    for unit, is_refused in (("rad", False), ("deg", True)):
+        lines = [angle.format(*row) + unit for row in rows]
+        path = written(tmp_path / "long.csv", lines, header)
+        if is_refused:
+            assert_refused(path, two_link, "column 'unit' states deg", "convert")
+        else:
+            assert len(read_with_warnings(path, two_link)[0]) == 400
+
+
 def test_joints_without_any_position_are_refused(two_link, tmp_path):
     rows = [f"{0.01 * k},joint_{1 + k % 2},nan,0,0" for k in range(800)]
     assert_refused(written(tmp_path / "long.csv", rows), two_link, "q.joint_1", "no number")

@@ -26,6 +26,7 @@ from .column_names import PREFIXES, listed, numbered_remarks, similar
 from .interleaved_rows import interpolate_signal
 from .remark import Remark, RemarkKind
 from .spelled_columns import (
+    OTHER_UNITS,
     are_joint_numbers,
     columns_of_one_joint,
     distinct_columns,
@@ -42,6 +43,8 @@ JOINT = re.compile(
 """Column of the joint; one by another name is known by a joint of the robot in its first row."""
 VARIABLE = re.compile(r"variable|signal|quantity|field|channel|measurement|metric|key", re.I)
 """Column of the quantity, or of quantity and joint."""
+UNITS = re.compile(r"units?", re.I)
+"""Column of the unit of the value."""
 VALUE = re.compile(r"value|val|data", re.I)
 """Column of the value of any quantity."""
 NUMBERED = re.compile(r"(?:joint|axis|motor|servo|drive|dof|j|a)?[._ -]*(\d+)(?:\.0*)?", re.I)
@@ -156,6 +159,7 @@ def find_long_columns(
         assert value is not None and variable is not None
         keys = (variable,) if key is None or key == variable else (variable, key)
         values = {value: ""}
+        _require_si_units(source, names, rows)
     times = time_columns(names)
     if not times:
         raise UnusableInput(
@@ -192,6 +196,18 @@ def _column_of_joint(
             if times and len({(row[times[0]], row[k]) for row in complete}) > len(cells[times[0]]):
                 return k, True
     return None, False
+
+
+def _require_si_units(source: str, names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Refuse other units in a column of units, which convert no values."""
+    for k, name in enumerate(names):
+        if not UNITS.fullmatch(name.strip()):
+            continue
+        stated = {row[k].strip().strip("[]\"'") for row in rows if k < len(row)}
+        if other := sorted(unit for unit in stated if unit.lower() in OTHER_UNITS):
+            raise UnusableInput(
+                f"{source}: column '{name}' states {other[0]}; convert the values to SI units"
+            )
 
 
 def _may_be_joint(cell: str) -> bool:

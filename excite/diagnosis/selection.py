@@ -161,8 +161,9 @@ class _Search:
     def _frictions(self) -> tuple[JointModel, JointModel]:
         """Return the start of every fit and the fit of all frictions, whose delay has settled.
 
-        The recording chain is that of all joints. A filter never has exactly the form of its model,
-        so that evidence for it at a joint is tempered; a delay has.
+        The recording chain is that of all joints: evidence against a filter at one of them refutes
+        it. A filter never has exactly the form of its model, so that evidence for it at a joint is
+        tempered; a delay has.
         """
         filter_fits = FilterFits(self._identified, self._motions)
         start = filter_fits.chosen(self._position_errors.filter_evidence)
@@ -170,7 +171,8 @@ class _Search:
         if start.chain.filter is not None:
             plain = self._fit((), filter_fits.start)
             support = filter_search.evidence_for_chain(model, plain)
-            if probability.tempered(support).sum() <= 0.0:
+            is_refuted = bool(support.min() < -joint_model.MIN_ENTRY_EVIDENCE)
+            if is_refuted or probability.tempered(support).sum() <= 0.0:
                 start, model = filter_fits.start, plain
         for _ in range(MAX_RESTARTS):
             delay, (_, std) = model.chain.delay, joint_model.delay_evidence(model, 0.0)

@@ -158,10 +158,14 @@ def _load_friction(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
 
 def _position_friction(v: dict[str, float], x: JointMotion, m: Any) -> list[Column]:
     positions, waves = np.linspace(v["low"], v["high"], CURVE_POINTS), []
+    # like a spring, a sum of waves says nothing beyond the positions of its recordings if these are
+    # less than a period
+    is_part = v["waves"] > 1.0 and v["order"] * (v["high"] - v["low"]) < 2.0 * np.pi
+    q = m.fmin(m.fmax(x.q, v["low"]), v["high"]) if is_part else x.q
     for order in [(k + 1) * v["order"] for k in range(int(v["waves"]))]:
         # friction that does not vary over the range of the joint is Coulomb friction
-        waves.append(m.cos(order * x.q) - float(np.cos(order * positions).mean()))
-        waves.append(m.sin(order * x.q) - float(np.sin(order * positions).mean()))
+        waves.append(m.cos(order * q) - float(np.cos(order * positions).mean()))
+        waves.append(m.sin(order * q) - float(np.sin(order * positions).mean()))
     return _dry(waves)
 
 

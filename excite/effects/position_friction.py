@@ -23,6 +23,7 @@ class _PositionFriction(JointTorque):
 
     The waves have spatial frequencies "order", 2 "order", … up to "waves" of them. The mean of each
     over the joint's range is subtracted: friction that does not vary there is Coulomb friction.
+    Beyond a range of less than a period, several waves have the value at its end.
     """
 
     def joint_candidates(self, motions: Motions, joint: int) -> Iterator[CandidateModel]:

@@ -1,6 +1,7 @@
 """`excite view`: drawing of all kinds of shapes, and playback of a motion."""
 
 import json
+import socket
 from pathlib import Path
 
 import coal
@@ -44,12 +45,27 @@ def test_every_kind_of_shape_is_drawn():
 
 def test_motion_is_played(capsys):
     pytest.importorskip("viser", reason="the extra [view] is not installed")
-    code, out, err = run(
-        capsys, "view", MOTION, "--once", "--speed", "4", "--port", "8917", "--json"
-    )
-    assert (
-        code == 0
-        and "http://localhost:8917" in err
-        and "collision checked" in json.loads(out)["collision"]
-    )
+    with socket.create_server(("localhost", 0)) as free:
+        port = free.getsockname()[1]
+    code, out, err = run(capsys, "view", MOTION, "--once", "--speed", "4", "--port", port, "--json")
+    assert code == 0 and "collision checked" in json.loads(out)["collision"]
+    assert f"http://localhost:{port} " in err
     assert "--speed" in refused(capsys, "view", MOTION, "--speed", "9")
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no host", "x" * 70])
+def test_a_host_without_a_server_is_refused(capsys, host):
+    """192.0.2.1 is reserved for documentation (RFC 5737); no label has 70 letters."""
+    pytest.importorskip("viser", reason="the extra [view] is not installed")
+    line = refused(capsys, "view", MOTION, "--once", "--host", host)
+    assert f"--host {host}" in line and "localhost" in line
+
+
+def test_the_next_free_port_is_taken(capsys):
+    pytest.importorskip("viser", reason="the extra [view] is not installed")
+    with socket.create_server(("localhost", 0)) as taken:
+        port = taken.getsockname()[1]
+        code, _, err = run(
+            capsys, "view", MOTION, "--once", "--speed", "4", "--port", port, "--json"
+        )
+    assert code == 0 and f":{port} " not in err and "http://localhost:" in err

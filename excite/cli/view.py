@@ -7,10 +7,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import importlib.util
+import socket
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +38,8 @@ from .outcome import Outcome
 
 FRAME_RATE = 50.0
 """Frames per second [Hz]."""
+START_SECONDS = 30.0
+"""Longest time in which the server has to start [s]; it takes less than one."""
 FLOOR_SIZE = 4.0
 """Side of the square that represents the floor [m]."""
 ROBOT_COLOUR = np.array([0.35, 0.55, 0.8, 1.0])
@@ -46,7 +52,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Run `excite view`: repeat a trajectory until interrupted, or play it once with `--once`.
 
     Raises:
-        UnusableInput: viser is not installed, or a file cannot be used.
+        UnusableInput: viser is not installed, its server cannot start, or a file cannot be used.
     """
     if not 0.0 < arguments.speed <= 4.0:
         raise UnusableInput(f"--speed {arguments.speed:g} should be above 0 and at most 4")
@@ -58,16 +64,16 @@ def run(arguments: argparse.Namespace) -> Outcome:
             "excite view: viser is not installed; install the extra: "
             ".venv/bin/pip install -e '.[view]'"
         )
-    import viser
     from pinocchio.visualize import ViserVisualizer
 
     shapes = geometry(cell)
     player = ViserVisualizer(robot.model, shapes, shapes)
     with contextlib.redirect_stdout(sys.stderr):  # standard output is for the JSON document
-        player.initViewer(viewer=viser.ViserServer(arguments.host, arguments.port))
+        player.initViewer(viewer=_start_server(arguments.host, arguments.port))
         player.loadViewerModel()
         player.displayCollisions(False)
-        address = f"http://{player.viewer.get_host()}:{player.viewer.get_port()}"
+        host = f"[{arguments.host}]" if ":" in arguments.host else arguments.host
+        address = f"http://{host}:{player.viewer.get_port()}"
         logger.info(
             f"{address} shows {trajectory.motion.duration:.1f} s of {robot.name}; Ctrl-C ends it"
         )
@@ -77,6 +83,59 @@ def run(arguments: argparse.Namespace) -> Outcome:
                 _play(player, trajectory, robot, arguments.speed)
         player.viewer.stop()
     return 0, {"address": address, "collision": trajectory.collision}, trajectory.collision
+
+
+def _start_server(host: str, port: int) -> Any:
+    """Start viser's server.
+
+    viser waits for ever for a server that cannot start: the address is tried before, and the
+    server is made in a thread.
+
+    Raises:
+        UnusableInput: The computer has no such address, or the server does not start.
+    """
+    import viser
+
+    address, free = _bindable(host, port)
+    server: Future[Any] = Future()
+
+    def start() -> None:
+        try:
+            server.set_result(viser.ViserServer(address, free))
+        except Exception as error:
+            server.set_exception(error)
+
+    threading.Thread(target=start, daemon=True).start()
+    try:
+        return server.result(timeout=START_SECONDS)
+    except TimeoutError:
+        raise UnusableInput(
+            f"excite view: the server at {address}, port {free}, has not started within "
+            f"{START_SECONDS:g} s; give another --host or --port"
+        ) from None
+
+
+def _bindable(host: str, port: int) -> tuple[str, int]:
+    """Return an address of a host at which a server may listen, and the first free port."""
+    reason = "none of these ports is free"
+    try:
+        entries = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError) as error:
+        entries, reason = [], str(error)
+    for family, kind, protocol, _, address in entries:
+        for number in range(port, 1 << 16):
+            try:
+                with socket.socket(family, kind, protocol) as trial:
+                    trial.bind((address[0], number))
+                return str(address[0]), number
+            except OSError as error:
+                if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                    reason = error.strerror or str(error)
+                    break
+    raise UnusableInput(
+        f"excite view: no server can listen at --host {host}, --port {port} or above ({reason}); "
+        "give localhost, or 0.0.0.0 for all addresses of this computer"
+    )
 
 
 def _cell(trajectory: Trajectory, robot: Robot) -> Cell:

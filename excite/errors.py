@@ -122,5 +122,11 @@ class CheckFailed(ExciteError):
     exit_code = 1
 
 
+class WorkerKilled(ExciteError):
+    """A process that ran a part of the work was killed."""
+
+    exit_code = 70
+
+
 class ExciteWarning(UserWarning):
     """Input was repaired or completed by a documented rule."""

@@ -384,6 +384,20 @@ def test_workers_end_with_a_killed_process(tmp_path: Path) -> None:
     assert not workers(process)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("backend", ["multiprocessing", slow("loky")])
+def test_a_killed_worker_ends_a_design(tmp_path: Path, backend: str) -> None:
+    """As the system does where memory is short."""
+    process = started(tmp_path, *DESIGN, "--backend", backend)
+    assert process.stderr is not None
+    while b"start 1/40" not in (line := process.stderr.readline()):
+        assert line
+    os.kill(max(int(number) for number in workers(process, 0.0)), signal.SIGKILL)
+    done = ended(process)
+    assert done.returncode == 70 and "--jobs 1" in lines(done)[-1]
+    assert not list(tmp_path.iterdir()) and not workers(process)
+
+
 ANNOUNCED = [
     sys.executable,
     "-c",

@@ -2,17 +2,63 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any
 
 import joblib
+from joblib.parallel import FallbackToBackend, MultiprocessingBackend, SequentialBackend
 
-from ..errors import UnusableInput
+from ..errors import UnusableInput, WorkerKilled
 
 BACKENDS = ("multiprocessing", "loky", "dask", "ray")
 """Names of the joblib back ends that can be chosen."""
+
+
+class ForkedProcesses(MultiprocessingBackend):  # type: ignore[misc]
+    """joblib's back end "multiprocessing", except that a process that is killed ends the run.
+
+    The pool of `multiprocessing` waits for ever for the result of a process that the system has
+    killed, as it does where memory is short; that of `concurrent.futures` raises an error.
+    """
+
+    _pool: ProcessPoolExecutor | None = None
+
+    def configure(self, n_jobs: int = 1, parallel: Any = None, **_: Any) -> int:
+        """Start the processes and return their number."""
+        count = int(self.effective_n_jobs(n_jobs))
+        if count == 1:
+            raise FallbackToBackend(SequentialBackend(nesting_level=self.nesting_level))
+        can_fork = "fork" in multiprocessing.get_all_start_methods()
+        context = multiprocessing.get_context("fork" if can_fork else None)
+        self._pool = ProcessPoolExecutor(count, context)
+        self.parallel = parallel
+        return count
+
+    def submit(
+        self, func: Callable[[], Any], callback: Callable[[Future[Any]], None] | None = None
+    ) -> Future[Any]:
+        """Send a task to the processes."""
+        assert self._pool is not None
+        future = self._pool.submit(func)
+        if callback is not None:
+            future.add_done_callback(callback)
+        return future
+
+    def retrieve_result_callback(self, result: Future[Any]) -> Any:
+        """Return the result of a task, or raise its error."""
+        return result.result()
+
+    def terminate(self) -> None:
+        """End the processes after the tasks that have begun."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+        self.reset_batch_stats()
 
 
 def default_backend() -> str:
@@ -34,6 +80,7 @@ def backend(name: str | None, address: str | None = None) -> Iterator[None]:
 
     Raises:
         UnusableInput: The package of the back end is missing, or the cluster does not answer.
+        WorkerKilled: A process of this machine was killed.
     """
     chosen = name or ("dask" if address else default_backend())
     if address and chosen not in ("dask", "ray"):
@@ -49,8 +96,15 @@ def backend(name: str | None, address: str | None = None) -> Iterator[None]:
         with joblib.parallel_config("ray"):
             yield
     else:
-        with joblib.parallel_config(chosen):
-            yield
+        processes = ForkedProcesses() if chosen == "multiprocessing" else chosen
+        try:
+            with joblib.parallel_config(processes):
+                yield
+        except BrokenProcessPool as error:
+            raise WorkerKilled(
+                "a process that ran some of the starts was killed, perhaps as memory is short; run "
+                "fewer of them with --jobs 1"
+            ) from error
 
 
 def _dask(address: str | None) -> Any:

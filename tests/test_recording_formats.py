@@ -774,13 +774,38 @@ def test_words_of_motor_drivers_are_read_where_no_other_column_holds_their_quant
     recording = read("time_ms,angle,position,current")  # that of another sensor
     np.testing.assert_allclose(recording.q[:, 0], rows[:, 2])
     recording = read("time_ms,feedback_angle,present_current,command_angle")
-    assert recording.current is not None
+    assert recording.current is not None and recording.qref is not None
     np.testing.assert_allclose(recording.current[:, 0], rows[:, 2])
+    np.testing.assert_allclose(recording.qref[:, 0], rows[:, 3])
     recording = read("time_ms,position,torque,iq_mA")  # a torque needs no current
     np.testing.assert_allclose(recording.torque[:, 0], rows[:, 2])
     recording = read("time_ms,i,position,iq")  # `i` counts rows
     assert recording.current is not None
     np.testing.assert_allclose(recording.current[:, 0], rows[:, 3])
+
+
+@pytest.mark.parametrize(
+    ("position", "command"),
+    [
+        ("present_position_{joint}", "goal_position_{joint}"),
+        ("q_{number}", "q_ref_{number}"),
+        ("{joint}/position", "{joint}/targetPosition"),
+        ("pos[{number}]", "cmd_pos[{number}] [rad]"),
+    ],
+)
+def test_commanded_positions_are_read(position, command, two_link, tmp_path):
+    motion = two_joint_motion()
+    columns = {"time": motion["t"]}
+    for pattern, shift in ((position, 0.0), (command, 0.01)):
+        for number, name in enumerate(JOINTS, start=1):
+            columns[pattern.format(joint=name, number=number)] = motion[f"q.{name}"] + shift
+    path = write_columns(tmp_path / "r.csv", columns)
+    recording, texts = read_with_warnings(path, two_link)
+    assert recording.qref is not None and not any("not read" in text for text in texts)
+    np.testing.assert_allclose(recording.qref - recording.q, 0.01)
+    write_columns(path, columns | {"goal_q_3": motion["t"], "desired_angle_1": motion["t"]})
+    recording, _ = read_with_warnings(path, two_link)
+    assert recording.qref is None  # which of them is tracked is not known
 
 
 def test_units_of_columns_that_the_user_names(tmp_path):

@@ -5,6 +5,7 @@
 | time | `time`, `timestamp`, `stamp`, `elapsed_time`, `time_s`, `t [ms]`, `time (millisec)` |
 | quantity and joint | `q_elbow`, `elbow_pos`, `elbow/velocity`, `tau[elbow]`, `eff_elbow` |
 | quantity and number, by the order of the robot | `q1`, `dq_1`, `tau[0]`, `joint1_torque` |
+| commanded position | `goal_position_elbow`, `q_ref_1`, `elbow_target_pos`, `cmd_pos[0]` |
 | quantity alone, of a robot with a single joint | `position`, `torque`, `q_current` |
 | the same behind a topic | `/joint_states/elbow/position`, `joint_states.effort.elbow` |
 
@@ -59,6 +60,18 @@ STATE_WORDS = {
 }
 """Words of servos for a measured quantity."""
 WORDS |= STATE_WORDS
+COMMAND_WORDS = frozenset(
+    f"{first}{mark}{second}"
+    for command in (
+        *("goal", "target", "desired", "des", "commanded", "command", "cmd"),
+        *("reference", "ref", "setpoint"),
+    )
+    for position in ("q", "pos", "position", "angle")
+    for first, second in ((command, position), (position, command))
+    for mark in ("_", "")
+)
+"""Words for a commanded position: a file may have several, of which none is read."""
+WORDS |= dict.fromkeys(COMMAND_WORDS, "qref")
 SECOND_WORDS = {"angle", "iq", "i_q", "q_current", *STATE_WORDS}
 """Words that are read only where no other column holds their quantity, or a torque instead of the
 current: angles of other sensors, or several currents of a motor, may stand next to it."""
@@ -82,6 +95,7 @@ TIMES = tuple(
 stamp of a message, or the duration of a loop, may stand next to the time."""
 SI_UNITS = {
     "q": {"rad", "m"},
+    "qref": {"rad", "m"},
     "dq": {"rad/s", "m/s"},
     "tau": {"N m", "N"},
     "i": {"A"},
@@ -259,10 +273,14 @@ def time_columns(names: Sequence[str]) -> list[tuple[str, re.Match[str]]]:
 def _without_second_words(names: Sequence[str], joints: Sequence[str], effort: str) -> list[str]:
     """Return the names without those of SECOND_WORDS next to another column of their quantity.
 
-    A current is not needed next to a torque.
+    A current is not needed next to a torque. Of several kinds of commanded positions none is known
+    to be that which the controller tracks.
     """
     readings = {name: _readings(name, joints) for name in names}
     words = {name: either[0].word for name, either in readings.items() if either}
+    commands = {name: word for name, word in words.items() if word in COMMAND_WORDS}
+    if len({*commands.values()}) > 1:
+        names = [name for name in names if name not in commands]
     others = [name for name in names if words.get(name) not in SECOND_WORDS]
     known = {reading.prefix(effort) for name in others for reading in readings[name]}
     if "tau" in known:
@@ -378,7 +396,7 @@ def unread_columns(names: Sequence[str], joints: Sequence[str]) -> list[str]:
         names: Names of all columns.
         joints: Names of the joints.
     """
-    known = (*(f"{prefix}." for prefix in SI_UNITS), "qref.", "qlink.", "base.", "wrench.")
+    known = (*(f"{prefix}." for prefix in SI_UNITS), "qlink.", "base.", "wrench.")
     return [
         name for name in names if name and not name.startswith(known) and not _is_read(name, joints)
     ]
@@ -590,7 +608,8 @@ def first_numbers(columns: Numbers, n: int) -> dict[str, int]:
 def surplus_fault(columns: Numbers, n: int) -> str:
     """State which columns have numbers that are those of no joint; empty if there are none.
 
-    Columns of temperatures are no fault: more than those of the joints may be recorded.
+    Columns of temperatures and commanded positions are no fault: more than those of the joints may
+    be recorded.
 
     Args:
         columns: Columns by quantity and number, those of positions complete.
@@ -600,7 +619,7 @@ def surplus_fault(columns: Numbers, n: int) -> str:
     for prefix, first in first_numbers(columns, n).items():
         used = columns[prefix]
         surplus = [used[k] for k in sorted(used) if not first <= k < first + n]
-        if not surplus or not positions or prefix == "temp":
+        if not surplus or not positions or prefix in ("temp", "qref"):
             continue
         return (
             f"has {_span(used)} but {_span(positions)}; no position has the number of "

@@ -9,12 +9,12 @@ import argparse
 import contextlib
 import errno
 import importlib.util
+import queue
 import socket
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -97,18 +97,13 @@ def _start_server(host: str, port: int) -> Any:
     import viser
 
     address, free = _bindable(host, port)
-    server: Future[Any] = Future()
-
-    def start() -> None:
-        try:
-            server.set_result(viser.ViserServer(address, free))
-        except Exception as error:
-            server.set_exception(error)
-
-    threading.Thread(target=start, daemon=True).start()
+    server: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(
+        target=lambda: server.put(viser.ViserServer(address, free)), daemon=True
+    ).start()
     try:
-        return server.result(timeout=START_SECONDS)
-    except TimeoutError:
+        return server.get(timeout=START_SECONDS)
+    except queue.Empty:
         raise UnusableInput(
             f"excite view: the server at {address}, port {free}, has not started within "
             f"{START_SECONDS:g} s; give another --host or --port"

@@ -186,8 +186,26 @@ class _Builder:
         self.constants = constants
         n = constants.robot.n
         self.signals = Signals(*(ca.SX.sym(name, n) for name in Signals.__annotations__))
+        self._link_slopes: dict[int, tuple[ca.SX, ...]] = {}
         self.period_signals: list[PeriodSignal] = []
         self.symbols: list[ca.SX] = []
+
+    def link_slopes(self, joint: int) -> tuple[ca.SX, ...]:
+        """Return the slopes of the links' torque by q, q̇ and q̈ of a joint, shapes (n,)."""
+        if joint not in self._link_slopes:
+            state = self.signals.q, self.signals.dq, self.signals.ddq
+            unit = np.eye(self.constants.robot.n)[joint]
+            self._link_slopes[joint] = tuple(
+                ca.jtimes(self._link_torque, x, ca.SX(unit)) for x in state
+            )
+        return self._link_slopes[joint]
+
+    @cached_property
+    def _link_torque(self) -> ca.SX:
+        """Torque of the links, shape (n,)."""
+        s, constants = self.signals, self.constants
+        phi = ca.SX(constants.psi[: 10 * constants.parameters.bodies])
+        return link_torque(constants.robot, s.q, s.dq, s.ddq, phi)
 
     def signal(self, signal: PeriodSignal) -> ca.SX:
         """Return the symbol of a signal over the period."""
@@ -307,12 +325,9 @@ def _lagging_link(
     b: _Builder, joint: int, lag: Sequence[ca.SX], *, carries_rotor: bool
 ) -> list[Column]:
     """Return −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈) for a position error δ of a joint, with its rates."""
-    s, n, constants = b.signals, b.constants.robot.n, b.constants
-    phi = ca.SX(constants.psi[: 10 * constants.parameters.bodies])
-    torque = link_torque(constants.robot, s.q, s.dq, s.ddq, phi)
-    unit = np.eye(n)[joint]
-    direction = ca.vertcat(*(ca.SX(unit) * rate for rate in lag))
-    out = -ca.jtimes(torque, ca.vertcat(s.q, s.dq, s.ddq), direction)
+    out = ca.SX.zeros(b.constants.robot.n)
+    for slope, rate in zip(b.link_slopes(joint), lag, strict=True):
+        out -= slope * rate
     if carries_rotor:
         out[joint] -= b.actuator("rotor_inertia", joint) * lag[2]
         out[joint] -= b.actuator("viscous", joint) * lag[1]
@@ -542,27 +557,29 @@ class EffectColumns:
         extra = ca.vertcat(*builder.symbols) if builder.symbols else ca.SX.sym("none", 1)
         inputs = [s.q, s.dq, s.ddq, s.load, s.motor, extra]
         columns = ca.horzcat(*torques) if torques else ca.SX.zeros(n, 1)
-        seed = ca.SX.sym("seed", n * max(self.count, 1))
-        gradient = ca.jtimes(ca.vec(columns.T), ca.vertcat(*inputs), seed, True)
-        parts = ca.vertsplit(gradient, np.cumsum([0, *(x.numel() for x in inputs)]).tolist())
         self._function = ca.Function("columns", inputs, [ca.densify(ca.vec(columns.T))])
-        self._adjoint = ca.Function(
-            "columns_adjoint", [*inputs, seed], [ca.densify(g) for g in parts]
-        )
-        self._mapped: dict[int, tuple[MappedFunction, MappedFunction]] = {}
+        self._mapped: dict[tuple[str, int], MappedFunction] = {}
         self._matrices: dict[tuple[int, float], dict[int, FloatArray]] = {}
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_mapped": {}, "_matrices": {}}
 
-    def _functions(self, count: int) -> tuple[MappedFunction, MappedFunction]:
-        """Return the functions over N samples."""
-        if count not in self._mapped:
-            self._mapped[count] = (
-                MappedFunction(self._function, count),
-                MappedFunction(self._adjoint, count),
-            )
-        return self._mapped[count]
+    @cached_property
+    def _adjoint(self) -> ca.Function:
+        """Map the arguments of the columns and a seed to the gradients by each argument."""
+        inputs = self._function.sx_in()
+        (columns,) = self._function.call(inputs)
+        seed = ca.SX.sym("seed", columns.numel())
+        gradient = ca.jtimes(columns, ca.vertcat(*inputs), seed, True)
+        parts = ca.vertsplit(gradient, np.cumsum([0, *(x.numel() for x in inputs)]).tolist())
+        return ca.Function("columns_adjoint", [*inputs, seed], [ca.densify(g) for g in parts])
+
+    def _over_samples(self, function: ca.Function, count: int) -> MappedFunction:
+        """Return a function over N samples."""
+        key = function.name(), count
+        if key not in self._mapped:
+            self._mapped[key] = MappedFunction(function, count)
+        return self._mapped[key]
 
     def _filters(self, count: int, period: float) -> dict[int, FloatArray]:
         """Return the linear map of each filter over N samples of a period."""
@@ -628,7 +645,11 @@ class EffectColumns:
         """
         record = self._signal_values(motion)
         count, n = motion.q.shape
-        out = self._functions(count)[0](*record.inputs)[0].reshape(count, n, -1).copy()
+        out = (
+            self._over_samples(self._function, count)(*record.inputs)[0]
+            .reshape(count, n, -1)
+            .copy()
+        )
         for k, column in self._payload.items():
             out[:, :, k] = motion.regressor[:, :, column]
         return dataclasses.replace(record, columns=out[:, :, : self.count])
@@ -647,7 +668,7 @@ class EffectColumns:
             respect to q, q̇ and q̈, shapes (N, n).
         """
         motion = values.motion
-        parts = self._functions(len(motion.q))[1](
+        parts = self._over_samples(self._adjoint, len(motion.q))(
             *values.inputs, np.ascontiguousarray(seed).reshape(len(motion.q), -1)
         )
         by_q, by_dq, by_ddq, by_load, by_motor, by_extra = (part.copy() for part in parts)

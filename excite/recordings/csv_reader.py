@@ -35,6 +35,7 @@ from .export_formats import Header, recognise
 from .long_tables import LongColumns, find_long_columns, pivot
 from .magnitudes import check_cells
 from .remark import Remark, RemarkKind
+from .spelled_columns import OTHER_UNITS, SPELLINGS
 from .text_file import open_text
 from .time_cells import DATE, DateColumn, epoch_unit
 
@@ -68,21 +69,11 @@ MAX_EPOCH_STEP = 0.1
 """Usual time step from which a time of the size of one since 1970 is none [s]: microseconds of a
 controller that has run for 12 days have that of milliseconds since 1970, with steps 1000 times as
 long. No motion is recorded with ten rows a second."""
-SI_UNITS = frozenset(
-    (
-        *("s", "sec", "rad", "rad/s", "nm", "n m", "n*m", "n·m", "n.m", "n-m", "n", "m", "m/s"),
-        *("a", "°c"),
-    )
-)
+SI_UNITS = frozenset(("s", "sec", "n.m", "n-m", *SPELLINGS))
 """Units in a row below the header that need no conversion, in small letters."""
 NO_UNITS = frozenset(("-", "none", "n/a"))
 """Cells of such a row that name no unit."""
-OTHER_UNITS = frozenset(
-    (
-        *("ms", "us", "µs", "ns", "deg", "°", "deg/s", "°/s", "mrad", "rpm", "mm", "mm/s"),
-        *("nmm", "n mm", "n*mm", "mnm", "ma", "%"),
-    )
-)
+CONVERTED_UNITS = frozenset(("ms", "us", "µs", "ns", "%", *OTHER_UNITS))
 """Units in a row below the header that have to be converted, in small letters."""
 UNIT_CELL = re.compile(r"[^0-9+.\-].{0,15}|-")
 """Cell that may name a unit: no number."""
@@ -453,11 +444,11 @@ def _is_row_of_units(path: Path, row: int, header: Sequence[str], cells: Sequenc
     """
     units = [cell.strip().strip("[]()").strip().lower() for cell in cells]
     stated = [unit for unit in units if unit]
-    known = [unit in SI_UNITS | OTHER_UNITS for unit in stated]
+    known = [unit in SI_UNITS | CONVERTED_UNITS for unit in stated]
     if not any(known) or not all(UNIT_CELL.fullmatch(unit) for unit in stated):
         return False
     for name, unit in zip(header, units, strict=False):
-        if unit in OTHER_UNITS:
+        if unit in CONVERTED_UNITS:
             raise UnusableInput(
                 f"{path}: row {row}: column '{name}' is in {unit}; convert it to SI units (s, rad, "
                 f"rad/s, N m, A) and leave row {row} out"

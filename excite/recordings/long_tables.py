@@ -31,6 +31,7 @@ from .spelled_columns import (
     columns_of_one_joint,
     distinct_columns,
     find_spelled_columns,
+    has_standard_names,
     number_fault,
     seconds,
     time_columns,
@@ -138,7 +139,7 @@ def find_long_columns(
     Raises:
         UnusableInput: A column has a unit other than of SI, or there is no time.
     """
-    if not rows or {"t", *(f"q.{joint}" for joint in robot.joints)} <= set(names):
+    if not rows or has_standard_names(names, robot):
         return None
     key, is_long = _column_of_joint(names, rows, robot)
     quantities = columns_of_one_joint(names, effort)
@@ -343,10 +344,9 @@ def _columns_of_variables(
     """Return the columns of the robot where rows name a quantity, or quantity and joint."""
     names = [".".join(part.strip("\"'") for part in key) for key in columns.codes]
     header, numbered = ["t", *names], tuple[str, ...]()
-    if not all(f"q.{joint}" in names for joint in robot.joints):
-        spelled = find_spelled_columns(columns.source, header, robot, effort)
-        if spelled is not None:
-            header, numbered = [*spelled.names], spelled.numbered
+    spelled = find_spelled_columns(columns.source, header, robot, effort)
+    if spelled is not None:
+        header, numbered = [*spelled.names], spelled.numbered
     known = [name for name in header if name.partition(".")[0] in PREFIXES]
     missing = next((joint for joint in robot.joints if f"q.{joint}" not in known), None)
     if missing is not None:

@@ -109,10 +109,10 @@ SPELLINGS = {
 }
 """Spellings of SI units, in lower case."""
 OTHER_UNITS = (
-    *("deg", "deg_s", "deg/s", "degrees", "°", "°/s", "rpm", "mm", "mm_s", "mm/s"),
-    *("ma", "mnm", "knm", "kn"),
+    *("deg", "deg_s", "deg/s", "degrees", "°", "°/s", "mrad", "rpm", "mm", "mm_s", "mm/s"),
+    *("ma", "nmm", "n mm", "n*mm", "mnm", "knm", "kn"),
 )
-"""Spellings of other units behind an underscore; in brackets there may be any."""
+"""Spellings of other units in lower case, as behind an underscore; in brackets there may be any."""
 _APPENDED = "|".join(map(re.escape, sorted((*SPELLINGS, *OTHER_UNITS), key=len, reverse=True)))
 UNIT = re.compile(
     r"\s*[\[(](?P<bracketed>[^\[\]()]*[^\[\]()\d][^\[\]()]*)[\])]$"
@@ -165,6 +165,11 @@ class SpelledColumns:
     numbered: tuple[str, ...] = ()
 
 
+def has_standard_names(names: Iterable[str], robot: Robot) -> bool:
+    """Return True if columns with standard names hold the time and all positions."""
+    return {"t", *(f"q.{joint}" for joint in robot.joints)} <= set(names)
+
+
 def find_spelled_columns(
     source: str, names: Sequence[str], robot: Robot, effort: str, topic: str | None = None
 ) -> SpelledColumns | None:
@@ -181,7 +186,7 @@ def find_spelled_columns(
         UnusableInput: Two columns hold the same quantity of a joint, two topics all positions, or
             a column has another unit.
     """
-    if {"t", *(f"q.{joint}" for joint in robot.joints)} <= set(names):
+    if has_standard_names(names, robot):
         return None
     columns = _find_columns(source, names, robot, effort)
     if columns is not None:

@@ -114,7 +114,9 @@ def _bindable(host: str, port: int) -> tuple[str, int]:
     """Return an address of a host at which a server may listen, and the first free port."""
     reason = "none of these ports is free"
     try:
-        entries = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        # by RFC 6761 that is this computer, whatever its resolver says
+        name = "127.0.0.1" if host == "localhost" else host
+        entries = socket.getaddrinfo(name, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
         entries, reason = [], str(error)
     for family, kind, protocol, _, address in entries:

@@ -318,6 +318,14 @@ def test_processes_that_cannot_be_started_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="opens all files that it may")
+def test_an_unexpected_error_without_a_free_file_is_one_line(tmp_path: Path) -> None:
+    fault = "import os, builtins; builtins.kept = [os.open('/dev/null', 0) for _ in range(10**6)]"
+    done = faulty(fault, tmp_path)
+    (line,) = lines(done)
+    assert done.returncode == 70 and "Too many open files" in line
+
+
 # -- signals ---------------------------------------------------------------------------------------
 
 

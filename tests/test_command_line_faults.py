@@ -303,6 +303,29 @@ def test_an_error_after_writing_names_the_written_files(tmp_path: Path) -> None:
     assert line.endswith(f"files that were written before: {tmp_path / 'x'}")
 
 
+# -- limits of the system --------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the default back end elsewhere is loky")
+def test_processes_that_cannot_be_started_are_refused(tmp_path: Path) -> None:
+    """The processes that were started end, too."""
+    arguments = ["--starts", "24", "--jobs", "24", "-o", str(tmp_path / "out")]
+    limited = ["bash", "-c", 'ulimit -n 32; exec "$@"', "bash", *PROGRAM]
+    command = [*limited, "design", "two_link", *arguments]
+    done = subprocess.run(command, capture_output=True, timeout=120, check=False)
+    (line,) = lines(done)
+    assert done.returncode == 2 and "24 processes" in line and "--jobs 1" in line, line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="opens all files that it may")
+def test_an_unexpected_error_without_a_free_file_is_one_line(tmp_path: Path) -> None:
+    fault = "import os, builtins; builtins.kept = [os.open('/dev/null', 0) for _ in range(10**6)]"
+    done = faulty(fault, tmp_path)
+    (line,) = lines(done)
+    assert done.returncode == 70 and "Too many open files" in line
+
+
 # -- signals ---------------------------------------------------------------------------------------
 
 

@@ -57,7 +57,8 @@ def _versions() -> Iterator[tuple[str, str]]:
     from importlib import metadata  # takes 10 ms
 
     for name in PACKAGES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
+        # OSError: too many open files
+        with contextlib.suppress(metadata.PackageNotFoundError, OSError):
             yield name, metadata.version(name)
 
 

@@ -89,7 +89,7 @@ def _outcome(command: Callable[[], int], argv: Sequence[str]) -> tuple[int, str]
 def _report_unexpected(error: Exception, argv: Sequence[str]) -> str:
     """Log an unexpected error and return the line about it."""
     log = None
-    with contextlib.suppress(MemoryError, RecursionError):
+    with contextlib.suppress(MemoryError, RecursionError, OSError):
         log = write_error_log(error, argv)
     place = "no log of it could be written" if log is None else f"its log is {log}"
     if isinstance(error, MemoryError):

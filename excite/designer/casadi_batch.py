@@ -227,7 +227,7 @@ def find_library(functions: Sequence[ca.Function]) -> CompiledLibrary | None:
         return cached  # another process is compiling it
     try:
         _Compilation(program, code, cached).start()
-    except OSError:  # a full disk, no more processes
+    except (OSError, RuntimeError):  # a full disk, no more processes or threads
         return None
     return cached
 
@@ -263,9 +263,13 @@ class _Compilation:
             raise
 
     def start(self) -> None:
-        """Wait for the compiler in a thread."""
+        """Wait for the compiler in a thread; RuntimeError where the system has no more threads."""
         _running.add(self)
-        threading.Thread(target=self._collect, daemon=True).start()
+        try:
+            threading.Thread(target=self._collect, daemon=True).start()
+        except RuntimeError:
+            self.stop()
+            raise
 
     def _collect(self) -> None:
         """Publish the library when the compiler ends; stop it when its time is over."""

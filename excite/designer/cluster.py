@@ -27,6 +27,7 @@ class ForkedProcesses(MultiprocessingBackend):  # type: ignore[misc]
     """
 
     _pool: ProcessPoolExecutor | None = None
+    _count = 0
 
     def configure(self, n_jobs: int = 1, parallel: Any = None, **_: Any) -> int:
         """Start the processes and return their number."""
@@ -35,16 +36,20 @@ class ForkedProcesses(MultiprocessingBackend):  # type: ignore[misc]
             raise FallbackToBackend(SequentialBackend(nesting_level=self.nesting_level))
         can_fork = "fork" in multiprocessing.get_all_start_methods()
         context = multiprocessing.get_context("fork" if can_fork else None)
-        self._pool = ProcessPoolExecutor(count, context)
-        self.parallel = parallel
+        with _started_completely(count):
+            self._pool = ProcessPoolExecutor(count, context)
+        self._count, self.parallel = count, parallel
         return count
 
     def submit(
         self, func: Callable[[], Any], callback: Callable[[Future[Any]], None] | None = None
     ) -> Future[Any]:
         """Send a task to the processes."""
-        assert self._pool is not None
-        future = self._pool.submit(func)
+        pool, self._pool = self._pool, None  # one whose start fails cannot be shut down
+        assert pool is not None
+        with _started_completely(self._count):
+            future = pool.submit(func)
+        self._pool = pool
         if callback is not None:
             future.add_done_callback(callback)
         return future
@@ -59,6 +64,33 @@ class ForkedProcesses(MultiprocessingBackend):  # type: ignore[misc]
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
         self.reset_batch_stats()
+
+
+@contextmanager
+def _started_completely(count: int) -> Iterator[None]:
+    """Kill the child processes that the block has started if it cannot start all.
+
+    The first task starts all processes of a pool. Those that wait for tasks of a pool that is
+    incomplete would never end, and Python waits for them when it ends.
+
+    Args:
+        count: Number of processes, for the message.
+
+    Raises:
+        UnusableInput: The system has no more processes, threads, files or semaphores.
+    """
+    before = set(multiprocessing.active_children())
+    try:
+        yield
+    except BrokenProcessPool:
+        raise
+    except (OSError, RuntimeError) as error:
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+        raise UnusableInput(
+            f"{count} processes for the starts cannot be started "
+            f"({getattr(error, 'strerror', None) or error}); use --jobs 1"
+        ) from error
 
 
 def default_backend() -> str:

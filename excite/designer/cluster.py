@@ -45,11 +45,13 @@ class ForkedProcesses(MultiprocessingBackend):  # type: ignore[misc]
         self, func: Callable[[], Any], callback: Callable[[Future[Any]], None] | None = None
     ) -> Future[Any]:
         """Send a task to the processes."""
-        pool, self._pool = self._pool, None  # one whose start fails cannot be shut down
-        assert pool is not None
-        with _started_completely(self._count):
-            future = pool.submit(func)
-        self._pool = pool
+        assert self._pool is not None
+        try:
+            with _started_completely(self._count):
+                future = self._pool.submit(func)
+        except UnusableInput:
+            self._pool = None  # an incomplete one cannot be shut down
+            raise
         if callback is not None:
             future.add_done_callback(callback)
         return future

@@ -6,10 +6,12 @@ import json
 import os
 import re
 import signal
+import socket
 import stat
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -419,6 +421,15 @@ def test_a_killed_worker_ends_a_design(tmp_path: Path, backend: str) -> None:
     done = ended(process)
     assert done.returncode == 70 and "--jobs 1" in lines(done)[-1]
     assert not list(tmp_path.iterdir()) and not workers(process)
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="Dask is not installed")
+def test_a_cluster_that_accepts_connections_but_never_answers_is_refused(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = "tcp://127.0.0.1:{1}".format(*server.getsockname())
+        done = ended(started(tmp_path, *DESIGN, "--cluster", address))
+    assert done.returncode == 2 and "not answered" in lines(done)[-1]
+    assert not list(tmp_path.iterdir())
 
 
 ANNOUNCED = [

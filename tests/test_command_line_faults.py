@@ -6,10 +6,12 @@ import json
 import os
 import re
 import signal
+import socket
 import stat
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -419,6 +421,32 @@ def test_a_killed_worker_ends_a_design(tmp_path: Path, backend: str) -> None:
     done = ended(process)
     assert done.returncode == 70 and "--jobs 1" in lines(done)[-1]
     assert not list(tmp_path.iterdir()) and not workers(process)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems need not have the limit")
+def test_the_processor_time_of_an_expansion_is_bounded(tmp_path: Path) -> None:
+    """If its parent is killed, no one ends a xacro that never ends."""
+    urdf = Path(excite.__file__).parent / "robot" / "models" / "two_link.urdf"
+    (tmp_path / "xacrodoc.py").write_text(
+        "import resource\nfrom pathlib import Path\n"
+        "assert resource.getrlimit(resource.RLIMIT_CPU)[1] != resource.RLIM_INFINITY\n"
+        "class XacroDoc:\n"
+        "    from_file = classmethod(lambda kind, path, resolve_packages: kind())\n"
+        f"    to_urdf_string = lambda self: Path({str(urdf)!r}).read_text()\n"
+    )
+    (tmp_path / "arm.urdf.xacro").write_text("<robot name='arm'/>")
+    path = os.pathsep.join([str(tmp_path), str(Path(excite.__file__).parent.parent)])
+    done = run("check", tmp_path / "arm.urdf.xacro", PYTHONPATH=path)
+    assert done.returncode == 0, done.stderr.decode()
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="Dask is not installed")
+def test_a_cluster_that_accepts_connections_but_never_answers_is_refused(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = "tcp://127.0.0.1:{1}".format(*server.getsockname())
+        done = ended(started(tmp_path, *DESIGN, "--cluster", address))
+    assert done.returncode == 2 and "not answered" in lines(done)[-1]
+    assert not list(tmp_path.iterdir())
 
 
 ANNOUNCED = [

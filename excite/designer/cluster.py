@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -17,6 +18,10 @@ from ..errors import UnusableInput, WorkerKilled
 
 BACKENDS = ("multiprocessing", "loky", "dask", "ray")
 """Names of the joblib back ends that can be chosen."""
+
+CONNECTION_SECONDS = 10.0
+"""Time within which the scheduler of a Dask cluster must accept a connection, and again the time
+within which it must answer [s]."""
 
 
 class ForkedProcesses(MultiprocessingBackend):  # type: ignore[misc]
@@ -152,12 +157,34 @@ def _dask(address: str | None) -> Any:
     try:
         if address is None:
             return Client(threads_per_worker=1, dashboard_address=None)
-        return Client(address, timeout=10)
+        return _connected(lambda: Client(address, timeout=CONNECTION_SECONDS))
     except (OSError, ValueError, TimeoutError) as error:
         raise UnusableInput(
             f"--cluster {address}: no Dask scheduler answers there ({error}); "
             "start one with: dask scheduler"
         ) from error
+
+
+def _connected(connect: Callable[[], Any]) -> Any:
+    """Return what a function returns that may wait for ever, as Dask does for the greeting of a
+    server that accepts the connection.
+
+    Raises:
+        TimeoutError: It has not returned in time; its thread ends with the process.
+    """
+    client: Future[Any] = Future()
+
+    def wait() -> None:
+        try:
+            client.set_result(connect())
+        except Exception as error:
+            client.set_exception(error)
+
+    threading.Thread(target=wait, daemon=True).start()
+    try:
+        return client.result(2.0 * CONNECTION_SECONDS)
+    except TimeoutError as error:
+        raise TimeoutError(str(error) or "the connection is accepted, but not answered") from error
 
 
 def _ray(address: str | None) -> None:

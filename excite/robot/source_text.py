@@ -30,12 +30,19 @@ XACRO = "xacro"
 INCLUDE = "include"
 """Name of the element by which xacro and MJCF include a file."""
 DECLARED_XACRO = re.compile(r"""\sxmlns:xacro\s*=\s*["']([^"']*)""")
-EXPANSION = (
-    "import sys; from xacrodoc import XacroDoc; sys.stdout.reconfigure(encoding='utf-8'); "
-    "print(XacroDoc.from_file(sys.argv[1], resolve_packages=False).to_urdf_string())"
-)
+EXPANSION = """
+import sys
+from importlib.util import find_spec
+if find_spec("resource"):  # not on Windows
+    import resource
+    resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[2]), int(sys.argv[2])))
+from xacrodoc import XacroDoc
+sys.stdout.reconfigure(encoding="utf-8")
+print(XacroDoc.from_file(sys.argv[1], resolve_packages=False).to_urdf_string())
+"""
 """Program that prints an expanded xacro. It runs in a process of its own, as a file's expressions
-can fail in any way or never end, with -P, so that it imports no files of the current folder."""
+can fail in any way or never end, with -P, so that it imports no files of the current folder. It
+bounds its own processor time in case that the process that waits for it is killed."""
 LONGEST_EXPANSION = 60.0
 """Time after which an expansion is given up [s]; the largest descriptions take a few seconds."""
 LONGEST_REASON = 300
@@ -185,9 +192,10 @@ def _expanded(path: Path) -> str:
             f"{path}: is a xacro file; expand it first: xacro {path.name} > {name}, or install "
             "what expands it: .venv/bin/pip install -e '.[xacro]'"
         )
+    seconds = str(round(2.0 * LONGEST_EXPANSION))
     try:
         done = subprocess.run(
-            [sys.executable, "-P", "-c", EXPANSION, str(path.resolve())],
+            [sys.executable, "-P", "-c", EXPANSION, str(path.resolve()), seconds],
             capture_output=True,
             text=True,
             encoding="utf-8",

@@ -445,7 +445,7 @@ def test_a_cluster_that_accepts_connections_but_never_answers_is_refused(tmp_pat
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = "tcp://127.0.0.1:{1}".format(*server.getsockname())
         done = ended(started(tmp_path, *DESIGN, "--cluster", address))
-    assert done.returncode == 2 and "not answered" in lines(done)[-1]
+    assert done.returncode == 2 and "does not answer" in lines(done)[-1]
     assert not list(tmp_path.iterdir())
 
 

@@ -9,10 +9,8 @@ import argparse
 import contextlib
 import errno
 import importlib.util
-import queue
 import socket
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +20,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from .._system.bounded_wait import value_within
 from .._system.progress import logger
 from .._system.signals import raised
 from .._types import FloatArray
@@ -97,13 +96,9 @@ def _start_server(host: str, port: int) -> Any:
     import viser
 
     address, free = _bindable(host, port)
-    server: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    threading.Thread(
-        target=lambda: server.put(viser.ViserServer(address, free)), daemon=True
-    ).start()
     try:
-        return server.get(timeout=START_SECONDS)
-    except queue.Empty:
+        return value_within(START_SECONDS, lambda: viser.ViserServer(address, free))
+    except TimeoutError:
         raise UnusableInput(
             f"excite view: the server at {address}, port {free}, has not started within "
             f"{START_SECONDS:g} s; give another --host or --port"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -14,11 +13,11 @@ from typing import Any
 import joblib
 from joblib.parallel import FallbackToBackend, MultiprocessingBackend, SequentialBackend
 
+from .._system.bounded_wait import value_within
 from ..errors import UnusableInput, WorkerKilled
 
 BACKENDS = ("multiprocessing", "loky", "dask", "ray")
 """Names of the joblib back ends that can be chosen."""
-
 CONNECTION_SECONDS = 10.0
 """Time within which the scheduler of a Dask cluster must accept a connection, and again the time
 within which it must answer [s]."""
@@ -157,34 +156,18 @@ def _dask(address: str | None) -> Any:
     try:
         if address is None:
             return Client(threads_per_worker=1, dashboard_address=None)
-        return _connected(lambda: Client(address, timeout=CONNECTION_SECONDS))
-    except (OSError, ValueError, TimeoutError) as error:
+        # it bounds the time of the connection, not that of the greeting
+        return value_within(
+            2.0 * CONNECTION_SECONDS,
+            lambda: Client(address, timeout=CONNECTION_SECONDS),
+            (OSError, ValueError),
+        )
+    except (OSError, ValueError) as error:
+        reason = str(error) or "it accepts the connection, but does not answer"
         raise UnusableInput(
-            f"--cluster {address}: no Dask scheduler answers there ({error}); "
+            f"--cluster {address}: no Dask scheduler answers there ({reason}); "
             "start one with: dask scheduler"
         ) from error
-
-
-def _connected(connect: Callable[[], Any]) -> Any:
-    """Return what a function returns that may wait for ever, as Dask does for the greeting of a
-    server that accepts the connection.
-
-    Raises:
-        TimeoutError: It has not returned in time; its thread ends with the process.
-    """
-    client: Future[Any] = Future()
-
-    def wait() -> None:
-        try:
-            client.set_result(connect())
-        except Exception as error:
-            client.set_exception(error)
-
-    threading.Thread(target=wait, daemon=True).start()
-    try:
-        return client.result(2.0 * CONNECTION_SECONDS)
-    except TimeoutError as error:
-        raise TimeoutError(str(error) or "the connection is accepted, but not answered") from error
 
 
 def _ray(address: str | None) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -407,6 +408,13 @@ def test_a_xacro_file_gets_the_line_that_expands_it(tmp_path: Path):
 
 def test_a_missing_file_says_how_to_name_one(tmp_path: Path):
     assert "no such file; give a URDF's path" in refusal(tmp_path / "none.urdf")
+
+
+def test_a_folder_or_a_pipe_is_no_robot(tmp_path: Path):
+    """As in `excite check <(xacro arm.xacro)`."""
+    assert "is a folder, a pipe" in refusal(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    assert "write the robot's URDF to a file" in refusal(tmp_path / "pipe")
 
 
 def test_an_unknown_name_lists_the_builtin_ones():

@@ -93,6 +93,11 @@ def read_robot(path: Path) -> Conversion:
             converts it is not installed.
     """
     if not is_file(path):
+        if os.path.exists(path):
+            raise UnusableInput(
+                f"{path}: is a folder, a pipe or a device; write the robot's URDF to a file and "
+                "give its path"
+            )
         raise UnusableInput(
             f"{path}: no such file; give a URDF's path or a name that 'excite robots' lists"
         )

@@ -156,11 +156,12 @@ def _dask(address: str | None) -> Any:
     try:
         if address is None:
             return Client(threads_per_worker=1, dashboard_address=None)
-        # it bounds the time of the connection, not that of the greeting
+        # it bounds the time of the connection, not that of the greeting; a thread that still waits
+        # when the process ends gets a NameError
         return value_within(
             2.0 * CONNECTION_SECONDS,
             lambda: Client(address, timeout=CONNECTION_SECONDS),
-            (OSError, ValueError),
+            (OSError, ValueError, NameError),
         )
     except (OSError, ValueError) as error:
         reason = str(error) or "it accepts the connection, but does not answer"
